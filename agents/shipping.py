@@ -80,22 +80,22 @@ def ship(
 
 
 def scored_as(
-    own: Evaluation, seeds: tuple[int, ...], seed_j: tuple[float, ...], validation_j: tuple[float, ...] | None
+    evaluation: Evaluation, seeds: tuple[int, ...], seed_j: tuple[float, ...], validation_j: tuple[float, ...] | None
 ) -> Scored:
     """Scores of a policy and of all seeds from its evaluation and their mean costs."""
-    test, n = own.scenario, len(own.seeds)
-    droop = evaluate(make_controller(REFERENCE, test), test, own.seeds)
-    found, best = own.score(droop).score, hindsight_costs(test, own.seeds)
+    test, n = evaluation.scenario, len(evaluation.seeds)
+    droop = evaluate(make_controller(REFERENCE, test), test, evaluation.seeds)
+    found, best = evaluation.score(droop).score, hindsight_costs(test, evaluation.seeds)
     possible = float(np.mean(droop.J - best))
     scores = tuple((droop.means["J"] - j) / possible for j in seed_j)
-    over_seeds = mean_over_seeds(scores, score_error(own.J, droop.J, best), n) if len(seeds) > 1 else None
+    over_seeds = mean_over_seeds(scores, score_error(evaluation.J, droop.J, best), n) if len(seeds) > 1 else None
     return Scored(
         scenario=test.name,
         split=SPLIT,
         episodes=n,
         scenario_hash=scenario_hash(test),
-        J=own.means["J"],
-        delay_mean_s=own.means["delay_mean_s"],
+        J=evaluation.means["J"],
+        delay_mean_s=evaluation.means["delay_mean_s"],
         droop_delay_mean_s=droop.means["delay_mean_s"],
         score=(found.value, found.low, found.high),
         seeds=seeds,

@@ -45,7 +45,7 @@ class ReportsFigures(Protocol):
     """A controller that reports figures of its episodes, which results contain next to the metrics."""
 
     def episode_figures(self) -> list[dict[str, float]]:
-        """Figures since ``reset``, one mapping a lane, of the same names for all."""
+        """Figures since ``reset``, one mapping an environment, of the same names for all."""
         ...
 
 
@@ -53,7 +53,7 @@ def with_figures(controller: Controller, metrics: list[dict[str, float]]) -> lis
     """Metrics of episodes, one mapping each, with the figures that the controller reports."""
     if not isinstance(controller, ReportsFigures):
         return metrics
-    return [of_lane | own for of_lane, own in zip(metrics, controller.episode_figures(), strict=True)]
+    return [measured | figures for measured, figures in zip(metrics, controller.episode_figures(), strict=True)]
 
 
 class Local(NamedTuple):
@@ -193,7 +193,7 @@ class LocalController:
         wide = joint.astype(np.float64)
         none = np.zeros((*wide.shape[:-1], 0))
         band = self.scenario.cost.band_pu or 1.0
-        fields = {name: wide[..., at] for name, at in self._at.items()}
+        fields = {name: wide[..., columns] for name, columns in self._at.items()}
         return Local(
             v_pu=1.0 + band * fields["v_deviation"],
             p_kw=fields["p"] * self._p_scale,

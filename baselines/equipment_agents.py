@@ -71,8 +71,10 @@ class _Regulators:
         (self._channel,) = next(device for device in scenario.devices if device.kind == "tap_changer").channels
         self._control, self._band = BankControl(relays, scenario.dt_s), scenario.cost.band_pu or 1.0
         self._farthest = np.maximum(np.maximum(np.abs(self._channel.lowest), np.abs(self._channel.highest)), 1.0)
-        names = [name for own in field_names(scenario).values() for name in own]
-        self._tap_at, self._relay_at = ([i for i, name in enumerate(names) if name == own] for own in (_TAP, "relay"))
+        names = [name for names_of_agent in field_names(scenario).values() for name in names_of_agent]
+        self._tap_at, self._relay_at = (
+            [i for i, name in enumerate(names) if name == wanted] for wanted in (_TAP, "relay")
+        )
         self.action_at = np.flatnonzero(action_layout(scenario).is_channel(_TAP))
 
     def actions(self, joint: np.ndarray) -> np.ndarray:

@@ -56,8 +56,8 @@ class Published(NamedTuple):
 
     def of(self, seeds: Sequence[int]) -> Published:
         """The episodes of these seeds, in their order; all must have been solved."""
-        at = {int(seed): i for i, seed in enumerate(self.seeds)}
-        index = [at[seed] for seed in seeds]
+        position = {int(seed): i for i, seed in enumerate(self.seeds)}
+        index = [position[seed] for seed in seeds]
         hashes = tuple(self.episode_hashes[i] for i in index)
         return Published(self.seeds[index], self.J[index], self.bound[index], hashes)
 

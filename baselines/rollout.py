@@ -55,7 +55,7 @@ def rollout(
     on_step: Callable[[], None] | None = None,
     name: str | None = None,
 ) -> Recorder:
-    """Drive one episode for each seed to its end; lane i of the recorder is seed i.
+    """Drive one episode for each seed to its end; environment i of the recorder has seed i.
 
     On random feeders a controller that is given buses is reset for each feeder in turn, with the scenario on it.
 
@@ -66,7 +66,7 @@ def rollout(
     controller
         Reset once, given the agents' buses if it is :class:`NeedsPlacement`, then asked at each step.
     seeds
-        One lane each.
+        One environment each.
     on_step
         Called after each step (for progress).
     name
@@ -78,7 +78,7 @@ def rollout(
         A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
     """
     groups = scenario.members(seeds) if isinstance(controller, NeedsPlacement) else [(scenario, np.arange(len(seeds)))]
-    groups = [(as_driven(on, controller), lanes) for on, lanes in groups]
+    groups = [(as_driven(on, controller), env_indices) for on, env_indices in groups]
     if len(groups) == 1:
         return _driven(groups[0][0], controller, seeds, partial(Recorder, seeds=seeds), on_step, name)
     steps, every = count(1), len(groups)
@@ -88,9 +88,14 @@ def rollout(
             on_step()
 
     parts = []
-    for member, lanes in groups:
-        own = [seeds[i] for i in lanes.tolist()]
-        parts.append((lanes, _driven(member, controller, own, partial(Recorder, seeds=own), on_any_step, name)))
+    for member, env_indices in groups:
+        member_seeds = [seeds[i] for i in env_indices.tolist()]
+        parts.append(
+            (
+                env_indices,
+                _driven(member, controller, member_seeds, partial(Recorder, seeds=member_seeds), on_any_step, name),
+            )
+        )
     return JoinedRecorder(scenario, parts)
 
 
@@ -163,7 +168,7 @@ def transitions(
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Generator[Any, None, None]:
-    """Drive episodes; the transitions of all lanes (``DcgridVectorEnv.transition``) from the reset on, without an end.
+    """Drive episodes; yield the transitions of all environments (``DcgridVectorEnv.transition``), without an end.
 
     Parameters
     ----------
@@ -185,7 +190,7 @@ def transitions(
     _asked(called, "reset", controller.reset, scenario, refuses=scenario.name)
     if isinstance(controller, NeedsPlacement):
         index = scenario.feeder.index
-        buses = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
+        buses = np.array([[index(bus) for bus in bus_ids] for bus_ids in env.buses()])
         _asked(called, "place", controller.place, buses)
     try:
         yield env.transition

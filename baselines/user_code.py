@@ -106,8 +106,12 @@ def load(reference: CodeReference, what: str) -> object:
     except (Exception, SystemExit) as error:
         raise OwnCodeError(f"{what}: importing {reference.where} fails{place(error)}: {described(error)}") from error
     if not hasattr(module, reference.name):
-        own = [name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__]
-        raise ValueError(f"{what}: {module.__file__} has no {reference.name!r}; it has {', '.join(own) or 'nothing'}")
+        defined_names = [
+            name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
+        ]
+        raise ValueError(
+            f"{what}: {module.__file__} has no {reference.name!r}; it has {', '.join(defined_names) or 'nothing'}"
+        )
     return getattr(module, reference.name)
 
 

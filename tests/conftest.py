@@ -29,7 +29,7 @@ def pytest_sessionstart(session):
     from dcgrid_env import DcgridVectorEnv, make_scenario
     from dcgrid_env.core.kernel_files import folders
 
-    if any(any(folder.glob("sweep_lanes-*")) for folder in folders()):
+    if any(any(folder.glob("sweep_rows-*")) for folder in folders()):
         return
 
     for preset in presets:

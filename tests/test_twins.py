@@ -24,7 +24,7 @@ for room in ("devices", "engine", "powerflow"):
 ROWS, SLOTS = 60, 4
 
 
-def dispatch_lanes(rng):
+def dispatch_rows(rng):
     rated = rng.uniform(100.0, 900.0, SLOTS)
     p, asked = rng.uniform(-1.2, 1.2, (2, ROWS, SLOTS)) * rated
     return rated, rng.uniform(0.0, 1.0, SLOTS) * rated, p, asked
@@ -49,7 +49,7 @@ def serve_by_slack(rng):
     return queue, moved, arrived, served, 1.0, soon, later, rng.random(), bool(rng.integers(2))
 
 
-def step_lanes(rng):
+def step_rows(rng):
     energy = rng.uniform(0.01, 10.0, SLOTS)
     figures = (rng.uniform(5.0, 60.0, SLOTS), energy, *rng.uniform(0.3, 1.0, (2, SLOTS)), 0.5 * energy)
     full = rng.uniform(-0.2, 1.2, (ROWS, SLOTS)).clip(0.0, 1.0) * energy
@@ -68,7 +68,7 @@ def control_taps(rng):
     return settings, state, float(rng.choice([0.1, 1.0, 30.0, 600.0])), controlled
 
 
-def advance_lanes(rng):
+def advance_rows(rng):
     kind, shape = (RideThrough, UpsRideThrough)[rng.integers(2)], (ROWS, 3)
     rule = kind(curve=["itic", "caiso-proposal", RideThroughCurve(over=((1.05, 2.0),))], return_delay_s=2.0)
     state, v, sags, pace = connection.initial(rule, np.zeros(shape)), np.ones(shape), None, np.ones(shape)
@@ -82,7 +82,7 @@ def advance_lanes(rng):
 
 
 def counted(rng):
-    state, _, _, _, _, figures, *_ = advance_lanes(rng)
+    state, _, _, _, _, figures, *_ = advance_rows(rng)
     ages = {name: rng.uniform(0.0, 120.0, getattr(state, name).shape) for name in ("event_age_s", "return_age_s")}
     return state._replace(timer_s=rng.uniform(-2.0, 2.0, state.timer_s.shape).clip(0.0), **ages), figures
 
@@ -119,7 +119,7 @@ def by_phase(rng):
 
 
 INPUTS = [
-    dispatch_lanes, serve_linearly, serve_by_slack, step_lanes, control_taps, advance_lanes, counted, supplied,
+    dispatch_rows, serve_linearly, serve_by_slack, step_rows, control_taps, advance_rows, counted, supplied,
     relay_volts, setpoints, net_loads, by_phase,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""
@@ -143,7 +143,7 @@ def test_both_forms_give_the_same_figures(make):
 
 
 def test_what_decides_between_the_forms(monkeypatch):
-    twins = TWINS["dcgrid_env.devices.converter_kernel:dispatch_lanes"]
+    twins = TWINS["dcgrid_env.devices.converter_kernel:dispatch_rows"]
     monkeypatch.setattr(twins, "kernel", lambda *args: "kernel")
     monkeypatch.setattr(twins, "array_form", lambda *args: "arrays")
     rows = np.ones((2, 3))

@@ -165,7 +165,7 @@ class Learner:
             require_finite("a weight is", weights)
             env.cut()
             joint = joint.detach()
-            self.memory = {name: tuple(a.detach() for a in own) for name, own in self.memory.items()}
+            self.memory = {name: tuple(a.detach() for a in state) for name, state in self.memory.items()}
             losses.append(float(loss.detach()))
             self.spent_s["backward"] += time.perf_counter() - began_s
         delay_s = float((waited / arrived.clamp(min=1e-9)).mean())  # of each episode, as it is judged
@@ -231,7 +231,7 @@ class Learner:
         networks = {name: net.exported() for name, net in self.networks.items()}  # pyright: ignore
         return Policy(
             networks, observe=self.cfg.observe, **self.chosen, scenario=trained_on(self.cfg), made_with=made_with(),
-            channels={name: own for view in self.interfaces for name, own in view.further_channels.items()},
+            channels={name: channels for view in self.interfaces for name, channels in view.further_channels.items()},
         )  # fmt: skip
 
 

@@ -104,10 +104,10 @@ class CommissionedEnv:
         while not env.over:
             step, seen = self.interface.figures(joint, past)
             outputs = {}
-            for kind, own in seen.items():
-                seen_by.setdefault(kind, []).append(own.detach().flatten(0, -2))
+            for kind, inputs in seen.items():
+                seen_by.setdefault(kind, []).append(inputs.detach().flatten(0, -2))
                 outputs[kind] = (
-                    own.new_zeros(*own.shape[:-1], OUTPUTS[kind]) if networks is None else networks[kind](own)
+                    inputs.new_zeros(*inputs.shape[:-1], OUTPUTS[kind]) if networks is None else networks[kind](inputs)
                 )
             after = env.step(self.interface.action(step, outputs))
             joint, total = after.observation, total + after.cost_j.mean()
@@ -156,10 +156,10 @@ def moments(cfg: CarryOver) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
     rows: dict[str, list[torch.Tensor]] = {kind: [] for kind in FEATURES}
     with torch.no_grad():
         for i in range(_OF_A_SEED - _NORMALISED_ON, _OF_A_SEED):
-            for kind, own in CommissionedEnv(drawn_on(cfg, i)).episodes(None, range(cfg.num_envs))[1].items():
-                rows[kind].append(own)
-    every = {kind: torch.cat(own) for kind, own in rows.items()}
-    return {kind: (own.mean(0), own.std(0).clamp(min=_LEAST_STD)) for kind, own in every.items()}
+            for kind, inputs in CommissionedEnv(drawn_on(cfg, i)).episodes(None, range(cfg.num_envs))[1].items():
+                rows[kind].append(inputs)
+    every = {kind: torch.cat(inputs) for kind, inputs in rows.items()}
+    return {kind: (inputs.mean(0), inputs.std(0).clamp(min=_LEAST_STD)) for kind, inputs in every.items()}
 
 
 class HeldOut:

@@ -1,7 +1,7 @@
 """Proximal policy optimisation on a batch of feeders: one policy for all agents, or one agent for all actuators.
 
 J. Schulman et al., "Proximal policy optimization algorithms", arXiv 1707.06347, as Stable-Baselines3 has it. What is
-ours: rollouts are whole episodes of all lanes, collected and bootstrapped by array operations; the critic, which only
+ours: rollouts are whole episodes of all rows, collected and bootstrapped by array operations; the critic, which only
 training needs, sees all agents of an environment (C. Yu et al., "The surprising effectiveness of PPO in cooperative
 multi-agent games", arXiv 2103.01955) and is computed once for all of them; an entry of an action that never reaches the
 grid, as an inverter's clock, counts for nothing in the likelihood; means are drawn back into the actions' range, beyond
@@ -68,7 +68,7 @@ class Ppo(sb3.Config):
 
 
 class Networks(torch.nn.Module):
-    """Hidden layers of the actor, from a lane's features, and of the critic, from those of all lanes of its group."""
+    """Hidden layers of the actor, from a row's features, and of the critic, from those of all rows of its group."""
 
     def __init__(self, features: int, group: int, hidden: list[int]):
         super().__init__()
@@ -86,13 +86,13 @@ class Networks(torch.nn.Module):
         return self.value_net(features.reshape(-1, self.group * features.shape[-1]))
 
 
-class LanePolicy(ActorCriticPolicy):
+class GroupPolicy(ActorCriticPolicy):
     """SB3's actor and critic, the critic seeing all agents of an environment and giving all of them one value.
 
     Parameters
     ----------
     group
-        Lanes of an environment; observations come with all lanes of an environment, one after the other.
+        Rows of an environment; observations come with all rows of an environment, one after the other.
     used
         ``JointVecEnv.used``: one row, or one a kind, told apart by the last figures of the observation, which are 1 for
         the second kind, the third .. Entries of an action that reach nothing have no likelihood.
@@ -151,12 +151,12 @@ class LanePolicy(ActorCriticPolicy):
 
 
 class GroupBuffer(RolloutBuffer):
-    """A rollout whose minibatches hold whole groups: all lanes of an environment at a step.
+    """A rollout whose minibatches hold whole groups: all rows of an environment at a step.
 
     Parameters
     ----------
     group
-        Lanes of an environment.
+        Rows of an environment.
     """
 
     def __init__(self, *args: Any, group: int, **kwargs: Any):
@@ -164,7 +164,7 @@ class GroupBuffer(RolloutBuffer):
         self.group = group
 
     def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
-        """Minibatches of about ``batch_size`` lane steps, in random order."""
+        """Minibatches of about ``batch_size`` row steps, in random order."""
         arrays = (self.observations, self.actions, self.values, self.log_probs, self.advantages, self.returns)
         grouped = [torch.as_tensor(array, device=self.device) for array in arrays]
         grouped = [tensor.reshape(-1, self.group, *tensor.shape[2:]) for tensor in grouped]
@@ -173,8 +173,8 @@ class GroupBuffer(RolloutBuffer):
             yield RolloutBufferSamples(*(tensor[chosen].flatten(0, 1) for tensor in grouped))
 
 
-class LanePpo(PPO):
-    """PPO that collects rollouts without a Python loop over lanes."""
+class BatchedPpo(PPO):
+    """PPO that collects rollouts without a Python loop over rows."""
 
     def collect_rollouts(self, env: Any, callback: Any, rollout_buffer: Any, n_rollout_steps: int) -> bool:
         """Fill the buffer; the value goes on where the horizon cuts an episode off."""
@@ -219,7 +219,7 @@ class LanePpo(PPO):
         return self.policy.predict_values(self._tensor(observation)).flatten().cpu().numpy()  # pyright: ignore
 
 
-def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
+def make(cfg: Ppo, vec_env: JointVecEnv) -> BatchedPpo:
     """The algorithm at its beginning."""
     set_random_seed(cfg.seed)
     normalisation = sb3_models.normalise(vec_env, cfg.seed, cfg.gamma)
@@ -227,8 +227,8 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
     rest = vec_env.rest * (cfg.outputs == "setpoint")
     if cfg.further_begin is not None:
         rest = np.where([name in ("clock", "q") for name in vec_env.channels], rest, cfg.further_begin)
-    model = LanePpo(
-        LanePolicy,
+    model = BatchedPpo(
+        GroupPolicy,
         vec_env,
         n_steps=vec_env.scenario.horizon,
         batch_size=-(-rollout // cfg.minibatches),
@@ -239,12 +239,12 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
         max_grad_norm=cfg.max_grad_norm,
         device=cfg.device,
         rollout_buffer_class=GroupBuffer,
-        rollout_buffer_kwargs={"group": vec_env.lanes_per_env},
+        rollout_buffer_kwargs={"group": vec_env.rows_per_env},
         policy_kwargs={
             "net_arch": list(cfg.hidden),
             "log_std_init": cfg.log_std,
             **normalisation,
-            "group": vec_env.lanes_per_env,
+            "group": vec_env.rows_per_env,
             "used": vec_env.used,
             "rest": rest,
             "pull": cfg.pull,
@@ -254,7 +254,7 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> LanePpo:
     return model
 
 
-def exported(cfg: Ppo, vec_env: JointVecEnv, model: LanePpo) -> Policy:
+def exported(cfg: Ppo, vec_env: JointVecEnv, model: BatchedPpo) -> Policy:
     """The policy's mean as it stands, as NumPy arrays."""
     policy: Any = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]

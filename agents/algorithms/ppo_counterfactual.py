@@ -162,8 +162,8 @@ class CounterfactualPpo(BaseAlgorithm):
                 outputs = mean + std * torch.randn_like(mean)
                 action, asked = (policy.action(joint, each).astype(np.float64) for each in (outputs, mean))
                 following, reward, *_ = env.step(action)
-                own = self._tensor(self.counterfactual.of_step(before, env.batch.transition.state, action, asked))
-                for rows, each in zip(kept, (self._tensor(joint), outputs, mean, own, *limits), strict=True):
+                advantage = self._tensor(self.counterfactual.of_step(before, env.batch.transition.state, action, asked))
+                for rows, each in zip(kept, (self._tensor(joint), outputs, mean, advantage, *limits), strict=True):
                     rows.append(each)
                 costs.append(-reward)
                 joint, self.num_timesteps = following, self.num_timesteps + env.num_envs
@@ -247,8 +247,8 @@ def make(cfg: PpoCounterfactual, vec_env: JointVecEnv) -> CounterfactualPpo:
     acting = PolicyInterface(vec_env.scenario, "joint", **chosen)
     observed, _ = sb3_models.random_episode(vec_env, cfg.seed)
     networks = {}
-    for kind, own in seen.inputs(torch.as_tensor(observed, device=device)).items():
-        mean, std = own.mean((0, 1)), own.std((0, 1)).clamp(min=SMALLEST_STD)
+    for kind, inputs in seen.inputs(torch.as_tensor(observed, device=device)).items():
+        mean, std = inputs.mean((0, 1)), inputs.std((0, 1)).clamp(min=SMALLEST_STD)
         networks[kind] = Perceptron(mean, std, seen.widths[kind][1], cfg.hidden)
     policy = AgentNetworks(
         vec_env.observation_space, vec_env.action_space,

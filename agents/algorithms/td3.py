@@ -29,8 +29,8 @@ class Td3(sb3.OffPolicy):
     """Standard deviation of the noise that smooths the critics' targets."""
 
 
-class LaneNoise(VectorizedActionNoise):
-    """Normal noise for all lanes in one draw."""
+class BatchedNoise(VectorizedActionNoise):
+    """Normal noise for all rows in one draw."""
 
     def __init__(self, std: float, vec_env: int, n_action: int):
         super().__init__(NormalActionNoise(np.zeros(n_action), std * np.ones(n_action)), 1)
@@ -46,7 +46,7 @@ class LaneNoise(VectorizedActionNoise):
 
 def make(cfg: Td3, vec_env: JointVecEnv) -> TD3:
     """The algorithm at its beginning."""
-    noise = LaneNoise(cfg.noise, vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore
+    noise = BatchedNoise(cfg.noise, vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore
     model = TD3(
         "MlpPolicy", vec_env, **sb3_models.off_policy(cfg, vec_env), action_noise=noise,
         target_policy_noise=cfg.target_noise, target_noise_clip=2.0 * cfg.target_noise,

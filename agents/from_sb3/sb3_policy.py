@@ -10,7 +10,7 @@ from dcgrid_env import Scenario, under_own_control
 from dcgrid_env.agents.from_sb3.sb3_zip import REMEDY, Actor
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from dcgrid_env.agents.training.sb3_models import networks_of
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
@@ -24,8 +24,8 @@ class Normalisation(NamedTuple):
     clip: float
 
 
-def lanes_for(scenario: Scenario, widths: tuple[int, int]) -> JointVecEnv:
-    """The vector environment, of one environment, whose lanes have an observation and an action of these widths.
+def vec_env_for(scenario: Scenario, widths: tuple[int, int]) -> JointVecEnv:
+    """The vector environment, of one environment, whose rows have an observation and an action of these widths.
 
     That of ``gymnasium.make``, of all agents or without regulators and capacitor banks, or the shared view of
     ``sb3_vec_env``. PolicyError, saying which widths there are, where neither fits.
@@ -34,10 +34,10 @@ def lanes_for(scenario: Scenario, widths: tuple[int, int]) -> JointVecEnv:
     for name, view, seen in (
         ("joint", JointVecEnv, scenario), ("joint", JointVecEnv, others), ("shared", AgentVecEnv, others),
     ):  # fmt: skip
-        lanes = view(seen, 1)
-        spaces = (lanes.observation_space.shape, lanes.action_space.shape)
+        vec_env = view(seen, 1)
+        spaces = (vec_env.observation_space.shape, vec_env.action_space.shape)
         if spaces == tuple((width,) for width in widths):
-            return lanes
+            return vec_env
         looked_at.append(f"{spaces[0][0]} and {spaces[1][0]} ({name})")  # pyright: ignore[reportOptionalSubscript]
     raise PolicyError(
         f"observation and action have {widths[0]} and {widths[1]} figures; on {scenario.name} they have "
@@ -71,8 +71,8 @@ def as_policy(actor: Actor, spec: ScenarioSpec, made_with: str, normalisation: N
             "it was trained behind VecNormalize, whose statistics are no part of the zip; give the file of its save "
             "with --normalize, and --trust, for that file is pickle"
         )
-    lanes, n = lanes_for(scenario, actor.widths), actor.widths[0]
-    if under_own_control(lanes.scenario) is not lanes.scenario:
+    vec_env, n = vec_env_for(scenario, actor.widths), actor.widths[0]
+    if under_own_control(vec_env.scenario) is not vec_env.scenario:
         raise PolicyError(
             f"it drives the regulators or capacitor banks of {scenario.name} too, which a policy leaves under their "
             f"own control; dcgrid evaluate takes the zip with --trust, or {REMEDY}"
@@ -81,9 +81,11 @@ def as_policy(actor: Actor, spec: ScenarioSpec, made_with: str, normalisation: N
         raise PolicyError(
             f"normalize has {len(normalisation.mean)} figures and the observation {n}; give the file of this training"
         )
-    networks = networks_of(lanes, actor.layers, actor.activation, actor.squash, *(normalisation or (None, None, None)))
+    networks = networks_of(
+        vec_env, actor.layers, actor.activation, actor.squash, *(normalisation or (None, None, None))
+    )
     return Policy(
         networks, observe=scenario.sensing.observe, preview=scenario.sensing.preview, scenario=spec.label,
         made_with=made_with,
-        channels=lanes.further_channels,
+        channels=vec_env.further_channels,
     )  # fmt: skip

@@ -197,15 +197,15 @@ def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algo
 
 def _layers(weights: Mapping[str, np.ndarray], form: _Form) -> list[tuple[np.ndarray, np.ndarray]]:
     """(weight, bias) of each layer of the actor; PolicyError for weights that belong to no such layer."""
-    own = {name: value for name, value in weights.items() if not name.startswith(form.beside)}
+    actor = {name: value for name, value in weights.items() if not name.startswith(form.beside)}
     layers, place = [], 0
-    while f"{form.hidden}{place}.weight" in own:  # an activation stands between two layers
-        layers.append(tuple(own.pop(f"{form.hidden}{place}.{part}", None) for part in ("weight", "bias")))
+    while f"{form.hidden}{place}.weight" in actor:  # an activation stands between two layers
+        layers.append(tuple(actor.pop(f"{form.hidden}{place}.{part}", None) for part in ("weight", "bias")))
         place += 2
     if form.last:
-        layers.append(tuple(own.pop(f"{form.last}{part}", None) for part in ("weight", "bias")))
-    if own:
-        raise PolicyError(f"policy.pth: {min(own)} is no weight of a multilayer perceptron; {REMEDY}")
+        layers.append(tuple(actor.pop(f"{form.last}{part}", None) for part in ("weight", "bias")))
+    if actor:
+        raise PolicyError(f"policy.pth: {min(actor)} is no weight of a multilayer perceptron; {REMEDY}")
     if not layers or any(part is None for layer in layers for part in layer):
         raise PolicyError(f"policy.pth: a layer of the actor lacks its weight or bias; {REMEDY}")
     return [(weight.T, bias) for weight, bias in layers]

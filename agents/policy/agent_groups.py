@@ -33,14 +33,14 @@ class AgentGroup(NamedTuple):
 
 def agent_groups(scenario: Scenario) -> dict[str, AgentGroup]:
     """The agents of a scenario by kind, in the order of its devices, without devices that nobody commands."""
-    names, groups, first, at = field_names(scenario), {}, 0, 0
+    names, groups, first, first_field = field_names(scenario), {}, 0, 0
     for device in scenario.devices:
         if not device.count:
             continue
         fields, channels = names[scenario.agents[first]], tuple(channel.name for channel in device.channels)
-        agents, seen = slice(first, first + device.count), slice(at, at + device.count * len(fields))
+        agents, seen = slice(first, first + device.count), slice(first_field, first_field + device.count * len(fields))
         groups[device.kind] = AgentGroup(device.kind, fields, channels, agents, seen)
-        first, at = agents.stop, seen.stop
+        first, first_field = agents.stop, seen.stop
     return {kind: group for kind, group in groups.items() if group.channels}
 
 

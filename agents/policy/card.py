@@ -125,8 +125,8 @@ class Card:
         _check(self, int, "format")
         if not 1 <= self.format <= FORMAT:
             raise PolicyError(f"card: format is {self.format}, this dcgrid reads 1 to {FORMAT}; update it")
-        for name, own in (self.inputs or {}).items():
-            _check_range(name, own)
+        for name, input_range in (self.inputs or {}).items():
+            _check_range(name, input_range)
         _check(self, str, "version", "sha256", "algorithm", "scenario", "command")
         _check(self, int, "n_parameters")
         _check(self, (int, type(None)), "seed")
@@ -177,7 +177,7 @@ class Card:
             if fields.get("scored") is not None:
                 fields["scored"] = Scored(**{name: _frozen(value) for name, value in fields["scored"].items()})
             if fields.get("inputs") is not None:
-                fields["inputs"] = {name: _range_of(own) for name, own in fields["inputs"].items()}
+                fields["inputs"] = {name: _range_of(stored) for name, stored in fields["inputs"].items()}
             return cls(**{"format": 1} | fields)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise PolicyError(f"{path}: not a policy's card ({error}); give one that Policy.save wrote") from None
@@ -186,7 +186,7 @@ class Card:
         """Write the card as JSON, whole or not at all."""
         about = dataclasses.asdict(self)
         if self.inputs is not None:
-            about["inputs"] = {name: own._asdict() for name, own in self.inputs.items()}
+            about["inputs"] = {name: input_range._asdict() for name, input_range in self.inputs.items()}
         write_json(Path(path), about)
 
 
@@ -217,8 +217,8 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _range_of(own: Mapping[str, Any]) -> InputRange:
-    return InputRange(**{name: _frozen(value) for name, value in own.items()})
+def _range_of(stored: Mapping[str, Any]) -> InputRange:
+    return InputRange(**{name: _frozen(value) for name, value in stored.items()})
 
 
 def _frozen(value: Any) -> Any:
@@ -230,12 +230,12 @@ def _check(card: Scored | Card, kind: type | tuple[type, ...], *names: str) -> N
         _check_one(name, getattr(card, name), kind)
 
 
-def _check_range(name: str, own: InputRange) -> None:
+def _check_range(name: str, input_range: InputRange) -> None:
     """PolicyError unless a network's range has a name and two finite ends, in order, for each input."""
     said = f"card: inputs of {name}"
-    if not all(isinstance(part, tuple) and len(part) == len(own.fields) for part in own):
+    if not all(isinstance(part, tuple) and len(part) == len(input_range.fields) for part in input_range):
         raise PolicyError(f"{said} have fields, low and high of different lengths; give one of each for each input")
-    for field, low, high in zip(*own, strict=True):
+    for field, low, high in zip(*input_range, strict=True):
         ends = (low, high)
         if not isinstance(field, str) or not all(map(finite, ends)) or low > high:
             raise PolicyError(

@@ -88,12 +88,12 @@ class GuardedPolicy:
         self._seen = self.policy.interface if self.ranges is None else with_plates(self.policy)
         fields = self._seen.input_fields
         self._ranges = by_moments(self.policy.networks, fields) if self.ranges is None else dict(self.ranges)
-        for name, own in fields.items():
-            if name not in self._ranges or self._ranges[name].fields != own:
+        for name, names in fields.items():
+            if name not in self._ranges or self._ranges[name].fields != names:
                 has = self._ranges[name].fields if name in self._ranges else ()
                 raise PolicyError(
                     f"guard: the range of inputs of network {name} is of {', '.join(has) or 'nothing'}, on "
-                    f"{scenario.name} it sees {', '.join(own)}; record it again"
+                    f"{scenario.name} it sees {', '.join(names)}; record it again"
                 )
         layout, agents = action_layout(scenario), {agent: i for i, agent in enumerate(scenario.agents)}
         self._owner = np.array([agents[agent] for agent, _ in layout.names])
@@ -112,8 +112,8 @@ class GuardedPolicy:
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
         probed = copy.copy(self._law)  # as it is before this step, for laws that remember one
-        law, own = self._law.act(joint), self.policy.act(joint)
-        beyond = {name: self._ranges[name].beyond(own) for name, own in self._seen.inputs(joint).items()}
+        law, wanted = self._law.act(joint), self.policy.act(joint)
+        beyond = {name: self._ranges[name].beyond(inputs) for name, inputs in self._seen.inputs(joint).items()}
         if self._new is None:
             self._new = self._in_new_places(beyond)
         within = np.clip(1.0 - self._of_agents(beyond) / SOFT, 0.0, 1.0)
@@ -124,7 +124,7 @@ class GuardedPolicy:
             weight = np.where(new, np.minimum(weight, self._stable_share(joint, probed)), weight)
         most = np.where(self._is_clock, DEVIATION["clock"], np.where(self._is_q, DEVIATION["q"], np.inf))
         most = np.where(new, most, np.inf)
-        deviation = weight * (own - law)
+        deviation = weight * (wanted - law)
         self._tell(1.0 - self._share.mean(-1), (np.abs(deviation) > most).mean(-1), self._new)
         return np.clip(law + np.clip(deviation, -most, most), -1.0, 1.0).astype(np.float32)
 
@@ -132,7 +132,7 @@ class GuardedPolicy:
         """How far the inputs of each agent lie outside, at most over its inputs, (..., n_agent)."""
         if "joint" in beyond:
             return np.repeat(beyond["joint"].max(-1)[..., None], self.scenario.n_agents, -1)
-        parts = {kind: own.max(-1) for kind, own in beyond.items()}
+        parts = {kind: distance.max(-1) for kind, distance in beyond.items()}
         groups = self.policy.interface.groups
         first = next(iter(parts.values()))
         of_agents = np.zeros((*first.shape[:-1], self.scenario.n_agents))
@@ -142,8 +142,8 @@ class GuardedPolicy:
 
     def _in_new_places(self, beyond: Mapping[str, np.ndarray]) -> np.ndarray:
         """Whether the place or rating of some agent is outside of the range, bool, (...)."""
-        of_place = {name: own[..., self._ranges[name].of_place] for name, own in beyond.items()}
-        known = {name: own for name, own in of_place.items() if own.shape[-1]}
+        of_place = {name: distance[..., self._ranges[name].of_place] for name, distance in beyond.items()}
+        known = {name: distance for name, distance in of_place.items() if distance.shape[-1]}
         if not known:
             return np.zeros(next(iter(beyond.values())).shape[: -1 if "joint" in beyond else -2], bool)
         return np.asarray((self._of_agents(known) > SOFT).any(-1))
@@ -154,12 +154,12 @@ class GuardedPolicy:
             reactive, clock = steepest(self.scenario)
             self._steepest = np.where(self._is_clock, clock, np.where(self._is_q, reactive, np.inf))
         sign = np.where(self._is_clock, 1.0, -1.0)  # at a higher voltage a faster clock, and less reactive power
-        laws, own = (
+        laws, slope = (
             sign * (act(joint + self._v_step) - act(joint - self._v_step)) / (2.0 * STEP)
             for act in (probed.act, self.policy.probe)
         )
         room = np.maximum(self._steepest - laws, 0.0)
-        return np.where(own > np.maximum(self._steepest, laws), room / np.maximum(own - laws, 1e-9), 1.0)
+        return np.where(slope > np.maximum(self._steepest, laws), room / np.maximum(slope - laws, 1e-9), 1.0)
 
     def _tell(self, *shares: np.ndarray) -> None:
         """Add to what the guard tells of itself."""
@@ -173,9 +173,9 @@ class GuardedPolicy:
         return {name: 100.0 * share for name, share in zip(FIGURES, self._last, strict=True)}
 
     def episode_figures(self) -> list[dict[str, float]]:
-        """``FIGURES`` as means over the steps since ``reset``, one mapping a lane."""
+        """``FIGURES`` as means over the steps since ``reset``, one mapping an environment."""
         means = np.atleast_1d(100.0 * np.array(self._sums).reshape(len(FIGURES), -1) / max(self._steps, 1))
-        return [dict(zip(FIGURES, map(float, lane), strict=True)) for lane in means.T]
+        return [dict(zip(FIGURES, map(float, means_of_env), strict=True)) for means_of_env in means.T]
 
 
 def guarded(policy: Policy | str | Path, law: Controller | None = None) -> GuardedPolicy | TriedPolicy:

@@ -44,8 +44,8 @@ def with_changes(
     tuple
         Input of the network, (..., n + steps n_column), newest change first, and the columns of the last steps.
     """
-    own = observation[..., columns]
-    seen = (own, *((own,) * steps if earlier is None else earlier))
+    recent = observation[..., columns]
+    seen = (recent, *((recent,) * steps if earlier is None else earlier))
     changes = (later - before for later, before in pairwise(seen))
     xp = np if isinstance(observation, np.ndarray) else array_namespace(observation)
     return xp.concat((observation, *changes), axis=-1), seen[:steps]

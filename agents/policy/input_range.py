@@ -51,8 +51,8 @@ def with_plates(policy: Any) -> PolicyInterface:
 
     A policy that does not see its ratings is no less made for those that it was trained with.
     """
-    own = policy.interface
-    return PolicyInterface(own.scenario, policy.kind, preview=policy.preview, nameplate=True)
+    interface = policy.interface
+    return PolicyInterface(interface.scenario, policy.kind, preview=policy.preview, nameplate=True)
 
 
 class _Recorded:
@@ -118,8 +118,8 @@ def by_moments(networks: Mapping[str, Any], fields: Mapping[str, tuple[str, ...]
         Where no input of a network is normalised, so that nothing is known of its range.
     """
     ranges = {}
-    for name, own in fields.items():
-        low, high = np.full(len(own), -np.inf), np.full(len(own), np.inf)
+    for name, names in fields.items():
+        low, high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
         for part, columns in _normalised(networks[name]):
             low[columns], high[columns] = part.mean - MOMENTS * part.std, part.mean + MOMENTS * part.std
         if not np.isfinite(low).any():
@@ -127,7 +127,7 @@ def by_moments(networks: Mapping[str, Any], fields: Mapping[str, tuple[str, ...]
                 f"guard: the range of inputs of network {name} is not known, neither from a card nor from moments of "
                 "its inputs; train it again, or record its range (dcgrid_env.agents.policy.input_range.recorded)"
             )
-        ranges[name] = InputRange(own, tuple(low.tolist()), tuple(high.tolist()))
+        ranges[name] = InputRange(names, tuple(low.tolist()), tuple(high.tolist()))
     return ranges
 
 

@@ -96,7 +96,7 @@ class PolicyInterface:
         self.groups = agent_groups(scenario)
         """The agents of each kind."""
         self._n_observed = sum(map(len, names))
-        joined = tuple(name for own in names for name in own)
+        joined = tuple(name for group_names in names for name in group_names)
         # What a policy without preview is not given.
         fields = (field for device in scenario.devices for field in device.fields(scenario.horizon, scenario.dt_s))
         hidden = {field.name for field in fields if field.of_preview}
@@ -142,8 +142,8 @@ class PolicyInterface:
     def _columns(self, field: str, agents: Any, array: Callable[[np.ndarray], Any]) -> Any:
         """Where the joint observation has a field of these agents, (n,)."""
         names = field_names(self.scenario)
-        at = [self._starts[i] + names[self.scenario.agents[i]].index(field) for i in agents]
-        return array(np.array(at, dtype=np.int64))
+        positions = [self._starts[i] + names[self.scenario.agents[i]].index(field) for i in agents]
+        return array(np.array(positions, dtype=np.int64))
 
     @property
     def widths(self) -> dict[str, tuple[int, int]]:
@@ -151,24 +151,24 @@ class PolicyInterface:
         more = 3 * self.nameplate
         if self.kind == "joint":
             return {"joint": (self._n_observed + more * self.scenario.n_agents, self._n_action)}
-        return {kind: (len(own.fields) + more, len(own.channels)) for kind, own in self.groups.items()}
+        return {kind: (len(group.fields) + more, len(group.channels)) for kind, group in self.groups.items()}
 
     @property
     def input_fields(self) -> dict[str, tuple[str, ...]]:
         """Names of what each network sees, in order; of a joint one each with its agent's name before a dot."""
         plates = PLATES if self.nameplate else ()
         if self.kind == "shared":
-            return {kind: (*own.fields, *plates) for kind, own in self.groups.items()}
+            return {kind: (*group.fields, *plates) for kind, group in self.groups.items()}
         seen, agents = field_names(self.scenario), self.scenario.agents
-        own = [f"{agent}.{name}" for agent in agents for name in seen[agent]]
-        return {"joint": (*own, *(f"{agent}.{plate}" for plate in plates for agent in agents))}
+        joint_names = [f"{agent}.{name}" for agent in agents for name in seen[agent]]
+        return {"joint": (*joint_names, *(f"{agent}.{plate}" for plate in plates for agent in agents))}
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
         """Names of what each network gives, in order."""
         if self.kind == "joint":
             return {"joint": tuple(channel for _, channel in action_layout(self.scenario).names)}
-        return {kind: own.channels for kind, own in self.groups.items()}
+        return {kind: group.channels for kind, group in self.groups.items()}
 
     @property
     def plain_channels(self) -> dict[str, tuple[str, ...]]:
@@ -177,13 +177,13 @@ class PolicyInterface:
         if self.kind == "joint":
             counts = {"datacenter": self.scenario.datacenters.count, "inverter": self.scenario.inverters.count}
             return {"joint": tuple(name for kind, n in counts.items() for name in n * PLAIN_CHANNELS[kind])}
-        return {kind: PLAIN_CHANNELS.get(kind, own) for kind, own in self.channels.items()}
+        return {kind: PLAIN_CHANNELS.get(kind, channels) for kind, channels in self.channels.items()}
 
     @property
     def further_channels(self) -> dict[str, tuple[str, ...]]:
         """Those of ``channels`` that a policy must say: where they are not what is taken without a word."""
         known = PLAIN_CHANNELS if self.kind == "shared" else self.plain_channels
-        return {name: own for name, own in self.channels.items() if own != known.get(name)}
+        return {name: channels for name, channels in self.channels.items() if channels != known.get(name)}
 
     def inputs(self, joint: Any) -> dict[str, Any]:
         """What each network sees, (..., n) for a joint one, (..., n_agent, n) for one of single agents."""
@@ -194,9 +194,9 @@ class PolicyInterface:
             return {"joint": _joined((joint, *plates)) if plates else joint}
         networks = {}
         for kind, group in self.groups.items():
-            own = joint[..., group.seen].reshape(*joint.shape[:-1], group.n, len(group.fields))
+            observed = joint[..., group.seen].reshape(*joint.shape[:-1], group.n, len(group.fields))
             of_group = (plate[..., group.agents, None] for plate in plates)
-            networks[kind] = _joined((own, *of_group)) if plates else own
+            networks[kind] = _joined((observed, *of_group)) if plates else observed
         return networks
 
     def _plates(self, joint: Any) -> tuple[Any, Any, Any]:
@@ -224,8 +224,8 @@ class PolicyInterface:
 
     def _of_agents(self, joint: Any, outputs: Mapping[str, Any]) -> Any:
         """Outputs of networks of single agents in the order of the joint action, (..., n_action)."""
-        own = [outputs[kind].reshape(*joint.shape[:-1], -1) for kind in self.groups]
-        return own[0] if len(own) == 1 else _joined(own)
+        actions = [outputs[kind].reshape(*joint.shape[:-1], -1) for kind in self.groups]
+        return actions[0] if len(actions) == 1 else _joined(actions)
 
     def _clock(self, joint: Any, backlog_per_s: float, more: Any = 0.0) -> Any:
         """The clock that allows p_ref, this share of the backlog and ``more``, shares of the rating, (..., n_dc).

@@ -74,17 +74,17 @@ class LawInterface:
         self._rated_kw = array(np.concatenate([device.p_scale_kw for device in s.devices]))
         self._dynamic_kw = array(np.asarray(s.datacenters.parameters.p_dynamic_kw))
         band = self.columns.band_pu
-        own = known.by_q * site.q_scale_kvar[:, None]
-        left = (known.by_own * site.q_scale_kvar[:, None]).sum(-1) / np.maximum(own.sum(-1), 1e-12)
+        response = known.by_q * site.q_scale_kvar[:, None]
+        left = (known.by_own * site.q_scale_kvar[:, None]).sum(-1) / np.maximum(response.sum(-1), 1e-12)
         self._answered, self._damping = array(np.clip(left, -1.0, 1.0)), array(np.log(known.alike))
-        worth = np.maximum(s.cost.weights.voltage * own.mean(-1), 1e-12)
-        still = (own.mean(-1) / band, known.own_by_q * site.q_scale_kvar / band)
+        worth = np.maximum(s.cost.weights.voltage * response.mean(-1), 1e-12)
+        still = (response.mean(-1) / band, known.own_by_q * site.q_scale_kvar / band)
         self._worth, self._reach, self._own_reach = array(worth), *(array(_small(a)) for a in still)
         self._effort = array(np.log1p(site.effort / worth))
         drop = known.by_p.mean(-1) * np.concatenate([device.p_scale_kw for device in s.devices]) / band
-        gain = (known.gain.mean(2) * own).sum(-1) / np.maximum(own.sum(-1), 1e-12)
+        gain = (known.gain.mean(2) * response).sum(-1) / np.maximum(response.sum(-1), 1e-12)
         self._gain = array(np.clip(gain, -3.0, 3.0))
-        self._drop, self._sum_own = array(_small(drop)), array(np.maximum(own.sum(-1), 1e-12))
+        self._drop, self._sum_own = array(_small(drop)), array(np.maximum(response.sum(-1), 1e-12))
 
     def figures(self, joint: Any, past: Past) -> tuple[Step, Mapping[str, Any]]:
         """The law's step after a joint observation, and what each network sees, (row, n_agent of its kind, n)."""
@@ -120,7 +120,9 @@ class LawInterface:
     def action(self, step: Step, outputs: Mapping[str, Any]) -> Any:
         """The joint action, (row, n_action) in [-1, 1], under the networks' corrections of the law's decisions."""
         xp, parts = _namespace(step.share), []
-        shift, pull = (xp.concat([xp.tanh(outputs[kind][..., at]) for kind in self.groups], axis=-1) for at in (-1, -2))
+        shift, pull = (
+            xp.concat([xp.tanh(outputs[kind][..., column]) for kind in self.groups], axis=-1) for column in (-1, -2)
+        )
         if self._n_dc:
             less_kw = SERVED * xp.tanh(outputs["datacenter"][..., 0]) * self._dynamic_kw
             waits = (step.cut_kw + less_kw) / step.all_kw.clip(1e-9, None)

@@ -80,7 +80,7 @@ class Step(NamedTuple):
 
 
 class LawStep:
-    """The law's second in a scenario, for what its agents know of a placement, or of one a lane.
+    """The law's second in a scenario, for what its agents know of a placement, or of one a row.
 
     ``array`` makes the arrays to compute with out of NumPy ones.
     """
@@ -173,10 +173,10 @@ class LawStep:
         e_own = own_error(known, v_pu, then_kw, then_kvar)
         key = np.broadcast_to(known.key, (len(e_own), *known.key.shape[1:]))
         low, weight = between(np.where(self.site.scheduled, then_kw, e_own), key)
-        lane = np.arange(len(low))[:, None] if len(known.key) > 1 else np.zeros((1, 1), int)
+        row = np.arange(len(low))[:, None] if len(known.key) > 1 else np.zeros((1, 1), int)
         agent, out = np.arange(low.shape[1]), []
         for name in _LEVELLED:
-            a, b = (getattr(known, name)[lane, agent, low + more] for more in (0, 1))
+            a, b = (getattr(known, name)[row, agent, low + more] for more in (0, 1))
             part = weight if a.ndim == 2 else weight[..., None]
             out.append(self._like(a + part * (b - a)))
         return out
@@ -218,7 +218,9 @@ class Columns:
         starts = np.cumsum([0, *map(len, names)])[:-1]
         self._at = {
             name: array(
-                np.array([a + own.index(name) for a, own in zip(starts, names, strict=True) if name in own], int)
+                np.array(
+                    [a + fields.index(name) for a, fields in zip(starts, names, strict=True) if name in fields], int
+                )
             )
             for name in ("v_deviation", "v_change", "p", "q", "p_ref_next", "backlog")
         }
@@ -231,7 +233,7 @@ class Columns:
 
     def of(self, joint: Any) -> Mapping[str, Any]:
         """Fields by name, as observed, of the agents that have them."""
-        return {name: joint[:, at] for name, at in self._at.items()}
+        return {name: joint[:, columns] for name, columns in self._at.items()}
 
     def own(self, fields: Mapping[str, Any]) -> Own:
         """Fields in physical units."""

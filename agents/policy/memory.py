@@ -29,12 +29,12 @@ def outputs_of(
     date.
     """
     outputs = {}
-    for name, own in inputs.items():
+    for name, network_input in inputs.items():
         network = networks[name]
         if isinstance(network, Remembers):
-            outputs[name], memory[name] = network.advance(own, memory.get(name))
+            outputs[name], memory[name] = network.advance(network_input, memory.get(name))
         else:
-            outputs[name] = network(own)
+            outputs[name] = network(network_input)
     return outputs
 
 
@@ -43,6 +43,6 @@ def require_same_episodes(source: str, before: tuple[int, ...] | None, now: tupl
     if before not in (None, now):
         raise PolicyError(
             f"{source}: remembers episodes of shape {before} and is given observations of shape {now}; call "
-            "reset(scenario) where other episodes begin, and give all lanes at each step"
+            "reset(scenario) where other episodes begin, and give all environments at each step"
         )
     return now

@@ -100,13 +100,13 @@ class ModelAidedPolicy(Policy, features="law"):
         if self._corrected is None:
             raise PolicyError(
                 f"{self.source}: the data centres' buses are drawn in each episode; call place(buses) after reset with "
-                "the agents' positions in bus_ids, (lane, n_agent)"
+                "the agents' positions in bus_ids, (row, n_agent)"
             )
         rows = np.asarray(joint, dtype=np.float64).reshape(-1, joint.shape[-1])
         step, seen = self._corrected.figures(rows, self._past)
-        outputs = {name: self.networks[name](own).astype(np.float64) for name, own in seen.items()}
+        outputs = {name: self.networks[name](inputs).astype(np.float64) for name, inputs in seen.items()}
         if self.corrects is not None:
-            outputs = {name: own * self.corrects[:, None, None] for name, own in outputs.items()}
+            outputs = {name: output * self.corrects[:, None, None] for name, output in outputs.items()}
         action = np.tile(self._rest, (len(rows), 1))  # a site's other channels rest, as under the law
         action[:, self._decided] = self._corrected.action(step, outputs)
         return action.reshape(*joint.shape[:-1], action.shape[-1])

@@ -91,13 +91,15 @@ class MonotoneNetwork:
         if not 0 <= v_at < n_in:
             raise PolicyError(f"v_at is {v_at}; give one of 0 .. {n_in - 1}")
         for i, head in enumerate(heads):
-            at = head.columns
-            if at.ndim != 1 or not len(at) or at.min() < 0 or at.max() >= n_in or v_at in at:
-                raise PolicyError(f"head {i}: columns are {at.tolist()}; give some of 0 .. {n_in - 1} without {v_at}")
-            if (head.context.n_in, head.context.n_out) != (len(at), WIDTH):
+            columns = head.columns
+            if columns.ndim != 1 or not len(columns) or columns.min() < 0 or columns.max() >= n_in or v_at in columns:
+                raise PolicyError(
+                    f"head {i}: columns are {columns.tolist()}; give some of 0 .. {n_in - 1} without {v_at}"
+                )
+            if (head.context.n_in, head.context.n_out) != (len(columns), WIDTH):
                 raise PolicyError(
                     f"head {i}: its context network takes {head.context.n_in} figures and gives {head.context.n_out}; "
-                    f"it must be {len(at)} and {WIDTH}"
+                    f"it must be {len(columns)} and {WIDTH}"
                 )
             if head.widths.shape != (UNITS,) or not (head.widths > 0).all() or not 0 < head.slope < np.inf:
                 raise PolicyError(f"head {i}: give {UNITS} widths and a slope above 0")
@@ -136,9 +138,9 @@ class MonotoneNetwork:
         heads = []
         for i, head in enumerate(settings["heads"]):
             of = f"context{i}."
-            own = {name.removeprefix(of): array for name, array in arrays.items() if name.startswith(of)}
+            context_arrays = {name.removeprefix(of): array for name, array in arrays.items() if name.startswith(of)}
             columns, widths = (figures(name, arrays[name], 1) for name in (f"columns{i}", f"widths{i}"))
-            context = Network.read(own, head["context"])
+            context = Network.read(context_arrays, head["context"])
             slope, offset = float(head["slope"]), bool(head["offset"])
             heads.append(Head(context, columns.astype(np.int64), widths, slope, offset))
         return cls(heads, int(settings["n_in"]), int(settings["v_at"]))

@@ -24,19 +24,19 @@ from dcgrid_env.core.suggestions import unknown
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
 
 
-def read_network(name: str, own: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Family:
+def read_network(name: str, settings: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Family:
     """Make a network of what a file says of it; PolicyError, naming it, for what cannot be one.
 
     Parameters
     ----------
     name
         Its name in the file, before a dot in the names of its arrays.
-    own
+    settings
         Its family and settings.
     arrays
         All arrays of the file.
     """
-    settings = dict(own)
+    settings = dict(settings)
     family = settings.pop("family")
     if family not in FAMILIES:
         raise PolicyError(f"{name}: family is {family!r}, this dcgrid reads {', '.join(FAMILIES)}")
@@ -133,11 +133,11 @@ class Policy:
             if not isinstance(value, bool):
                 raise PolicyError(f"{field} is {value!r}; give true or false")
         self.networks = dict(networks)
-        self.channels = {name: tuple(own) for name, own in (channels or {}).items()}
-        for name, own in self.channels.items():
-            if name not in networks or networks[name].n_out != len(own):
+        self.channels = {name: tuple(names) for name, names in (channels or {}).items()}
+        for name, names in self.channels.items():
+            if name not in networks or networks[name].n_out != len(names):
                 gives = f"gives {networks[name].n_out}" if name in networks else "is not there"
-                raise PolicyError(f"channels of {name} are {own}; the network {gives}: name each of its outputs")
+                raise PolicyError(f"channels of {name} are {names}; the network {gives}: name each of its outputs")
         self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
         if (outputs == "droop") != (gains is not None):
             raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
@@ -170,7 +170,7 @@ class Policy:
         for name in self._interface.widths:
             self._check_fits(name, self._interface, env_info)
         self._memory: dict[str, tuple[np.ndarray, ...]] = {}
-        self._lanes: tuple[int, ...] | None = None
+        self._batch_shape: tuple[int, ...] | None = None
         warn_of_unseen(self.source, self.trained_on, env_info)
 
     def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
@@ -190,10 +190,10 @@ class Policy:
                 f"{scenario.name} ({counts}, {scenario.sensing.observe} observation) it must be {widths[0]} and "
                 f"{widths[1]}; {trained}"
             )
-        own = self.channels.get(name, view.plain_channels[name])
-        if own != channels:
+        given_channels = self.channels.get(name, view.plain_channels[name])
+        if given_channels != channels:
             raise PolicyError(
-                f"{self.source}: network {name} gives {', '.join(own)}; on {scenario.name} its agents take "
+                f"{self.source}: network {name} gives {', '.join(given_channels)}; on {scenario.name} its agents take "
                 f"{', '.join(channels)}; {trained}"
             )
 
@@ -203,13 +203,13 @@ class Policy:
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         if self.remembers:
-            self._lanes = require_same_episodes(self.source, self._lanes, joint.shape[:-1])
+            self._batch_shape = require_same_episodes(self.source, self._batch_shape, joint.shape[:-1])
         outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
         return self._interface.action(joint, outputs)
 
     @property
     def remembers(self) -> bool:
-        """Whether actions depend on earlier observations: episodes then begin with ``reset``, all lanes together."""
+        """Whether actions depend on earlier observations: if so, ``reset`` begins the episodes of all environments."""
         return any(isinstance(network, Remembers) for network in self.networks.values())
 
     def probe(self, joint: np.ndarray) -> np.ndarray:
@@ -247,7 +247,7 @@ class Policy:
             "made_with": self.made_with,
             "networks": {name: {"family": net.family, **net.settings()} for name, net in self.networks.items()},
             **({} if self.gains is None else {"gains": list(self.gains)}),
-            **({"channels": {name: list(own) for name, own in self.channels.items()}} if self.channels else {}),
+            **({"channels": {name: list(names) for name, names in self.channels.items()}} if self.channels else {}),
         }
 
     def save(self, path: str | Path, card: Mapping[str, Any] | None = None) -> Path:
@@ -315,7 +315,7 @@ def _is_kind(name: str) -> bool:
 def _load(path: Path) -> Policy:
     about, arrays = unpacked(path)
     try:
-        networks = {name: read_network(name, own, arrays) for name, own in about["networks"].items()}
+        networks = {name: read_network(name, settings, arrays) for name, settings in about["networks"].items()}
         for array in arrays:
             if array.partition(".")[0] not in networks:
                 raise PolicyError(f"array {array} belongs to none of its networks; export it again")

@@ -47,8 +47,8 @@ def slope_bounds(scenario: Scenario, n: int = PLACEMENTS) -> tuple[float, float]
     late = np.sin(np.pi / (2 * (2 * scenario.sensing.delay_steps + 1)))
     slopes = []
     for buses in placements(scenario, n):
-        at = np.array([[index(bus) for bus in buses]])
-        r, x = (by[0] / (scenario.cost.band_pu or 1.0) for by in sensitivity_between_agents(scenario, at))
+        positions = np.array([[index(bus) for bus in buses]])
+        r, x = (by[0] / (scenario.cost.band_pu or 1.0) for by in sensitivity_between_agents(scenario, positions))
         x_scaled = np.sqrt(q_mvar)[:, None] * x * np.sqrt(q_mvar)
         r_scaled = np.sqrt(p_mw)[:, None] * r[np.ix_(sites, sites)] * np.sqrt(p_mw)
         of_clock = 0.5 / largest(r_scaled) if len(sites) else np.inf

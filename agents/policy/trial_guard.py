@@ -64,15 +64,15 @@ class TriedPolicy:
         """
         places, is_other = np.asarray(buses), self._equipment.is_other
         if places.ndim != 2 or places.shape[1] != len(is_other):
-            raise PolicyError(f"guard: buses has shape {places.shape}; give (lane, {len(is_other)}), a place an agent")
+            raise PolicyError(f"guard: buses has shape {places.shape}; give (row, {len(is_other)}), a place an agent")
         self._try(places[:, is_other])
 
-    def _try(self, own: np.ndarray) -> None:
-        places, lane = np.unique(own, axis=0, return_inverse=True)
+    def _try(self, agent_buses: np.ndarray) -> None:
+        places, place_index = np.unique(agent_buses, axis=0, return_inverse=True)
         if self._pays is None or not np.array_equal(places, self._tried):
             self._tried, self._verdicts = places, pays(self.policy, self.scenario, places)
-        self._pays = self._verdicts[lane.ravel()]
-        self.policy.place(own)
+        self._pays = self._verdicts[place_index.ravel()]
+        self.policy.place(agent_buses)
         self.policy.corrects = self._pays
 
     def act(self, observations: Any) -> Any:
@@ -102,9 +102,9 @@ def pays(policy: ModelAidedPolicy, scenario: Scenario, places: np.ndarray) -> np
     if not scenario.sensing.r_model_share == scenario.sensing.x_model_share == 1.0:
         return np.zeros(len(places), bool)
     trial = as_driven(scenario.replace(split="train", horizon=min(scenario.horizon, STEPS)), policy)
-    lanes = 2 * EPISODES * len(places)
+    n_env = 2 * EPISODES * len(places)
     driver = ModelAidedPolicy(policy.networks, law=policy.law, scenario=policy.trained_on)
-    driver.corrects = np.arange(lanes) < lanes // 2
+    driver.corrects = np.arange(n_env) < n_env // 2
     seeds = np.tile(np.arange(EPISODES), 2 * len(places)).tolist()
     buses = np.tile(np.repeat(places, EPISODES, axis=0), (2, 1))
     with on_purpose():
@@ -112,5 +112,5 @@ def pays(policy: ModelAidedPolicy, scenario: Scenario, places: np.ndarray) -> np
         next(course)
         cost_j = sum(step.cost_j for step in islice(course, trial.horizon))
         course.close()
-    own, of_law = np.asarray(cost_j).reshape(2, len(places), EPISODES).mean(-1)
-    return own < of_law
+    of_policy, of_law = np.asarray(cost_j).reshape(2, len(places), EPISODES).mean(-1)
+    return of_policy < of_law

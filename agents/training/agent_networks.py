@@ -33,8 +33,8 @@ class AgentNetworks(BasePolicy):
 
     def outputs(self, joint: torch.Tensor) -> torch.Tensor:
         """Outputs of all agents in the order of the joint action, (..., n_action)."""
-        each = [self.networks[kind](own) for kind, own in self.seen.inputs(joint).items()]
-        return torch.cat([own.reshape(*joint.shape[:-1], -1) for own in each], dim=-1)
+        each = [self.networks[kind](inputs) for kind, inputs in self.seen.inputs(joint).items()]
+        return torch.cat([output.reshape(*joint.shape[:-1], -1) for output in each], dim=-1)
 
     def action(self, joint: np.ndarray, outputs: torch.Tensor) -> np.ndarray:
         """The joint action that outputs mean after a joint observation, (env, n_action)."""

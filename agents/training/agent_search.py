@@ -87,7 +87,7 @@ def search(
     algorithm = base.algorithm()
     if algorithm not in SPACES:
         raise ValueError(f"algorithm is {algorithm!r}; there are spaces for {', '.join(SPACES)}")
-    space = {name: own for name, own in SPACES[algorithm].items() if name not in fixed}
+    space = {name: choices for name, choices in SPACES[algorithm].items() if name not in fixed}
     about = {**dataclasses.asdict(base), "seed of the search": seed, "batch": batch}
     about = {name: str(value) for name, value in about.items() if name not in ("out", "resume", *space)}
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -101,7 +101,7 @@ def search(
                 f"{folder / JOURNAL}: {field} was {was} and is {now} now; search with the same, or give another --out"
             )
         study.set_user_attr("about", about)
-        begin = {name: getattr(base, name) for name, own in space.items() if within(own, getattr(base, name))}
+        begin = {name: getattr(base, name) for name, choices in space.items() if within(choices, getattr(base, name))}
         for first in range(0, trials, batch):
             earlier = [trial for trial in ended(study) if number_of(trial) < first]
             done = {number_of(trial) for trial in ended(study)}
@@ -159,8 +159,8 @@ def _suggestions(
         if number == 0:
             study.enqueue_trial(begin)
         trial = found[number] = study.ask()
-        for name, own in space.items():
-            _suggest(trial, name, own)
+        for name, choices in space.items():
+            _suggest(trial, name, choices)
     return found
 
 
@@ -196,12 +196,12 @@ def best_as_toml(study: Any, base: Any) -> str:
 
     best = dataclasses.replace(base, **study.best_trial.params)
     default = type(base)()
-    own = {
+    changed = {
         field.name: _rounded(getattr(best, field.name))
         for field in dataclasses.fields(base)
         if field.name not in NO_SETTINGS and getattr(best, field.name) != getattr(default, field.name)
     }
-    return f"[{base.algorithm()}.{base.scenario}]\n{tomli_w.dumps(own)}".rstrip()
+    return f"[{base.algorithm()}.{base.scenario}]\n{tomli_w.dumps(changed)}".rstrip()
 
 
 def _rounded(value: Any) -> Any:

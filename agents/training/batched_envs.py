@@ -1,7 +1,7 @@
-"""Stable-Baselines3 vector environments made directly on the native batch; all is array operations over its lanes.
+"""Stable-Baselines3 vector environments made directly on the native batch; all is array operations over its rows.
 
-``JointVecEnv`` has a lane for each environment: the joint observation and action, as ``gymnasium.make`` has them.
-``agent_lanes`` has a lane for each agent of each. Actions are setpoints, changes or corrections of the droop, as
+``JointVecEnv`` has a row for each environment: the joint observation and action, as ``gymnasium.make`` has them.
+``agent_vec_env`` has a row for each agent of each. Actions are setpoints, changes or corrections of the droop, as
 ``policy.interface`` has them.
 """
 
@@ -36,11 +36,11 @@ def droop_gains(scenario: Scenario) -> Gains:
 
 
 class JointVecEnv(VecEnv):
-    """One lane for each environment of a native batch.
+    """One row for each environment of a native batch.
 
-    Lane i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. An episode's last observation
-    stands in ``infos[lane]["terminal_observation"]``, ``infos[lane]["TimeLimit.truncated"]`` says whether it ended at
-    the horizon rather than in a voltage collapse, and ``infos[lane]["J"]`` is its cost; other steps have empty infos.
+    Row i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. An episode's last observation
+    stands in ``infos[row]["terminal_observation"]``, ``infos[row]["TimeLimit.truncated"]`` says whether it ended at
+    the horizon rather than in a voltage collapse, and ``infos[row]["J"]`` is its cost; other steps have empty infos.
     Rewards are the team's less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in steps. With
     ``end_as_it_arises`` each step is charged by how much it raises what an episode's end would charge, and the end no
     more: the same in sum, and what a step takes out of a storage costs there and then.
@@ -84,11 +84,11 @@ class JointVecEnv(VecEnv):
         self._due = self._due_at_rest = np.zeros(n_envs)
         self._actions = self._observation = np.zeros(0)
         observation, action = self._spaces()
-        super().__init__(n_envs * self.lanes_per_env, observation, action)
+        super().__init__(n_envs * self.rows_per_env, observation, action)
 
     @property
-    def lanes_per_env(self) -> int:
-        """Lanes of an environment."""
+    def rows_per_env(self) -> int:
+        """Rows of an environment."""
         return 1
 
     @property
@@ -128,11 +128,11 @@ class JointVecEnv(VecEnv):
         return spaces.Box(-largest, largest, (n_action,), np.float32)
 
     def _rows(self, joint: np.ndarray) -> np.ndarray:
-        """Observations of the lanes, from joint ones (env, n_observation)."""
+        """Observations of the rows, from joint ones (env, n_observation)."""
         return joint
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
-        """Outputs that ``view`` takes, from the lanes' actions."""
+        """Outputs that ``view`` takes, from the rows' actions."""
         return {"joint": actions * self.reach}
 
     @cached_property
@@ -142,7 +142,7 @@ class JointVecEnv(VecEnv):
         return np.array([{"clock": clock, "q": q}.get(channel, other) for channel in self.channels], np.float32)
 
     def driven(self, joint: np.ndarray, predict: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """The joint action, (row, n), where ``predict`` gives the lanes' actions for their observations.
+        """The joint action, (row, n), where ``predict`` gives the rows' actions for their observations.
 
         ``joint`` are joint observations, (row, n_observation), as many as one likes; nothing is stepped.
         """
@@ -155,10 +155,10 @@ class JointVecEnv(VecEnv):
     @property
     def truncated(self) -> np.ndarray:
         """Whether the last step was the horizon's, bool, (row,)."""
-        return np.repeat(self.batch.transition.truncated, self.lanes_per_env)
+        return np.repeat(self.batch.transition.truncated, self.rows_per_env)
 
     def reset(self) -> np.ndarray:
-        """Begin episodes: those of the seed given by ``seed``, else each lane's next one."""
+        """Begin episodes: those of the seed given by ``seed``, else each row's next one."""
         first = self._seeds[0]
         self._reset_seeds()
         self._observation, _ = self.batch.reset(seed=None if first is None else int(first))
@@ -170,7 +170,7 @@ class JointVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Observation, reward, done and infos of the lanes."""
+        """Observation, reward, done and infos of the rows."""
         began_s = time.perf_counter()
         joint = self._interface.action(self._observation, self._means(self._actions))
         self._observation, reward, terminated, truncated, _ = self.batch.step(joint)
@@ -178,15 +178,15 @@ class JointVecEnv(VecEnv):
             due = self._end_costs()
             reward = reward - (due - self._due) + due * truncated
             self._due = np.where(terminated | truncated, self._due_at_rest, due)  # every episode begins at rest
-        each = self.lanes_per_env
+        each = self.rows_per_env
         done = np.repeat(terminated | truncated, each)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
             last, ended, j = self.arrived(), self.truncated, np.repeat(self.batch.transition.j_so_far, each)
-            for lane in np.flatnonzero(done):
-                infos[lane]["terminal_observation"] = last[lane].copy()
-                infos[lane]["TimeLimit.truncated"] = bool(ended[lane])
-                infos[lane]["J"] = float(j[lane])
+            for row in np.flatnonzero(done):
+                infos[row]["terminal_observation"] = last[row].copy()
+                infos[row]["TimeLimit.truncated"] = bool(ended[row])
+                infos[row]["J"] = float(j[row])
         paid = np.repeat((reward - self.reward_mean) * self.reward_scale, each).astype(np.float32)
         observation = self._rows(self._observation)
         self.physics_s += time.perf_counter() - began_s
@@ -199,7 +199,7 @@ class JointVecEnv(VecEnv):
     def get_images(self) -> Sequence[np.ndarray | None]:
         """An image (height, width, 3) of each environment; RuntimeError unless the render mode is "rgb_array"."""
         if self.render_mode != "rgb_array":
-            raise RuntimeError(f"render_mode is {self.render_mode!r}; make the lanes with 'rgb_array' for images")
+            raise RuntimeError(f"render_mode is {self.render_mode!r}; make the rows with 'rgb_array' for images")
         return self.batch.render() or ()
 
     def render(self, mode: str | None = None) -> np.ndarray | None:
@@ -214,16 +214,16 @@ class JointVecEnv(VecEnv):
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batch, once for each lane asked for."""
+        """An attribute of the batch, once for each row asked for."""
         return [getattr(self.batch, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """AttributeError: the lanes are one batch."""
-        raise AttributeError(f"{attr_name} cannot be set: the lanes are one batch; make another with it")
+        """AttributeError: the rows are one batch."""
+        raise AttributeError(f"{attr_name} cannot be set: the rows are one batch; make another with it")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """AttributeError: the lanes are one batch."""
-        raise AttributeError(f"{method_name} cannot be called for a lane alone; call it on .batch")
+        """AttributeError: the rows are one batch."""
+        raise AttributeError(f"{method_name} cannot be called for a row alone; call it on .batch")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Never."""

@@ -50,7 +50,7 @@ def require_one_step(who: str, scenario: Scenario) -> None:
 
 
 class Counterfactual:
-    """Advantages of the actions in a batch of lanes.
+    """Advantages of the actions in a batch of rows.
 
     Parameters
     ----------
@@ -111,13 +111,13 @@ class Counterfactual:
     def _of_clock(self, before: Any, after: Any, clock: np.ndarray, mean: np.ndarray) -> np.ndarray:
         site, dt_s = self._site, self.scenario.dt_s
         params, work = site.parameters, Work(before.p_ref_next_kw, None)
-        (own, p_kw), (own_mean, p_mean) = (
+        (chosen, p_kw), (chosen_mean, p_mean) = (
             site.step(params, before.state.devices[0], (_mhz(params, each),), work, dt_s) for each in (clock, mean)
         )
         connected = (
             after.p_kw[:, : self.scenario.datacenters.count] > 0.0
         )  # a site that a fault has taken draws nothing
-        waiting = self._work * (own_mean.backlog_kws - own.backlog_kws)
+        waiting = self._work * (chosen_mean.backlog_kws - chosen.backlog_kws)
         return waiting - self._saved(after, self._by_p, (p_mean - p_kw) * connected)
 
     def _saved(self, after: Any, by: np.ndarray, injected: np.ndarray) -> np.ndarray:

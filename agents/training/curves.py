@@ -107,8 +107,8 @@ def _line(label: str, runs: Sequence[Curve]) -> Line:
     """
     begin, end = max(run.x[0] for run in runs), min(run.x[-1] for run in runs)
     x = runs[0].x if len(runs) == 1 else np.geomspace(max(begin, 1e-3), max(begin, end), POINTS)
-    at = [run.gain_pct[np.searchsorted(run.x, x, side="right").clip(1) - 1] for run in runs]
-    every = np.array(at)
+    gains_pct = [run.gain_pct[np.searchsorted(run.x, x, side="right").clip(1) - 1] for run in runs]
+    every = np.array(gains_pct)
     return Line(label, x, every.mean(axis=0), every.min(axis=0), every.max(axis=0), len(runs))
 
 

@@ -40,12 +40,12 @@ def drawn_scenario(split: str, i: int) -> Scenario:
         source_voltage_pu=float(rng.uniform(1.0, 1.05)),
         n_datacenters=n_dc,
         datacenters={
-            "buses": tuple(feeder.bus_ids[at] for at in buses[:n_dc]),
+            "buses": tuple(feeder.bus_ids[bus] for bus in buses[:n_dc]),
             "p_rated_kw": tuple(sites_kw),
             "s_rated_share": float(rng.uniform(1.02, 1.1)),
         },
         inverters={
-            "buses": tuple(feeder.bus_ids[at] for at in buses[n_dc:]),
+            "buses": tuple(feeder.bus_ids[bus] for bus in buses[n_dc:]),
             "s_rated_kva": tuple(kva),
             "injection": "pv" if sun else None,
         },
@@ -76,9 +76,9 @@ def _feeder(load_kw: float, seed: int, n_bus: int, style: str) -> tuple[Feeder, 
 def _loaded(feeder: Feeder) -> np.ndarray:
     """Positions of buses with a load, at least as many as devices may stand on."""
     load_kw = np.asarray(feeder.p_load_kw)
-    at = np.flatnonzero(load_kw > 0)
-    at = at[at > 0]
-    return at if len(at) >= 14 else np.arange(1, len(load_kw))
+    buses = np.flatnonzero(load_kw > 0)
+    buses = buses[buses > 0]
+    return buses if len(buses) >= 14 else np.arange(1, len(load_kw))
 
 
 def _parts(rng: np.random.Generator, n: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from dcgrid_env import RandomFeeders, Scenario
 
-NORMALISED_LANES, NORMALISED_STEPS = 32, 10
+NORMALISED_ENVS, NORMALISED_STEPS = 32, 10
 """Episodes, and steps between new setpoints, of the rollout that normalises observations."""
 
 
@@ -17,10 +17,10 @@ FEEDERS = 8
 def normalising_seeds(scenario: Scenario, seed: int) -> list[range]:
     """Seeds of the episodes that normalise observations, a batch on each of several feeders where they are random."""
     if not isinstance(scenario.feeder, RandomFeeders):
-        return [episode_seeds(seed, 0, NORMALISED_LANES)]
-    lanes = min(NORMALISED_LANES, scenario.feeder.batch)
+        return [episode_seeds(seed, 0, NORMALISED_ENVS)]
+    n_env = min(NORMALISED_ENVS, scenario.feeder.batch)
     first = [(seed << 40) + i * scenario.feeder.batch for i in range(FEEDERS)]
-    return [range(start, start + lanes) for start in first]
+    return [range(start, start + n_env) for start in first]
 
 
 def check_batch(scenarios: Sequence[Scenario], num_envs: int) -> None:

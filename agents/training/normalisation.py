@@ -20,10 +20,10 @@ LEAST_SPREAD, LEAST_CHANGE = 1e-2, 1e-3
 
 def remembered_columns(interfaces: Sequence[PolicyInterface]) -> dict[str, list[int]]:
     """Where what each network sees has the fields of ``REMEMBERED``."""
-    fields = {name: own for interface in interfaces for name, own in interface.input_fields.items()}
+    fields = {name: names for interface in interfaces for name, names in interface.input_fields.items()}
     return {
-        name: [i for i, field in enumerate(own) if field.rpartition(".")[2] in REMEMBERED]
-        for name, own in fields.items()
+        name: [i for i, field in enumerate(names) if field.rpartition(".")[2] in REMEMBERED]
+        for name, names in fields.items()
     }
 
 
@@ -55,7 +55,7 @@ def normalisation(
     """
     rng, rows_by_network = np.random.default_rng(seed), {}
     grids = zip(envs, interfaces, strict=True)
-    for env, interface, seeds in ((*own, of) for own in grids for of in normalising_seeds(own[0].scenario, seed)):
+    for env, interface, seeds in ((*grid, of) for grid in grids for of in normalising_seeds(grid[0].scenario, seed)):
         clocks = action_layout(env.scenario).is_channel("clock")
         joint, earlier = env.reset(seeds), {}
         action = torch.empty(0)
@@ -65,10 +65,10 @@ def normalisation(
                 drawn = np.where(clocks, 0.7 + 0.3 * drawn, drawn)  # clocks near the top
                 action = tensor(drawn.astype(np.float32))
             joint = env.step(action).observation
-            for name, own in interface.inputs(joint).items():
+            for name, inputs in interface.inputs(joint).items():
                 if columns.get(name):
-                    own, earlier[name] = with_changes(own, earlier.get(name), columns[name], steps)
-                rows_by_network.setdefault(name, []).append(own.reshape(-1, own.shape[-1]))
+                    inputs, earlier[name] = with_changes(inputs, earlier.get(name), columns[name], steps)
+                rows_by_network.setdefault(name, []).append(inputs.reshape(-1, inputs.shape[-1]))
     every = {name: torch.cat(rows) for name, rows in rows_by_network.items()}
     return {name: _moments(rows, steps * len(columns.get(name, ()))) for name, rows in every.items()}
 

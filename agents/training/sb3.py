@@ -22,7 +22,7 @@ from stable_baselines3.common.utils import set_random_seed
 from dcgrid_env import Scenario, under_own_control
 from dcgrid_env.agents.policy.interface import Gains
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
 from dcgrid_env.agents.training.config import Training, check
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
@@ -129,7 +129,7 @@ def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
     A discount hides most of a long wait, so that deferral would pay that should not. A wait of n steps costs n in truth
     and (1 - gamma^n) / (1 - gamma) discounted: the price is raised by the ratio of the two at n = ``wait``.
 
-    What else an episode's end charges, as energy that is missing in storages, is charged by the lanes as it arises
+    What else an episode's end charges, as energy that is missing in storages, is charged by the rows as it arises
     (``JointVecEnv.end_as_it_arises``).
     """
     w = scenario.cost.weights
@@ -155,7 +155,7 @@ def train(
     learning_rate: Callable[[float], float],
     extra: Callable[[], Mapping[str, Any]] = dict,
 ) -> Path:
-    """Train a model whose iterations are an episode of every lane; the folder written.
+    """Train a model whose iterations are an episode of every row; the folder written.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def train(
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
                     policy.save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
                 spent[2] += time.perf_counter() - began_s
-                stepped = {"env_steps": run.step // vec_env.lanes_per_env}
+                stepped = {"env_steps": run.step // vec_env.rows_per_env}
                 run.record(figures | {"J_best": best} | stepped | logged(model) | timing(run.step, spent))
                 advance(iteration, f"J {figures['J']:.4f}, droop {validate.j_droop:.4f}")
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
@@ -215,7 +215,7 @@ def train(
 
 
 def _iterate(run: Run, vec_env: JointVecEnv, model: BaseAlgorithm, seed: int, iteration: int, rate: float) -> None:
-    """One episode of every lane and what is learned from it."""
+    """One episode of every row and what is learned from it."""
     set_random_seed((seed * 1_000_003 + iteration) % 2**32)
     vec_env.seed(episode_seed(seed, iteration, vec_env.n_envs))
     model._last_obs = None  # so that it begins with a reset

@@ -13,7 +13,7 @@ from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env.agents.policy.neural_network import Network
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from dcgrid_env.agents.training.config import trained_on
 from dcgrid_env.agents.training.run_folder import torch
@@ -25,7 +25,7 @@ SMALLEST_STD = 1e-4
 
 
 def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
-    """Scale the lanes' rewards, so that returns are of order 1; policy arguments that normalise observations.
+    """Scale the rows' rewards, so that returns are of order 1; policy arguments that normalise observations.
 
     Both by an episode in each environment, under clocks near the top and random setpoints; fixed from then on.
     """
@@ -39,7 +39,7 @@ def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
 def random_episode(vec_env: JointVecEnv, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """What an episode in each environment shows and pays, under clocks near the top and random reactive setpoints.
 
-    Observations, (step and lane, n_observation), and rewards, (step, row).
+    Observations, (step and row, n_observation), and rewards, (step, row).
     """
     rng = np.random.default_rng(seed)
     shape = (vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore[reportOptionalSubscript]
@@ -72,7 +72,7 @@ class Normalised(BaseFeaturesExtractor):
 
 
 def off_policy(cfg: OffPolicy, vec_env: JointVecEnv) -> dict[str, Any]:
-    """Arguments that the algorithms with a replay buffer share; seeds the generators and normalises the lanes."""
+    """Arguments that the algorithms with a replay buffer share; seeds the generators and normalises the rows."""
     set_random_seed(cfg.seed)
     return {
         "gamma": cfg.gamma,
@@ -126,36 +126,36 @@ def networks_of(
     vec_env: JointVecEnv, weights: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, squash: str,
     mean: np.ndarray | None, std: np.ndarray | None, clip: float | None,
 ) -> dict[str, Network]:  # fmt: skip
-    """The networks of a policy whose layers act on a lane: one, or in the shared view one for each kind of agent.
+    """The networks of a policy whose layers act on a row: one, or in the shared view one for each kind of agent.
 
-    What an agent does not observe is constant in its lanes and goes into the first bias, and so does the kind.
+    What an agent does not observe is constant in its rows and goes into the first bias, and so does the kind.
 
     Parameters
     ----------
     vec_env
-        The lanes.
+        The vector environment.
     weights
         (weight, bias) of each layer, (n_in, n_out) and (n_out,).
     activation, squash
         See :class:`Network`.
     mean, std, clip
-        Normalisation of a lane's observation, (n_observation,) each and a figure; none of them where there is none.
+        Normalisation of a row's observation, (n_observation,) each and a figure; none of them where there is none.
     """
     if not isinstance(vec_env, AgentVecEnv):
         return {"joint": Network(weights, activation, squash, mean, std, clip)}
     networks = {}
     for name, members in vec_env.members.items():
-        own = vec_env.columns(vec_env.scenario.agents[members[0]])
+        columns = vec_env.columns(vec_env.scenario.agents[members[0]])
         constant = np.zeros(len(weights[0][0]))
         constant[-len(vec_env.kinds) + 1 :] = [name == kind for kind in vec_env.kinds[1:]]
         constant = constant if mean is None or std is None else (constant - mean) / std
         constant = constant if clip is None else np.clip(constant, -clip, clip)
-        constant[own] = 0.0
+        constant[columns] = 0.0
         (first, bias), *rest = weights
-        layered = [(first[own], bias + constant @ first), *rest]
+        layered = [(first[columns], bias + constant @ first), *rest]
         last, last_bias = layered[-1]
         given = vec_env.entries(name)
         layered[-1] = (last[:, given], last_bias[given])
-        own_mean, own_std = (None if moments is None else moments[own] for moments in (mean, std))
+        own_mean, own_std = (None if moments is None else moments[columns] for moments in (mean, std))
         networks[name] = Network(layered, activation, squash, own_mean, own_std, clip)
     return networks

@@ -128,8 +128,10 @@ class Monotone(torch.nn.Module):
     ):
         super().__init__()
         self.n_in, self.slopes, self.offsets = len(mean), tuple(slopes), tuple(offsets)
-        self.columns = [list(own) for own in columns]
-        self.contexts = torch.nn.ModuleList(Perceptron(mean[own], std[own], WIDTH, hidden) for own in self.columns)
+        self.columns = [list(head_columns) for head_columns in columns]
+        self.contexts = torch.nn.ModuleList(
+            Perceptron(mean[head_columns], std[head_columns], WIDTH, hidden) for head_columns in self.columns
+        )
         wide = torch.log(torch.linspace(0.1, 1.0, UNITS)).repeat(len(self.columns), 1)
         self.log_widths = torch.nn.Parameter(wide.to(mean.device))
 
@@ -137,8 +139,8 @@ class Monotone(torch.nn.Module):
         """Output, (..., n_out), for observations (..., n_in)."""
         z, widths = observation[..., 0], torch.exp(self.log_widths)
         outputs = [
-            head_output(z, context(observation[..., own]), widths[i], self.slopes[i], self.offsets[i])
-            for i, (context, own) in enumerate(zip(self.contexts, self.columns, strict=True))
+            head_output(z, context(observation[..., head_columns]), widths[i], self.slopes[i], self.offsets[i])
+            for i, (context, head_columns) in enumerate(zip(self.contexts, self.columns, strict=True))
         ]
         return torch.stack(outputs, dim=-1)
 
@@ -146,8 +148,8 @@ class Monotone(torch.nn.Module):
         """The network as NumPy arrays."""
         widths = numpy_of(torch.exp(self.log_widths))
         heads = [
-            Head(context.exported(), np.array(own), widths[i], self.slopes[i], self.offsets[i])  # pyright: ignore
-            for i, (context, own) in enumerate(zip(self.contexts, self.columns, strict=True))
+            Head(context.exported(), np.array(head_columns), widths[i], self.slopes[i], self.offsets[i])  # pyright: ignore
+            for i, (context, head_columns) in enumerate(zip(self.contexts, self.columns, strict=True))
         ]
         return MonotoneNetwork(heads, self.n_in)
 

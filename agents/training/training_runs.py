@@ -179,8 +179,10 @@ def _train(sent: _Sent) -> tuple[str | None, Files | None]:
             for name, content in sent.files.items():
                 write_bytes(folder / name, content)
             failure = sent.work(dataclasses.replace(sent.config, out=folder))
-            own = str(sent.config.folder)
-            return failure and failure.replace(str(folder), own), _renamed(_held(folder), str(folder), sent.config)
+            run_folder = str(sent.config.folder)
+            return failure and failure.replace(str(folder), run_folder), _renamed(
+                _held(folder), str(folder), sent.config
+            )
 
 
 def _held(folder: Path) -> Files:

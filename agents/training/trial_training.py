@@ -69,7 +69,7 @@ def train_trial(config: Any, earlier: Sequence[Any]) -> None:
     def report(figures: Mapping[str, float]) -> None:
         nonlocal costs
         step = int(figures["step"])
-        costs = {at: cost for at, cost in costs.items() if at < step} | {step: figures["J"]}
+        costs = {at_step: cost for at_step, cost in costs.items() if at_step < step} | {step: figures["J"]}
         keep(stopped=False)
         if _lags(list(costs.values()), earlier):
             raise _Stopped

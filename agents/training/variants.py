@@ -30,7 +30,7 @@ def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     feeder, n_inv = scenario.feeder, scenario.inverters.count
     load_kw = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
     loaded = [bus for i, bus in enumerate(feeder.bus_ids) if load_kw[i] > 0 and _has_phases(scenario, i)][1:]
-    at = rng.choice(len(loaded), n_inv, replace=False)
+    chosen = rng.choice(len(loaded), n_inv, replace=False)
     return scenario.replace(
         datacenters={
             "buses": None,
@@ -39,7 +39,7 @@ def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
             ),
         },
         inverters={
-            "buses": tuple(loaded[i] for i in sorted(at)),
+            "buses": tuple(loaded[i] for i in sorted(chosen)),
             "s_rated_kva": tuple(scenario.inverters.parameters.s_rated_kva * rng.uniform(0.5, 2.0, n_inv)),
         },
         source_voltage_pu=float(scenario.source_voltage_pu + rng.uniform(-0.01, 0.01)),

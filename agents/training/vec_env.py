@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from dcgrid_env.agents.training.batched_envs import JointVecEnv
 
 SB3View = Literal["joint", "shared"]
-"""Whether a lane is an environment or an agent of one."""
+"""Whether a row is an environment or an agent of one."""
 
 
 def sb3_vec_env(
@@ -25,7 +25,7 @@ def sb3_vec_env(
 
     Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) take it as it is. After ``seed(n)`` the next
     reset begins the episodes of seeds n, n + 1 and so on, one in each environment. In the last step of an episode
-    ``infos[lane]`` holds ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
+    ``infos[row]`` holds ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def sb3_vec_env(
     num_envs
         Environments in the batch.
     view
-        "joint": a lane is an environment, with the observation and action of ``gymnasium.make``. "shared": a lane is an
-        agent, so that one policy drives all of them; the VecEnv has ``num_envs`` times the scenario's agents as lanes,
+        "joint": a row is an environment, with the observation and action of ``gymnasium.make``. "shared": a row is an
+        agent, so that one policy drives all of them; the VecEnv has ``num_envs`` times the scenario's agents as rows,
         environment by environment. Observations are then an agent's own fields, 0 where it has none of the name, and
         last 1 for a data centre or 0 for an inverter, with a further such figure for each other kind of agent; actions
         are (clock, q) and then the other channels of the scenario's agents, of which an agent's are those that it has,
@@ -58,7 +58,7 @@ def sb3_vec_env(
         raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")
     chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
     try:
-        from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+        from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
         from dcgrid_env.agents.training.batched_envs import JointVecEnv
     except ImportError as error:
         raise ImportError(

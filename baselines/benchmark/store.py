@@ -37,9 +37,9 @@ class Store:
         self.out = out
         self.folder = out / "units"
         self._about = FORMAT | {"version": __version__}
-        at = self.folder / "about.json"
-        if at.is_file():
-            about = _read(at)
+        about_file = self.folder / "about.json"
+        if about_file.is_file():
+            about = _read(about_file)
             for key, value in self._about.items():
                 if about.get(key) != value:
                     raise ValueError(

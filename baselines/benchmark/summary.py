@@ -144,12 +144,14 @@ def summarise(
         if name in failures:
             rows.append(Summary(scenario, name, failures[name]))
             continue
-        own = records[name]
-        j = [r["J"] for r in own]
+        of_controller = records[name]
+        j = [r["J"] for r in of_controller]
         numbers = [
-            key for key, value in own[0].items() if not isinstance(value, str) and key not in ("episode", "seed")
+            key
+            for key, value in of_controller[0].items()
+            if not isinstance(value, str) and key not in ("episode", "seed")
         ]
-        means = {key: float(np.mean([r[key] for r in own])) for key in numbers}
+        means = {key: float(np.mean([r[key] for r in of_controller])) for key in numbers}
         row = Summary(scenario, name, None, observes[name], means)
         if episodes > 1:
             # Difference and interquartile mean do not hang on what hindsight costs: anything below serves for them.

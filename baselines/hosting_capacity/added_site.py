@@ -15,10 +15,10 @@ _NOTHING_KW = 1e-3
 
 
 class AddedSite:
-    """The scenarios of a study, one for each size, and the lanes of their episodes.
+    """The scenarios of a study, one for each size, and the arguments that reset their episodes.
 
     The site is the last of the scenario's data centres and shares all but its rating with them. Where it stands is a
-    matter of the lane, so that many buses and samples of a size run as one batch; the size is one of the scenario.
+    matter of the environment, so many buses and samples of a size run as one batch; the size is one of the scenario.
     """
 
     def __init__(self, study: Study, exempt: np.ndarray | None = None):
@@ -38,7 +38,7 @@ class AddedSite:
         """A size in MW."""
         return float(f"{size * self.study.step_mw:.10g}")
 
-    def lanes(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
+    def reset_arguments(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
         """Seeds, and options of the reset, of a batch with the site at positions ``buses`` in ``samples``, (row,)."""
         placed = self._buses[samples].copy()
         placed[:, self.agent] = buses
@@ -63,7 +63,7 @@ class AddedSite:
         return base.replace(**changed)
 
     def _datacenter_buses(self) -> tuple[str, ...] | None:
-        """Where the scenario has its sites; the added one anywhere free, as each lane says where it really is."""
+        """Where the scenario has its sites; the added one anywhere free, as each environment sets its true bus."""
         scenario, others = self.study.scenario, self.study.others
         there = scenario.datacenters.buses if others else ()
         if there is None:
@@ -79,6 +79,6 @@ class AddedSite:
         env = DcgridVectorEnv(self.study.samples, scenario, info="none")
         env.reset(seed=0)
         index = scenario.feeder.index
-        placed = np.array([[index(bus) for bus in of_lane] for of_lane in env.buses()])
+        placed = np.array([[index(bus) for bus in bus_ids] for bus_ids in env.buses()])
         env.close()
         return placed

@@ -88,8 +88,8 @@ def search_buses(
     fails = int(empty.outside.sum()) > study.allowed_seconds
     scan = tuple(sorted({study.top >> i for i in range(study.top.bit_length())}))
     searches = [
-        BusSearch(empty, own, int(guess), study.top, study.allowed_seconds, scan)
-        for guess, own in zip(guesses, critical, strict=True)
+        BusSearch(empty, site_limit, int(guess), study.top, study.allowed_seconds, scan)
+        for guess, site_limit in zip(guesses, critical, strict=True)
     ]
     left = {i: search for i, search in enumerate(searches) if not (fails or before[i])}
     if on_bus is not None:
@@ -156,8 +156,8 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
 
 def _limit(scenario: Scenario, beyond: Trial) -> str:
     """What a size breaks worst, and where."""
-    lane, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
-    at, feeder = int(beyond.at[lane, kind]), scenario.feeder
+    row, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
+    at, feeder = int(beyond.at[row, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
     if kind == OVERLOAD:

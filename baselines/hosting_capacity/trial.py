@@ -26,11 +26,11 @@ OVERLOAD = LIMITS.index("overload")
 
 
 class Trial(NamedTuple):
-    """What a batch came to, by lane."""
+    """What a batch came to, by environment."""
 
     margins: np.ndarray
     """Least distance to each of ``LIMITS`` over the seconds that count, negative beyond it, (row, limit): of a voltage
-    as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of a lane
+    as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of one
     without a power-flow solution."""
     at: np.ndarray
     """Where each of these was: position in ``node_ids``, of an overload what the branch feeds, (row, limit)."""
@@ -43,16 +43,16 @@ class Trial(NamedTuple):
 
     @property
     def margin(self) -> float:
-        """Least distance of any lane to any limit."""
+        """Least distance of any environment to any limit."""
         return float(self.margins.min())
 
-    def of(self, lanes: Any) -> Trial:
-        """Some of the lanes."""
-        return Trial(*(part[lanes] for part in self))
+    def of(self, env_indices: Any) -> Trial:
+        """Some of the environments."""
+        return Trial(*(part[env_indices] for part in self))
 
     @classmethod
     def joined(cls, parts: list[Trial]) -> Trial:
-        """The lanes of several, one after the other."""
+        """The environments of several, one after the other."""
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
@@ -61,7 +61,8 @@ def run_trial(
 ) -> Trial:
     """Run sites of a size; ``buses`` are positions in ``bus_ids`` and ``samples`` numbers, (row,) each.
 
-    A lane comes to the same whatever stands beside it. ControllerError where the controller fails or refuses.
+    The result of an environment does not depend on the rest of the batch. ControllerError where the
+    controller fails or refuses.
     """
     at_once = max(1, _VALUES // (site.study.scenario.feeder.n_node * 8))
     parts = [slice(a, a + at_once) for a in range(0, len(buses), at_once)]
@@ -84,7 +85,7 @@ def overloaded_nodes(site: AddedSite) -> np.ndarray:
     seconds = np.zeros(study.scenario.feeder.n_node, np.int64)
     if not rating_coverage(study.scenario.feeder).known:
         return seconds > 0
-    seeds, options = site.lanes(np.ones_like(samples), samples)
+    seeds, options = site.reset_arguments(np.ones_like(samples), samples)
     steps = transitions(as_driven(site.scenario(0), controller), controller, seeds, None, options)
     next(steps)
     for k in range(study.horizon):
@@ -98,14 +99,14 @@ def overloaded_nodes(site: AddedSite) -> np.ndarray:
 def _run(
     site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
 ) -> Trial:
-    study, lanes = site.study, len(buses)
+    study, n_env = site.study, len(buses)
     scenario = as_driven(site.scenario(size), controller)
-    seeds, options = site.lanes(buses, samples)
+    seeds, options = site.reset_arguments(buses, samples)
     steps = transitions(scenario, controller, seeds, name, options)
     next(steps)
-    margins, at = np.full((lanes, len(LIMITS)), UNLIMITED), np.zeros((lanes, len(LIMITS)), np.int64)
-    outside, goes_on = np.zeros(lanes, np.int64), np.ones(lanes, bool)
-    arrived, served = (np.zeros((lanes, study.horizon)) for _ in range(2))
+    margins, at = np.full((n_env, len(LIMITS)), UNLIMITED), np.zeros((n_env, len(LIMITS)), np.int64)
+    outside, goes_on = np.zeros(n_env, np.int64), np.ones(n_env, bool)
+    arrived, served = (np.zeros((n_env, study.horizon)) for _ in range(2))
     for k in range(study.horizon):
         now = next(steps)
         arrived[:, k], served[:, k] = now.state.arrived_kw[:, site.slot], now.state.served_kw[:, site.slot]
@@ -130,13 +131,13 @@ def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
     """Each trial's distance to each limit now, and where, (row, limit) each."""
     study, nodes = site.study, site.study.scenario.feeder.load_slice
     v = now.state.v_pu[:, nodes]
-    lane, half = np.arange(len(v)), 0.5 * (study.v_max_pu - study.v_min_pu)
+    row, half = np.arange(len(v)), 0.5 * (study.v_max_pu - study.v_min_pu)
     lowest, highest = v.argmin(axis=1), v.argmax(axis=1)
-    below, above = (v[lane, lowest] - study.v_min_pu) / half, (study.v_max_pu - v[lane, highest]) / half
+    below, above = (v[row, lowest] - study.v_min_pu) / half, (study.v_max_pu - v[row, highest]) / half
     first = nodes.start or 0
     loaded, branch = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
     if now.state.loading is not None:  # 0 where no rating is known
         loading = np.where(site.exempt, 0.0, now.state.loading)
         branch = loading.argmax(axis=1)
-        loaded = 1.0 - loading[lane, branch] / (study.loading_max_pct / 100.0)
+        loaded = 1.0 - loading[row, branch] / (study.loading_max_pct / 100.0)
     return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)

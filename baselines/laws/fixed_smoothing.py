@@ -63,8 +63,8 @@ class FixedSmoothing(Droop):
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
         actions = super()._act(joint)
-        for at, action in self._settings_at:
-            actions[..., at] = action
+        for columns, action in self._settings_at:
+            actions[..., columns] = action
         return actions
 
 

@@ -67,7 +67,7 @@ class ReturnByHand(Droop):
                 "by_hand_s"
             )
         self._return_at = np.flatnonzero(action_layout(self.scenario).is_channel("return"))
-        names = [name for own in field_names(self.scenario).values() for name in own]
+        names = [name for names_of_agent in field_names(self.scenario).values() for name in names_of_agent]
         of_sites = ("ups_share", "ups_locked", "ups_wait")
         self._seen_at = [[i for i, name in enumerate(names) if name == field] for field in of_sites]
 
@@ -81,7 +81,7 @@ class ReturnByHand(Droop):
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
         actions = super()._act(joint)
-        share, locked, wait = (joint[..., at] for at in self._seen_at)
+        share, locked, wait = (joint[..., columns] for columns in self._seen_at)
         due_s = np.where(locked > 0.5, self._release_s, self._delay_s)
         goes = (share > 0.0) | (wait * self._longest_s >= due_s - 1e-3)
         actions[..., self._return_at] = np.where(goes, self.pace, -1.0)

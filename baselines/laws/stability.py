@@ -84,8 +84,8 @@ def _at(scenario: Scenario, where: Sequence[Sequence[int | str]], datacenters: b
     index = scenario.feeder.index
     acting = np.flatnonzero(action_layout(scenario).reactive >= 0)  # equipment of the feeder gives no reactive power
     acting = acting[0 if datacenters else scenario.datacenters.count :]
-    at = np.array([[index(bus) for bus in buses] for buses in where], dtype=np.intp)
-    r, x = sensitivity_between_agents(scenario, at)
+    positions = np.array([[index(bus) for bus in buses] for buses in where], dtype=np.intp)
+    r, x = sensitivity_between_agents(scenario, positions)
     return r[:, acting[:, None], acting], x[:, acting[:, None], acting]
 
 
@@ -93,8 +93,8 @@ def _radii(
     r: np.ndarray, x: np.ndarray, n_dc: int, dt_s: float, k_p: float, k_q: float, alpha_per_s: float
 ) -> np.ndarray:
     """Spectral radius of each placement's closed loop, (placement,)."""
-    lanes, n, _ = x.shape
-    sees_v = np.concatenate((x, -r[..., :n_dc], np.zeros((lanes, n, n_dc))), axis=-1)  # V - V_0 from (q, p, S)
+    n_row, n, _ = x.shape
+    sees_v = np.concatenate((x, -r[..., :n_dc], np.zeros((n_row, n, n_dc))), axis=-1)  # V - V_0 from (q, p, S)
     of_q, _, of_s = np.split(np.eye(n + 2 * n_dc), [n, n + n_dc])
     next_q = of_q - k_q * dt_s * sees_v
     next_p = k_p * sees_v[:, :n_dc] + alpha_per_s * of_s
@@ -102,16 +102,16 @@ def _radii(
     # A state that nothing moves or that nothing reads would only add an eigenvalue 1 or 0.
     keep = np.repeat([k_q > 0, k_p > 0 or alpha_per_s > 0, alpha_per_s > 0], [n, n_dc, n_dc])
     if not keep.any():
-        return np.zeros(lanes)
+        return np.zeros(n_row)
     loop = np.concatenate((next_q, next_p, next_s), axis=1)[:, keep][:, :, keep]
     return np.abs(np.linalg.eigvals(loop)).max(axis=-1)
 
 
 def placements(scenario: Scenario, n: int = PLACEMENTS) -> list[tuple[int | str, ...]]:
     """Buses of the agents in the episodes of seeds 0 .. n - 1 of the scenario's split; one where none are drawn."""
-    lanes = 1 if scenario.datacenters.buses is not None or not scenario.datacenters.count else n
-    env = DcgridVectorEnv(lanes, scenario)
-    _, info = env.reset(seed=list(range(lanes)))
+    n_env = 1 if scenario.datacenters.buses is not None or not scenario.datacenters.count else n
+    env = DcgridVectorEnv(n_env, scenario)
+    _, info = env.reset(seed=list(range(n_env)))
     env.close()
     return list(zip(*(info[f"bus_{agent}"].tolist() for agent in scenario.agents), strict=True))
 

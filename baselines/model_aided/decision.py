@@ -28,7 +28,7 @@ from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, betwe
 
 
 class Seen(NamedTuple):
-    """What each agent goes by; m lanes, n agents, data centres first."""
+    """What each agent goes by; m rows, n agents, data centres first."""
 
     v_pu: np.ndarray
     """Own voltage as measured, (m, n)."""
@@ -62,19 +62,19 @@ class Decision(NamedTuple):
 
 
 def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
-    """Decide for all agents of all lanes; ``known`` is of one placement or has one a lane."""
+    """Decide for all agents of all rows; ``known`` is of one placement or has one a row."""
     # Both bring the compiler with them, so not on import.
     from dcgrid_env.baselines.model_aided import response_kernels
-    from dcgrid_env.core.threads import over_lanes
+    from dcgrid_env.core.threads import over_rows
 
     kernel: Any = response_kernels.decide
     price, scale = VoltagePrice.of(site.scenario), site.share_of_kvar
     e_own = own_error(known, seen.v_pu, seen.then_kw, seen.then_kvar)
     key = np.broadcast_to(known.key, (len(e_own), *known.key.shape[1:]))
     level, weight = between(np.where(site.scheduled, seen.then_kw, e_own), key)
-    n_lane, n = e_own.shape
+    n_row, n = e_own.shape
     n_dc = seen.span_kw.shape[1]
-    done = Decision(*(np.zeros((n_lane, wide)) for wide in (n, n_dc, n, n_dc, n)))
+    done = Decision(*(np.zeros((n_row, wide)) for wide in (n, n_dc, n, n_dc, n)))
     given = [
         np.ascontiguousarray(values)
         for values in (
@@ -88,7 +88,7 @@ def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
     def part(first: int, last: int) -> int:
         return kernel(first, last, price.voltage, price.violation, price.band_pu, *given, *done)
 
-    over_lanes(part, n_lane)
+    over_rows(part, n_row)
     return done
 
 

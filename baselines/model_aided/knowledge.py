@@ -108,7 +108,7 @@ class Site(NamedTuple):
 class Commissioned(NamedTuple):
     """What agents know of placements: m of them, n agents, L levels, k nodes but the source's.
 
-    ``known.take(lanes)`` has one a lane, where lanes are at different placements; one alone serves all lanes.
+    ``known.take(rows)`` has one a row, where rows are at different placements; one alone serves all rows.
     """
 
     mean_kw: np.ndarray
@@ -154,9 +154,9 @@ class Commissioned(NamedTuple):
     waiting: np.ndarray
     """Price of letting a kW of work wait, (m, n_dc)."""
 
-    def take(self, lanes: np.ndarray) -> Commissioned:
-        """The placement of each lane, by its position here."""
-        return Commissioned(*(field[lanes] for field in self))
+    def take(self, rows: np.ndarray) -> Commissioned:
+        """The placement of each row, by its position here."""
+        return Commissioned(*(field[rows] for field in self))
 
 
 def resting(site: Site, known: Commissioned, p_kw: np.ndarray) -> np.ndarray:
@@ -172,18 +172,18 @@ def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> 
     site
         Says which agents see the sun.
     values, at
-        Figures by level, such as ``Commissioned.rest_kvar``, (m, L, n), and ``rest_at``, (m, L); m is 1, or the lanes.
+        Figures by level, such as ``Commissioned.rest_kvar``, (m, L, n), and ``rest_at``, (m, L); m is 1, or the rows.
     p_kw
         Draws, (row, n).
     """
-    lanes = np.broadcast_to(values, (len(p_kw), *values.shape[1:]))
+    per_row = np.broadcast_to(values, (len(p_kw), *values.shape[1:]))
     at = np.broadcast_to(at, (len(p_kw), at.shape[1]))
-    out = lanes.mean(axis=1)
+    out = per_row.mean(axis=1)
     kva, rows = site.scenario.scheduled_kva, np.arange(len(p_kw))
     for j in np.flatnonzero(site.scheduled):
         share = p_kw[:, j] / (kva[j - site.scenario.datacenters.count] or 1.0)
         low, weight = between(share[:, None], at[:, None])
-        a, b = (lanes[rows, low[:, 0] + more, j] for more in (0, 1))
+        a, b = (per_row[rows, low[:, 0] + more, j] for more in (0, 1))
         out[:, j] = a + weight[:, 0] * (b - a)
     return out
 

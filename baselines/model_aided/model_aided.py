@@ -74,15 +74,15 @@ class ModelAided(Law, LocalController):
 
     @property
     def known(self) -> Commissioned | None:
-        """What the agents know at their places, stacked over lanes; None before they are placed."""
+        """What the agents know at their places, stacked over rows; None before they are placed."""
         return self._known
 
     def place(self, buses: np.ndarray) -> None:
         """See :class:`NeedsPlacement`."""
-        places, lane = np.unique(np.asarray(buses)[:, self._equipment.is_other], axis=0, return_inverse=True)
+        places, place_index = np.unique(np.asarray(buses)[:, self._equipment.is_other], axis=0, return_inverse=True)
         if self._known is None or self._drawn:
             known = commission(self._site, places)
-            self._known = known if len(places) == 1 else known.take(lane.ravel())
+            self._known = known if len(places) == 1 else known.take(place_index.ravel())
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`; ValueError where buses are drawn and ``place`` was not called."""
@@ -90,11 +90,11 @@ class ModelAided(Law, LocalController):
         if known is None:
             raise ValueError(
                 f"model-aided: {s.name} draws the data centres' buses in each episode; call place(buses) after reset "
-                "with the agents' positions in bus_ids, (lane, n_agent)"
+                "with the agents' positions in bus_ids, (row, n_agent)"
             )
         lead = local.v_pu.shape[:-1]
-        n_lane, n_dc = int(np.prod(lead)), s.datacenters.count
-        flat = Local(*(field.reshape(n_lane, field.shape[-1]) for field in local))
+        n_row, n_dc = int(np.prod(lead)), s.datacenters.count
+        flat = Local(*(field.reshape(n_row, field.shape[-1]) for field in local))
         work = self._work(flat, known)
         p_kw = flat.p_kw.copy()
         p_kw[:, :n_dc] = work.idle_kw + work.all_kw

@@ -29,13 +29,13 @@ def decide(
     by_q, by_own, by_p, by_draw, waiting, level, weight, e_own, moved_kvar, more_kw, span_kw, p_kw, share, rest,
     s_rated, q_scale, effort, new, cut_kw, slope, relief, surprise,
 ):  # fmt: skip
-    """Decide for the lanes from ``first`` to before ``last``, writing to ``new .. surprise``.
+    """Decide for the rows from ``first`` to before ``last``, writing to ``new .. surprise``.
 
-    Arrays are those of ``Commissioned`` (one placement, or one a lane) and ``Seen``, contiguous; ``level`` and
+    Arrays are those of ``Commissioned`` (one placement, or one a row) and ``Seen``, contiguous; ``level`` and
     ``weight`` say between which levels an agent is and how far. Without columns in ``span_kw`` no clock is decided.
     """
     n, n_node, top = by_q.shape[1], by_q.shape[2], base.shape[2] - 1
-    each_lane = by_q.shape[0] > 1 or top > 0
+    each_row = by_q.shape[0] > 1 or top > 0
     price = (by_voltage, by_violation)
     rows = np.zeros((7, -(-n_node // _VECTOR) * _VECTOR))
     # In standard deviations of each voltage: how far it is from 1 p.u., the band, what all agents and the draw move.
@@ -48,7 +48,7 @@ def decide(
             at = level[m, i]
             to, part = min(at + 1, top), weight[m, i]
             q, d = by_q[of, i], by_draw[of, i]
-            if each_lane or m == first:
+            if each_row or m == first:
                 spread, spread_to = inverse_spread[of, i, at], inverse_spread[of, i, to]
                 limits, limits_to = by_all[of, i, at], by_all[of, i, to]
                 least, steepest_fall = np.inf, 0.0

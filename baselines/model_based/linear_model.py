@@ -44,7 +44,7 @@ _GAIN_LEAST = 0.05  # an error of R and X must show, however quiet the loads are
 class Slopes(NamedTuple):
     """Change of the voltage of every bus but the substation with the agents' powers, around 1 p.u.
 
-    One lane where all lanes have the same placement.
+    One environment where all environments have the same placement.
     """
 
     by_p: np.ndarray
@@ -62,7 +62,7 @@ def slopes(scenario: Scenario, buses: np.ndarray) -> Slopes:
 
 
 class Estimate(NamedTuple):
-    """What a controller with a model takes the grid's state to be, for each lane of the batch."""
+    """What a controller with a model takes the grid's state to be, for each environment of the batch."""
 
     local: Local
     """Local observations of the agents, each field (row, ..)."""
@@ -71,7 +71,7 @@ class Estimate(NamedTuple):
     q_limit_kvar: np.ndarray
     """Reactive limit as observed, kvar, (row, n_agent)."""
     by_p: np.ndarray
-    """Slopes at these voltages, as in :class:`Slopes`, for each lane."""
+    """Slopes at these voltages, as in :class:`Slopes`, for each environment."""
     by_q: np.ndarray
     p_ref_kw: np.ndarray
     """p_ref of the last interval, which is the draw and what the queue grew by, kW, (row, n_dc)."""
@@ -136,8 +136,8 @@ class ModelController(LocalController):
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        lead, n_lanes = local.v_pu.shape[:-1], len(self._v_measured_pu)
-        flat = Local(*(field.reshape(n_lanes, field.shape[-1]) for field in local))
+        lead, n_env = local.v_pu.shape[:-1], len(self._v_measured_pu)
+        flat = Local(*(field.reshape(n_env, field.shape[-1]) for field in local))
         f_mhz, q_kvar = self.plan(self._estimate(flat))
         return f_mhz.reshape(*lead, f_mhz.shape[-1]), q_kvar.reshape(*lead, q_kvar.shape[-1])
 
@@ -168,17 +168,17 @@ class ModelController(LocalController):
         p_ref = np.maximum(local.p_kw[:, : s.datacenters.count] + (local.backlog_kws - before) / s.dt_s, 0.0)
         return Estimate(local, v + _moved(by_p, by_q, powers - past[1]), self._q_limit_kvar, by_p, by_q, p_ref)
 
-    def _placed_slopes(self, n_lanes: int) -> Slopes:
+    def _placed_slopes(self, n_env: int) -> Slopes:
         """The slopes at the agents' buses; ValueError without ``place``, or for a batch of another size."""
         if self._slopes is None:
             raise ValueError(
                 f"{self.name}: {self.scenario.name} draws the data centres' buses in each episode; call place(buses) "
-                "after reset with the agents' positions in bus_ids, (lane, n_agent)"
+                "after reset with the agents' positions in bus_ids, (row, n_agent)"
             )
         n_placed = len(self._slopes.by_p)
-        if n_placed not in (1, n_lanes):
+        if n_placed not in (1, n_env):
             raise ValueError(
-                f"{self.name}: buses were placed in {n_placed} lanes and {n_lanes} are observed; call place again"
+                f"{self.name}: buses were placed in {n_placed} environments and {n_env} are observed; call place again"
             )
         return self._slopes
 

@@ -7,7 +7,7 @@
               low <= d <= high,  |q| <= q_high,  (base_k + d)^2 + q^2 <= s_rated^2
 
 the benchmark's own cost (see ``engine.cost.reward``). Powers are shares of a device's own size throughout. It is solved
-for all lanes at once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and
+for all rows at once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and
 statistical learning via the alternating direction method of multipliers", 2011), split as
 
     e = offset + slopes x,   y = x,   b = work - cumulated d
@@ -16,7 +16,7 @@ so that each part has a solution in closed form: soft thresholds at 0 and at the
 and one least-squares problem, whose inverse the eigenvectors of the time axis split into one of the size of a single
 step for each. On states of validation episodes 100 rounds from the last second's solution moved on by a step leave the
 objective 0.04 % above the optimum of HiGHS on average, 0.35 % at most (12 steps of ieee33-weak; less on ieee123 and
-toy6). The number of rounds is fixed, so that a lane's solution is the same whatever stands beside it.
+toy6). The number of rounds is fixed, so that a row's solution is the same whatever stands beside it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ RELAXATION = 1.6
 
 
 class Program(NamedTuple):
-    """A batch of programs; L lanes, H steps, m buses, n_dc sites, n_agent agents, x = (d, q) of n = n_dc + n_agent."""
+    """A batch of programs; L rows, H steps, m buses, n_dc sites, n_agent agents, x = (d, q) of n = n_dc + n_agent."""
 
     offset: np.ndarray
     """Deviation from 1 p.u. at x = 0, (L, H, m)."""
@@ -90,7 +90,7 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
     """
     # Both bring the compiler with them, so not on import.
     from dcgrid_env.baselines.model_based import lookahead_kernels
-    from dcgrid_env.core.threads import over_lanes
+    from dcgrid_env.core.threads import over_rows
 
     kernel: Any = lookahead_kernels.rounds
     p, system = program, _system(program)
@@ -115,7 +115,7 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
             first, last, rounds, RELAXATION, p.band_pu, by, by_more, *data, system.w_e, *matrices, *done
         )  # fmt: skip
 
-    over_lanes(part, len(p.offset))
+    over_rows(part, len(p.offset))
     return done
 
 

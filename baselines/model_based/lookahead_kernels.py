@@ -1,4 +1,4 @@
-"""The rounds of ``lookahead``'s solver, compiled: one lane after the other, its iterate in the cache throughout."""
+"""The rounds of ``lookahead``'s solver, compiled: one row after the other, its iterate in the cache throughout."""
 
 # pyright: basic
 from __future__ import annotations
@@ -13,27 +13,27 @@ def rounds(
     first, last, count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work,
     price, effort, w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
 ):  # fmt: skip
-    """Do ``count`` rounds of the lanes from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
+    """Do ``count`` rounds of the rows from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
 
     Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous; ``price`` (row, step, n_dc) and
     ``effort`` (row, n_agent) are divided by the penalties, as are ``by`` and ``by_more``, the weights of a deviation
     and of its excess.
     """
-    for lane in range(first, last):
-        _lane(
-            count, relaxation, band_pu, by, by_more, offset[lane], slopes[lane], base[lane], low[lane], high[lane],
-            s_rated[lane], q_high[lane], work[lane], price[lane], effort[lane], w_e, w_y[lane], w_b[lane], over_time,
-            inverse[lane], sites[lane], share[lane], e[lane], y[lane], b[lane], u_e[lane], u_y[lane], u_b[lane],
+    for row in range(first, last):
+        _row(
+            count, relaxation, band_pu, by, by_more, offset[row], slopes[row], base[row], low[row], high[row],
+            s_rated[row], q_high[row], work[row], price[row], effort[row], w_e, w_y[row], w_b[row], over_time,
+            inverse[row], sites[row], share[row], e[row], y[row], b[row], u_e[row], u_y[row], u_b[row],
         )  # fmt: skip
     return 0
 
 
 @compiled(fastmath={"reassoc", "contract"})
-def _lane(
+def _row(
     count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work, price, effort,
     w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
 ):  # fmt: skip
-    """The rounds of one lane; arrays as above without the lane."""
+    """The rounds of one row; arrays as above without the row."""
     steps, n_bus = offset.shape
     n, n_dc = slopes.shape[0], base.shape[1]
     kept = 1.0 - relaxation

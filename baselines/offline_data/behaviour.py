@@ -26,7 +26,7 @@ class RandomActions:
     Parameters
     ----------
     seeds
-        Seeds of the episodes, one lane each.
+        Seeds of the episodes, one environment each.
     behaviour_seed
         Another one gives other actions in the same episodes.
     """
@@ -73,7 +73,7 @@ class Behaviour:
     controller
         What acts.
     seeds
-        Seeds of the episodes, one lane each.
+        Seeds of the episodes, one environment each.
     noise
         Standard deviation of normal noise on each entry of an action, which reaches from -1 to 1.
     behaviour_seed

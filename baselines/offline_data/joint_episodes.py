@@ -85,10 +85,10 @@ def joint_episodes(
             f"{scenario.sensing.observe!r}; set the scenario's field observe to {needed!r}"
         )
     episodes: dict[int, JointEpisode] = {}
-    for member, lanes in scenario.members(seeds):
-        own = [seeds[lane] for lane in lanes.tolist()]
-        driver = Behaviour(controller, own, noise, behaviour_seed)
-        for episode in _driven(member, driver, own, on_step, name):
+    for member, env_indices in scenario.members(seeds):
+        member_seeds = [seeds[env_index] for env_index in env_indices.tolist()]
+        driver = Behaviour(controller, member_seeds, noise, behaviour_seed)
+        for episode in _driven(member, driver, member_seeds, on_step, name):
             episodes[episode.seed] = episode
     return [episodes[seed] for seed in seeds]
 
@@ -100,7 +100,7 @@ def _driven(
     on_step: Callable[[], None] | None,
     name: str | None,
 ) -> Iterator[JointEpisode]:
-    """Run the lanes until the last of them has ended, and give the episode of each."""
+    """Run the environments until the last of them has ended, and give the episode of each."""
     steps = transitions(scenario, driver, seeds, name)
     passed = [next(steps)]
     lengths = np.zeros(len(seeds), dtype=np.int64)
@@ -116,16 +116,16 @@ def _driven(
     figures = [info_arrays(scenario, transition) for transition in passed]
     infos = {key: np.stack([row[key] for row in figures]) for key in figures[0]}
     actions, bus_ids = np.stack(driver.actions), scenario.feeder.bus_ids
-    for lane, (seed, n) in enumerate(zip(seeds, lengths.tolist(), strict=True)):
+    for env_index, (seed, n) in enumerate(zip(seeds, lengths.tolist(), strict=True)):
         yield JointEpisode(
             seed=seed,
-            observations=observed[: n + 1, lane].copy(),
-            actions=actions[:n, lane].copy(),
-            rewards=rewards[1 : n + 1, lane].copy(),
-            terminations=terminated[1 : n + 1, lane].copy(),
-            truncations=truncated[1 : n + 1, lane].copy(),
-            infos={key: values[: n + 1, lane].astype(np.float64) for key, values in infos.items()},
-            buses={a: str(bus_ids[b]) for a, b in zip(scenario.agents, driver.buses[lane], strict=True)},
+            observations=observed[: n + 1, env_index].copy(),
+            actions=actions[:n, env_index].copy(),
+            rewards=rewards[1 : n + 1, env_index].copy(),
+            terminations=terminated[1 : n + 1, env_index].copy(),
+            truncations=truncated[1 : n + 1, env_index].copy(),
+            infos={key: values[: n + 1, env_index].astype(np.float64) for key, values in infos.items()},
+            buses={a: str(bus_ids[b]) for a, b in zip(scenario.agents, driver.buses[env_index], strict=True)},
         )
 
 

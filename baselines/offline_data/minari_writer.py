@@ -184,12 +184,12 @@ def _bytes_of(episodes: Sequence[JointEpisode]) -> int:
     return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
-def lanes_at_once(horizon: int) -> int:
+def envs_at_once(horizon: int) -> int:
     """How many episodes to run side by side, so that memory does not grow with their length or number."""
     return int(min(max(1_000_000 // horizon, 1), 64))
 
 
 def batches(seeds: Sequence[int], horizon: int) -> Iterable[Sequence[int]]:
-    """Seeds in batches of ``lanes_at_once``."""
-    n = lanes_at_once(horizon)
+    """Seeds in batches of ``envs_at_once``."""
+    n = envs_at_once(horizon)
     return (seeds[first : first + n] for first in range(0, len(seeds), n))

@@ -137,8 +137,8 @@ class Runs:
         key = (_hash_of(scenario), law)
         if key not in self.done:
             recorder = rollout(scenario, law.controller(), range(self.setting.episodes))
-            lanes = (recorder.lane(i) for i in range(self.setting.episodes))
-            self.done[key] = Run(tuple(lane.metrics() | _more(lane) for lane in lanes))
+            episodes = (recorder.lane(i) for i in range(self.setting.episodes))
+            self.done[key] = Run(tuple(series.metrics() | _more(series) for series in episodes))
         return self.done[key]
 
     def series(self, scenario: Scenario, law: Law, seed: int) -> Series:
@@ -157,13 +157,13 @@ def nodes_of(scenario: Scenario, bus: int | str) -> list[int]:
     return list(scenario.feeder.nodes_at(scenario.feeder.index(bus)))
 
 
-def _more(lane: Series) -> dict[str, float]:
+def _more(series: Series) -> dict[str, float]:
     """Figures of squared voltages, which the public code calls voltages; of the second half; of a fixed first site.
 
     It is outside the band where one of its phases is.
     """
-    s = lane.scenario
-    v = lane.v_pu[1:, s.feeder.load_slice]
+    s = series.scenario
+    v = series.v_pu[1:, s.feeder.load_slice]
     squared = np.abs(v**2 - 1.0)
     figures = {
         "squared_deviation_mean_pu": float(squared.mean()),
@@ -173,7 +173,7 @@ def _more(lane: Series) -> dict[str, float]:
         "late_deviation_pu": float(np.abs(v[len(v) // 2 :] - 1.0).mean()),
     }
     if s.datacenters.buses:
-        site = lane.v_pu[1:, nodes_of(s, s.datacenters.buses[0])]
+        site = series.v_pu[1:, nodes_of(s, s.datacenters.buses[0])]
         figures["first_site_deviation_pu"] = float(np.abs(site - 1.0).mean())
         figures["first_site_min_pu"] = float(site.min())
         figures["first_site_outside_pct"] = float(100.0 * (np.abs(site - 1.0) > s.cost.band_pu).any(axis=1).mean())

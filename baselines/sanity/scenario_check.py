@@ -17,7 +17,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.rollout import rollout
-from dcgrid_env.baselines.sanity.lane_search import fitted
+from dcgrid_env.baselines.sanity.batch_search import fitted
 from dcgrid_env.baselines.sanity.verdicts import (
     BARE,
     CONSTANT,
@@ -157,10 +157,10 @@ def _largest_k_q(scenario: Scenario) -> float:
     return 2.0 * _STEEP / (stability.worst_radius(scenario, steep, _PLACEMENTS) + 1.0)
 
 
-def _lowest_bus(recorder: Recorder, lanes: int) -> str:
+def _lowest_bus(recorder: Recorder, n_env: int) -> str:
     """The bus with the lowest voltage on average over an episode."""
     each = []
-    for series in map(recorder.lane, range(lanes)):
+    for series in map(recorder.lane, range(n_env)):
         feeder = series.scenario.feeder
         v_pu = series.v_pu[:, feeder.load_slice].mean(axis=0)
         node = np.arange(feeder.n_node)[feeder.load_slice][np.argmin(v_pu)]

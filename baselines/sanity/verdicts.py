@@ -109,12 +109,12 @@ def verdicts(scenario: Scenario, figures: Figures) -> tuple[Verdict, ...]:
 
 
 def _collapses(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdict]:
-    none, best = reached[NONE], reached.get(HINDSIGHT)
+    no_control, best = reached[NONE], reached.get(HINDSIGHT)
     found = []
-    if none.collapsed:
+    if no_control.collapsed:
         found.append(
             Verdict(
-                f"without control the power flow has no solution in {none.collapsed} of {none.n} episodes",
+                f"without control the power flow has no solution in {no_control.collapsed} of {no_control.n} episodes",
                 f"{_lower(scenario)} unless collapse is what you study",
             )
         )
@@ -126,11 +126,11 @@ def _collapses(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdi
 
 def _band(scenario: Scenario, figures: Figures, best: Reached) -> list[Verdict]:
     """Whether the band can be kept."""
-    none, bare = figures.reached[NONE], figures.reached.get(BARE)
+    no_control, bare = figures.reached[NONE], figures.reached.get(BARE)
     outside, low, high = (best.mean(OUTSIDE), *_reach(best))
     said = f"in {outside:.1f} % of bus-seconds (voltages {low:.3f} to {high:.3f} p.u.)"
     if outside <= HARD_PCT:
-        before = none.mean(OUTSIDE)
+        before = no_control.mean(OUTSIDE)
         text = f"the band can be kept: outside {before:.1f} % of bus-seconds without control, hindsight {said}"
         return [Verdict(text)] if before > HARD_PCT else []
     remedy = _centre(scenario, low, high)
@@ -224,5 +224,5 @@ def _harder(scenario: Scenario) -> str:
 
 
 def _sum_without_hindsight(reached: Mapping[str, Reached]) -> list[Verdict]:
-    none, rules = reached[NONE].mean("J"), [reached[name].mean("J") for name in (DROOP, CONSTANT)]
-    return [Verdict(f"simple rules are {100 * (1.0 - min(rules) / max(none, 1e-12)):.1f} % below no control")]
+    no_control, rules = reached[NONE].mean("J"), [reached[name].mean("J") for name in (DROOP, CONSTANT)]
+    return [Verdict(f"simple rules are {100 * (1.0 - min(rules) / max(no_control, 1e-12)):.1f} % below no control")]

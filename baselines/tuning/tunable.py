@@ -143,11 +143,11 @@ def _return_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
 def _smoothing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     """Gains of the droop, the floor, and ramps between the slowest and the fastest, by factors."""
     settings = [smoothing_of(s) for s in scenarios]
-    slowest = min(np.log10(own.slowest_share) for own in settings)
-    up, down = (min(getattr(own, f"ramp_{way}_w_per_s") for own in settings) for way in ("up", "down"))
+    slowest = min(np.log10(setting.slowest_share) for setting in settings)
+    up, down = (min(getattr(setting, f"ramp_{way}_w_per_s") for setting in settings) for way in ("up", "down"))
     return {
         **_droop(x[:3], scenarios),
-        "floor_share": _rounded(x[3] * min(own.floor_share for own in settings)),
+        "floor_share": _rounded(x[3] * min(setting.floor_share for setting in settings)),
         "ramp_up_w_per_s": _rounded(up * 10.0 ** (slowest * x[4])),
         "ramp_down_w_per_s": _rounded(down * 10.0 ** (slowest * x[5])),
     }

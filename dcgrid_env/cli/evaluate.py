@@ -98,8 +98,8 @@ class Evaluate(OverWorkers):
         seeds = range(self.seed, self.seed + self.episodes)
         if self.hindsight:
             kept_episodes(FOLDER, scenario)  # ValueError for a file of another scenario, before anything is run
-        own = find_controller(self.policy, scenario, self.tuned) if zipped is None else _sb3(zipped)
-        controllers = {self.policy: own}
+        controller = find_controller(self.policy, scenario, self.tuned) if zipped is None else _sb3(zipped)
+        controllers = {self.policy: controller}
         left_out = []
         for name in (REFERENCE, *STATIC):
             try:
@@ -272,22 +272,22 @@ def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     from dcgrid_env.agents.policy.guard import guard_line
     from dcgrid_env.baselines.score import REFERENCE, STATIC
 
-    said, own = [], evaluations[policy].means
+    said, means = [], evaluations[policy].means
     delay, j = METRICS["delay_mean_s"], METRICS["J"]
-    droop = evaluations[REFERENCE].means if REFERENCE in evaluations else own
-    if delay.is_worse(own, droop):
+    droop = evaluations[REFERENCE].means if REFERENCE in evaluations else means
+    if delay.is_worse(means, droop):
         said.append(
-            f"{policy}: work waits longer than under the tuned droop: mean delay {delay.text(own[delay.name])} s, "
+            f"{policy}: work waits longer than under the tuned droop: mean delay {delay.text(means[delay.name])} s, "
             f"there {delay.text(droop[delay.name])} s"
         )
-    if line := guard_line(policy, own):
+    if line := guard_line(policy, means):
         said.append(line)
     best = min(
         (name for name in STATIC if name in evaluations), key=lambda name: evaluations[name].means["J"], default=policy
     )
-    if policy not in STATIC and j.is_worse(own, evaluations[best].means):
+    if policy not in STATIC and j.is_worse(means, evaluations[best].means):
         said.append(
-            f"{policy}: J {j.text(own['J'])} is above that of {best}, {j.text(evaluations[best].means['J'])}, which "
+            f"{policy}: J {j.text(means['J'])} is above that of {best}, {j.text(evaluations[best].means['J'])}, which "
             "measures nothing"
         )
     return said

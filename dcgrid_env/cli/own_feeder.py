@@ -107,8 +107,8 @@ def chosen_line(scenario: Scenario) -> str:
     balanced = isinstance(feeder, Feeder)
     groups = [_group(device, scenario, balanced) for device in scenario.devices if device.count]
     kind = "balanced" if balanced else "three-phase"
-    own = "" if scenario.source_voltage_pu == feeder.v0_pu else f" (the feeder's own is {feeder.v0_pu:g})"
-    grid = [f"source at {scenario.source_voltage_pu:g} p.u.{own}", f"power flow {scenario.power_flow}"]
+    usual_voltage = "" if scenario.source_voltage_pu == feeder.v0_pu else f" (the feeder's own is {feeder.v0_pu:g})"
+    grid = [f"source at {scenario.source_voltage_pu:g} p.u.{usual_voltage}", f"power flow {scenario.power_flow}"]
     if not balanced and feeder.n_regulator:
         regulators = scenario.grid_control.regulators
         grid.append(f"regulators {regulators if isinstance(regulators, str) else dict(regulators)}")

@@ -122,10 +122,10 @@ def _asked(cfg: Replay) -> _Asked:
     if cfg.set or cfg.split != "test":
         raise ValueError("set and split are those of the run; leave them out, or give --scenario without a folder")
     stored = stored_run(cfg.run_folder or Path(), cfg.trust)
-    own = stored.command
+    command = stored.command
     names = split_names(cfg.compare) if cfg.compare is not None else stored.controllers
-    seed = own.seed if cfg.seed is None else cfg.seed
-    return _Asked(stored.scenario, names, seed, cfg.tuned or own.tuned, stored)
+    seed = command.seed if cfg.seed is None else cfg.seed
+    return _Asked(stored.scenario, names, seed, cfg.tuned or command.tuned, stored)
 
 
 def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:

@@ -79,11 +79,11 @@ class Algorithm:
         """
         algorithm = cls(prog.split()[-1])
         asked, words = _seeds(words)
-        own = {field: option in words for option, field in OWN.items()}
+        single_options = {field: option in words for option, field in OWN.items()}
         configuration = algorithm.configured([word for word in words if word not in OWN], prog)
         if asked.seeds is None:
-            return Training(algorithm.module(), configuration, **own)
-        if any(own.values()):
+            return Training(algorithm.module(), configuration, **single_options)
+        if any(single_options.values()):
             raise ValueError(f"seeds: {' and '.join(OWN)} are of a single training; leave them out, or --seeds")
         configurations = tuple(of_seed(configuration, configuration.seed + i) for i in range(asked.seeds))
         return Seeds(configurations, asked.workers, asked.ray)

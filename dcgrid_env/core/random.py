@@ -43,7 +43,7 @@ def _standard(h):
 
 @compiled
 def keys(salt, seeds, episodes):
-    """One key per lane, uint64, from the split's salt, the lane's seed and the episode's number since that seed."""
+    """One key per row, uint64, from the split's salt, the row's seed and the episode's number since that seed."""
     out = np.empty(seeds.shape[0], np.uint64)
     for i in range(seeds.shape[0]):
         out[i] = _mix(_mix(_mix(salt + _GOLDEN) + seeds[i] * _GOLDEN) + (episodes[i] + np.uint64(1)) * _GOLDEN)

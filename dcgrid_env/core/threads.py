@@ -1,4 +1,4 @@
-"""Lanes of a batch spread over the cores of this process.
+"""Rows of a batch spread over the cores of this process.
 
 The calling thread takes a slice as well, so that it never waits idly for a core that it could use itself. The others
 are a thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel
@@ -14,7 +14,7 @@ from itertools import pairwise
 
 from dcgrid_env.core.compiled import compiled
 
-LANES_PER_THREAD = 64  # below this many lanes a thread costs more than it saves
+ROWS_PER_THREAD = 64  # below this many rows a thread costs more than it saves
 _pool: tuple[int, ThreadPoolExecutor] | None = None
 
 
@@ -28,17 +28,17 @@ def n_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def over_lanes(work: Callable[[int, int], int], lanes: int) -> int:
-    """Sum of ``work(first, last)`` over slices that together cover ``range(lanes)``, each on its own thread.
+def over_rows(work: Callable[[int, int], int], n_row: int) -> int:
+    """Sum of ``work(first, last)`` over slices that together cover ``range(n_row)``, each on its own thread.
 
     The last slice is the caller's; an error in any slice is raised once all of them are done.
     """
-    if lanes < 2 * LANES_PER_THREAD:
-        return work(0, lanes)
-    parts = min(n_threads(), lanes // LANES_PER_THREAD)
+    if n_row < 2 * ROWS_PER_THREAD:
+        return work(0, n_row)
+    parts = min(n_threads(), n_row // ROWS_PER_THREAD)
     if parts == 1:
-        return work(0, lanes)
-    cuts = [lanes * i // parts for i in range(parts + 1)]
+        return work(0, n_row)
+    cuts = [n_row * i // parts for i in range(parts + 1)]
     others = [_executor().submit(work, *cut) for cut in pairwise(cuts[:-1])]
     try:
         own = work(cuts[-2], cuts[-1])

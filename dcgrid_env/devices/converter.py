@@ -9,7 +9,7 @@ from dcgrid_env.core.arrays import Array, namespace, positive_sqrt
 from dcgrid_env.core.twins import compiled_as
 
 
-@compiled_as("dcgrid_env.devices.converter_kernel:dispatch_lanes", like="p_kw")
+@compiled_as("dcgrid_env.devices.converter_kernel:dispatch_rows", like="p_kw")
 def dispatch(s_rated_kva: Array, q_max_kvar: Array, p_kw: Array, q_setpoint_kvar: Array) -> tuple[Array, Array]:
     """Reactive injection and its limit, kvar, for an active power of ``p_kw``; all arrays (..., n_device)."""
     xp = namespace(p_kw)

@@ -8,20 +8,20 @@ from dcgrid_env.core.compiled import compiled
 
 
 @compiled
-def dispatch_lanes(s_rated_kva, q_max_kvar, p_kw, q_setpoint_kvar):
+def dispatch_rows(s_rated_kva, q_max_kvar, p_kw, q_setpoint_kvar):
     """Reactive injection and its limit, kvar, (row, n_device), from ratings (n_device,) and powers (row, n_device).
 
     The bits are those of the array form; what is not finite stays so.
     """
     limit = np.empty_like(p_kw)
     q_kvar = np.empty_like(p_kw)
-    for lane in range(p_kw.shape[0]):
+    for row in range(p_kw.shape[0]):
         for i in range(p_kw.shape[1]):
-            left = s_rated_kva[i] * s_rated_kva[i] - p_kw[lane, i] * p_kw[lane, i]
+            left = s_rated_kva[i] * s_rated_kva[i] - p_kw[row, i] * p_kw[row, i]
             most = np.sqrt(0.0 if left < 0.0 else left)
             most = q_max_kvar[i] if q_max_kvar[i] < most else most
-            asked = q_setpoint_kvar[lane, i]
+            asked = q_setpoint_kvar[row, i]
             asked = -most if asked < -most else asked
-            limit[lane, i] = most
-            q_kvar[lane, i] = most if asked > most else asked
+            limit[row, i] = most
+            q_kvar[row, i] = most if asked > most else asked
     return q_kvar, limit

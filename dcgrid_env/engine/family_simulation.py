@@ -1,4 +1,4 @@
-"""A batch of lanes on random feeders: those on the same feeder are stepped together, as a simulation of that member."""
+"""A batch of environments on random feeders: those on one feeder are stepped together, as a simulation of it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from dcgrid_env.scenario.members import grouped, on_batch
 from dcgrid_env.scenario.scenario import Scenario
 
 
-def simulation(scenario: Scenario, lanes: int) -> Simulation:
-    """What runs a number of lanes of a scenario, on one feeder or on random ones."""
+def simulation(scenario: Scenario, n_env: int) -> Simulation:
+    """Return the simulation of a number of environments, on one feeder or on random ones."""
     kind = FamilySimulation if isinstance(scenario.feeder, RandomFeeders) else Simulation
-    return kind(scenario, lanes)
+    return kind(scenario, n_env)
 
 
 class FamilySimulation(Simulation):
-    """Lanes of one scenario on random feeders.
+    """Environments of one scenario on random feeders.
 
     Which feeder an episode is on follows from its seed and number, so that a snapshot says all, as on one feeder.
     """
@@ -29,21 +29,23 @@ class FamilySimulation(Simulation):
     """Seeds and numbers of the episodes, and what steps them as long as these stay."""
 
     def step(self, action: np.ndarray) -> Transition:
-        """Advance every lane by one step: devices all at once, the power flow feeder by feeder."""
+        """Advance every environment by one step: devices all at once, the power flow feeder by feeder."""
         now = self.now
         if self._batch is None or self._batch[0] is not now.seeds or self._batch[1] is not now.numbers:
             groups = grouped(self.scenario, now.seeds, now.numbers)
             on = groups[0][0] if len(groups) == 1 else on_batch(self.scenario, groups)
-            self._batch = (now.seeds, now.numbers, Simulation(on, self.lanes))
+            self._batch = (now.seeds, now.numbers, Simulation(on, self.n_env))
         on_feeders = self._batch[2]
         on_feeders.go_on(now._replace(scenario=on_feeders.scenario))
         on_feeders.step(action)
         self._now = on_feeders.now._replace(scenario=self.scenario)
         return self._now.transition
 
-    def scenario_of(self, lane: int) -> Scenario:
-        """The scenario on the feeder that a lane's episode is on; RuntimeError before the first reset."""
-        return grouped(self.scenario, self.now.seeds[lane : lane + 1], self.now.numbers[lane : lane + 1])[0][0]
+    def scenario_of(self, env_index: int) -> Scenario:
+        """The scenario on the feeder that an environment's episode is on; RuntimeError before the first reset."""
+        return grouped(
+            self.scenario, self.now.seeds[env_index : env_index + 1], self.now.numbers[env_index : env_index + 1]
+        )[0][0]
 
     def _drawn(self, seed: np.ndarray, number: np.ndarray, given: EpisodeOptions | None = None) -> Snapshot:
         if given is not None:
@@ -52,9 +54,12 @@ class FamilySimulation(Simulation):
                 "them, scenario.member(seed)"
             )
         groups = grouped(self.scenario, seed, number)
-        parts = [(at, Simulation(member, len(at))._drawn(seed[at], number[at])) for member, at in groups]
+        parts = [
+            (env_indices, Simulation(member, len(env_indices))._drawn(seed[env_indices], number[env_indices]))
+            for member, env_indices in groups
+        ]
         return joined(self.scenario, parts)
 
-    def _merged(self, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
-        others = np.setdiff1d(np.arange(self.lanes), lanes)
-        return joined(self.scenario, [(others, taken(now, others, self.scenario)), (lanes, drawn)])
+    def _merged(self, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:
+        others = np.setdiff1d(np.arange(self.n_env), env_indices)
+        return joined(self.scenario, [(others, taken(now, others, self.scenario)), (env_indices, drawn)])

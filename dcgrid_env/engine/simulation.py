@@ -1,4 +1,4 @@
-"""A batch of lanes of one scenario: draws episodes, steps the physics, charges the cost. Every environment runs one."""
+"""A batch of environments of one scenario: it draws episodes, steps the physics and charges the cost."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ __all__ = ["Simulation", "Snapshot", "Transition"]
 
 
 class Simulation:
-    """Lanes of one scenario, each in its own episode.
+    """Environments of one scenario, each in its own episode.
 
     Nothing is written in place: every step makes new arrays, so a snapshot is a tuple of references.
     """
 
-    def __init__(self, scenario: Scenario, lanes: int):
+    def __init__(self, scenario: Scenario, n_env: int):
         self.scenario = scenario
-        self.lanes = lanes
+        self.n_env = n_env
         trace_pool.check_traces(scenario)
         self._now: Snapshot | None = None
 
@@ -52,19 +52,19 @@ class Simulation:
         return self._now is not None
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from ``snapshot``; ValueError unless it is one of this scenario with as many lanes."""
+        """Go on from ``snapshot``; ValueError unless it is one of this scenario with as many environments."""
         if not isinstance(snapshot, Snapshot):
             raise ValueError(f"restore takes what save() gave, not a {type(snapshot).__name__}")
         other = snapshot.scenario.difference(self.scenario)
         if other is not None:
             raise ValueError(f"the snapshot is of a scenario with another {other}; restore it where it was saved")
-        if len(snapshot.seeds) != self.lanes:
-            raise ValueError(f"the snapshot has {len(snapshot.seeds)} lanes, this environment {self.lanes}")
+        if len(snapshot.seeds) != self.n_env:
+            raise ValueError(f"the snapshot has {len(snapshot.seeds)} environments, this one {self.n_env}")
         episode.prepare(self.scenario, snapshot.episode)
         self.go_on(snapshot)
 
-    def scenario_of(self, lane: int) -> Scenario:
-        """The scenario on the feeder that a lane's episode is on; RuntimeError before the first reset."""
+    def scenario_of(self, env_index: int) -> Scenario:
+        """The scenario on the feeder that an environment's episode is on; RuntimeError before the first reset."""
         return self.scenario
 
     def go_on(self, snapshot: Snapshot) -> None:
@@ -74,27 +74,27 @@ class Simulation:
     def reset(
         self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: EpisodeOptions | None = None
     ) -> Transition:
-        """Begin a new episode in every lane, or where ``mask`` is True.
+        """Begin a new episode in every environment, or where ``mask`` is True.
 
-        A lane given a seed begins that seed's first episode; one given None its next since it was last seeded. What
-        else is ``given`` has a row for each lane that begins.
+        An environment with a seed begins that seed's first episode; with None it begins its next one since it was
+        last seeded. What else is ``given`` has a row for each environment that begins.
         """
-        lanes = np.arange(self.lanes) if mask is None else np.flatnonzero(mask)
-        drawn = self._begin(lanes, seeds, given)
-        self._now = drawn if len(lanes) == self.lanes else self._merged(self.now, drawn, lanes)
+        env_indices = np.arange(self.n_env) if mask is None else np.flatnonzero(mask)
+        drawn = self._begin(env_indices, seeds, given)
+        self._now = drawn if len(env_indices) == self.n_env else self._merged(self.now, drawn, env_indices)
         return self._now.transition
 
     def step_or_begin(self, action: np.ndarray) -> Transition:
-        """Advance the lanes whose episode goes on; the others begin their next one, whatever their action."""
-        lanes = np.flatnonzero(self.now.over)
-        begun = self._begin(lanes, [None] * self.lanes)
-        if len(lanes) == self.lanes:
+        """Advance the environments whose episode goes on; the others begin their next one, whatever their action."""
+        env_indices = np.flatnonzero(self.now.over)
+        begun = self._begin(env_indices, [None] * self.n_env)
+        if len(env_indices) == self.n_env:
             self._now = begun
             return begun.transition
-        # The physics steps all lanes at once: those that begin stand in the batch meanwhile, and are then put back.
-        self._now = self._merged(self.now, begun, lanes)
+        # The physics steps all environments at once: those that begin stay in the batch, and are then put back.
+        self._now = self._merged(self.now, begun, env_indices)
         self.step(action)
-        self._now = self._merged(self.now, begun, lanes)
+        self._now = self._merged(self.now, begun, env_indices)
         return self._now.transition
 
     def step(self, action: np.ndarray) -> Transition:
@@ -115,16 +115,18 @@ class Simulation:
         )
         return transition
 
-    def _begin(self, lanes: np.ndarray, seeds: Sequence[int | None], given: EpisodeOptions | None = None) -> Snapshot:
+    def _begin(
+        self, env_indices: np.ndarray, seeds: Sequence[int | None], given: EpisodeOptions | None = None
+    ) -> Snapshot:
         """New episodes of these environments, see ``reset``."""
-        seed = np.zeros(len(lanes), np.uint64)
-        number = np.zeros(len(lanes), np.uint64)
-        for i, lane in enumerate(lanes):
-            of_lane = seeds[lane]
-            if of_lane is not None:
-                seed[i] = int(of_lane) % 2**64
+        seed = np.zeros(len(env_indices), np.uint64)
+        number = np.zeros(len(env_indices), np.uint64)
+        for i, env_index in enumerate(env_indices):
+            given_seed = seeds[env_index]
+            if given_seed is not None:
+                seed[i] = int(given_seed) % 2**64
             else:
-                seed[i], number[i] = self.now.seeds[lane], self.now.numbers[lane] + np.uint64(1)
+                seed[i], number[i] = self.now.seeds[env_index], self.now.numbers[env_index] + np.uint64(1)
         return self._drawn(seed, number, given)
 
     def _drawn(self, seed: np.ndarray, number: np.ndarray, given: EpisodeOptions | None = None) -> Snapshot:
@@ -136,16 +138,16 @@ class Simulation:
         outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
         state, solution = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * remembered(self.scenario)
-        none = np.zeros(len(seed))
-        transition = self._transition(drawn, step, state, solution, measured, p_ref_next, none)
+        zeros = np.zeros(len(seed))
+        transition = self._transition(drawn, step, state, solution, measured, p_ref_next, zeros)
         free = transition.costs._make(0.0 * term for term in transition.costs)  # t = 0 is not charged
         paid = np.zeros_like(transition.reward)
-        transition = transition._replace(costs=free, cost_j=none, j_so_far=none, reward=paid)
+        transition = transition._replace(costs=free, cost_j=zeros, j_so_far=zeros, reward=paid)
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
-    def _merged(self, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
-        """``now`` with the lanes of ``drawn`` put in."""
-        return put_in(self.scenario, now, drawn, lanes)
+    def _merged(self, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:
+        """``now`` with the environments of ``drawn`` put in."""
+        return put_in(self.scenario, now, drawn, env_indices)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
         return measure(self.scenario, state, measurement_noise(self.scenario, drawn.key, step))
@@ -171,8 +173,8 @@ class Simulation:
         if s.cost.reward == "shared":
             paid = -cost_j
         else:
-            own = reward.local_costs(s, state, solution, last)
-            paid = -reward.total(reward.charged(s, own, step, solution.converged))
+            local_costs = reward.local_costs(s, state, solution, last)
+            paid = -reward.total(reward.charged(s, local_costs, step, solution.converged))
         return Transition(
             observation=observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0]),
             reward=paid,

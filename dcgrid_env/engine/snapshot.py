@@ -1,4 +1,4 @@
-"""What a batch of lanes stands at after a step, as tuples of arrays, and how lanes of it are put together and taken."""
+"""The state of a batch of environments after a step, as tuples of arrays; how to take parts of it and join them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class Transition(NamedTuple):
-    """What a step (or a reset) led to, before any automatic reset; arrays over lanes."""
+    """What a step (or a reset) led to, before any automatic reset; arrays over environments."""
 
     observation: np.ndarray
     """Joint observation, float32, (row, n_observation)."""
@@ -71,15 +71,15 @@ _DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault", "sag")
 """Fields of an episode that ``episode.assemble`` takes."""
 
 
-def put_in(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray) -> Snapshot:
-    """``now`` with the lanes of ``drawn`` put in."""
+def put_in(scenario: Scenario, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:
+    """``now`` with the environments of ``drawn`` put in."""
 
     def put(old: Any, new: Any) -> Any:
         if old is None:
             return None
         if isinstance(old, np.ndarray):
             merged = old.copy()
-            merged[lanes] = new
+            merged[env_indices] = new
             return merged
         merged = [put(a, b) for a, b in zip(old, new, strict=True)]
         return type(old)(*merged) if hasattr(old, "_fields") else tuple(merged)
@@ -101,28 +101,30 @@ def put_in(scenario: Scenario, now: Snapshot, drawn: Snapshot, lanes: np.ndarray
     )
 
 
-def taken(now: Snapshot, lanes: np.ndarray, scenario: Scenario) -> Snapshot:
-    """Some lanes of a snapshot as one of their own, of another scenario with as many nodes and the same agents."""
-    return _placed_anew(_over_lanes(lambda array: array[lanes], scenario, now), lanes, np.arange(len(lanes)))
+def taken(now: Snapshot, env_indices: np.ndarray, scenario: Scenario) -> Snapshot:
+    """Some environments of a snapshot as one for another scenario with as many nodes and the same agents."""
+    return _placed_anew(
+        _over_envs(lambda array: array[env_indices], scenario, now), env_indices, np.arange(len(env_indices))
+    )
 
 
 def joined(scenario: Scenario, parts: Sequence[tuple[np.ndarray, Snapshot]]) -> Snapshot:
-    """Snapshots as one of a scenario with as many nodes and the same agents, each in the lanes that stand before it."""
-    n = sum(len(lanes) for lanes, _ in parts)
+    """Snapshots as one for a scenario with as many nodes and the same agents, each at the indices before it."""
+    n = sum(len(env_indices) for env_indices, _ in parts)
     if len(parts) == 1:
         return parts[0][1]._replace(scenario=scenario)
 
     def put(first: np.ndarray, *others: np.ndarray) -> np.ndarray:
         whole = np.empty((n, *first.shape[1:]), first.dtype)
-        for (lanes, _), values in zip(parts, (first, *others), strict=True):
-            whole[lanes] = values
+        for (env_indices, _), values in zip(parts, (first, *others), strict=True):
+            whole[env_indices] = values
         return whole
 
-    moved = [_placed_anew(part, np.arange(len(lanes)), lanes) for lanes, part in parts]
-    return _over_lanes(put, scenario, *moved)
+    moved = [_placed_anew(part, np.arange(len(env_indices)), env_indices) for env_indices, part in parts]
+    return _over_envs(put, scenario, *moved)
 
 
-def _over_lanes(function: Any, scenario: Scenario, *snapshots: Snapshot) -> Snapshot:
+def _over_envs(function: Any, scenario: Scenario, *snapshots: Snapshot) -> Snapshot:
     """A snapshot of a function of the arrays of others, one by one."""
 
     def over(*values: Any) -> Any:
@@ -139,7 +141,7 @@ def _over_lanes(function: Any, scenario: Scenario, *snapshots: Snapshot) -> Snap
 
 
 def _placed_anew(part: Snapshot, were: np.ndarray, are: np.ndarray) -> Snapshot:
-    """A snapshot whose lanes stood at positions in a batch and stand at others now: flat positions say the batch's."""
+    """A snapshot whose environments have moved to other indices of a batch: flat positions follow."""
     by = (are - were)[:, None, None]
     drawn, s = part.episode, part.scenario
     placed: Placement = drawn.placed

@@ -47,7 +47,7 @@ def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
 
 
 def check_running(env: BaseEnvironment) -> None:
-    """RuntimeError unless the (first lane's) episode goes on."""
+    """RuntimeError unless the (first environment's) episode goes on."""
     last = env._simulation.transition
     if last.truncated[0] or last.terminated[0]:
         raise RuntimeError("the episode is over; call reset()")
@@ -64,7 +64,7 @@ class BaseEnvironment:
     def _setup(
         self,
         scenario: str | Scenario,
-        lanes: int,
+        n_env: int,
         render_mode: str | None,
         info: InfoLevel,
         overrides: dict[str, Any],
@@ -84,8 +84,8 @@ class BaseEnvironment:
             message = f"{error}; {type(self).__name__}() got an unexpected keyword argument {error.field!r}"
             raise TypeError(message) from None
         self._drawn_on: Scenario | None = None  # what the viewer shows
-        if render_mode is not None and lanes > 1 and isinstance(self.scenario.feeder, RandomFeeders):
-            raise ScenarioError("render_mode: lanes on random feeders are not drawn together; give num_envs=1")
+        if render_mode is not None and n_env > 1 and isinstance(self.scenario.feeder, RandomFeeders):
+            raise ScenarioError("render_mode: environments on random feeders are not drawn together; give num_envs=1")
         if joint and self.scenario.cost.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
         if self.scenario.sensing.observe == "feeder":
@@ -94,12 +94,12 @@ class BaseEnvironment:
         self.render_mode, self.info_level = render_mode, info
         ids = self.scenario.feeder.bus_ids
         self._bus_ids = np.array(bus_numbers(ids) or ids)  # numbers where all are, which clients make tensors of
-        self._simulation: Simulation = simulation(self.scenario, lanes)
+        self._simulation: Simulation = simulation(self.scenario, n_env)
         self._last: Transition | None = None
 
     @property
     def transition(self) -> Transition:
-        """What the last step or reset led to, before any automatic reset: voltages, draws, costs; arrays over lanes."""
+        """Result of the last step or reset, before any automatic reset; arrays over environments."""
         return self._simulation.transition if self._last is None else self._last
 
     def save(self) -> Snapshot:
@@ -107,7 +107,7 @@ class BaseEnvironment:
         return self._simulation.now
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from where ``save`` was called; ValueError for a snapshot of another scenario or number of lanes."""
+        """Go on from where ``save`` was called; ValueError for another scenario or number of environments."""
         self._simulation.restore(snapshot)
         self._arrived()
 
@@ -164,8 +164,8 @@ class BaseEnvironment:
             if self._viewer is None:
                 from dcgrid_env.rendering.viewer import Viewer
 
-                lanes = 1 if self.render_mode == "human" else self._simulation.lanes
-                self._viewer = Viewer(on, self.render_mode, lanes)
+                n_env = 1 if self.render_mode == "human" else self._simulation.n_env
+                self._viewer = Viewer(on, self.render_mode, n_env)
             self._show()
 
     def _show(self) -> None:

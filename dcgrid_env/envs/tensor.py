@@ -30,7 +30,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class TensorStep(NamedTuple):
-    """What a step led to; arrays over lanes."""
+    """What a step led to; arrays over environments."""
 
     observation: Array
     """Joint observation, (row, n_observation), not cut to its bounds."""
@@ -101,7 +101,7 @@ class TensorEnv:
     def reset(self, seeds: Sequence[int] | np.ndarray, copies: int = 1) -> Array:
         """Begin the first episode of each seed and return the joint observation, (row, n_observation).
 
-        With ``copies`` each episode is driven by that many lanes: lane i has the episode of seeds[i % len(seeds)].
+        With ``copies`` that many environments have each episode: environment i has that of seeds[i % len(seeds)].
         On random feeders all must be on one of them. ValueError for no episode, for seeds or copies that are no whole
         numbers, and for episodes on several feeders.
         """
@@ -114,9 +114,9 @@ class TensorEnv:
         self._on = self.scenario.member(seeds)
         outside, buses = drawn_outside(self._on, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
         self._outside = Outside(*(None if a is None else as_like(a, self.like) for a in outside))
-        lanes = np.arange(len(buses) * copies) % len(buses)
-        self._copied = None if copies == 1 else self._index(lanes)
-        placed = connections.placement(self._on, buses[lanes])
+        episode = np.arange(len(buses) * copies) % len(buses)
+        self._copied = None if copies == 1 else self._index(episode)
+        placed = connections.placement(self._on, buses[episode])
         self._placed = Placement(
             *(as_like(distance, self.like) for distance in (placed.r, placed.x)),
             *map(self._index, (placed.nodes, placed.legs, placed.nearest)),
@@ -125,7 +125,7 @@ class TensorEnv:
         with self._torch_threads():
             self.state, _ = dynamics.initial_state(self._on, self._exogenous())
             self._measured = (self._measure(),) * remembered(self.scenario)
-            self._due = as_like(np.ones(len(lanes)), self.like)
+            self._due = as_like(np.ones(len(episode)), self.like)
             return self._observe()
 
     def step(self, action: Array) -> TensorStep:
@@ -179,14 +179,16 @@ class TensorEnv:
             given = _kind(action) if is_array_api_obj(action) else repr(action)
             raise ValueError(f"the action is {given}; it must be as like is, {_kind(like)}")
         if tuple(action.shape) != want:
-            raise ValueError(f"the action has shape {tuple(action.shape)}; it must be {want}: lanes, actuators")
+            raise ValueError(f"the action has shape {tuple(action.shape)}; it must be {want}: environments, actuators")
 
     def _check_finite(self, action: Array) -> None:
         xp = namespace(action)
         where = xp.nonzero(~xp.isfinite(action))
         if len(where[0]):
-            lane, at = (int(i[0]) for i in where)
-            raise ValueError(f"the action of lane {lane} is {action[lane, at].item()} at {at}; give finite numbers")
+            env_index, at = (int(i[0]) for i in where)
+            raise ValueError(
+                f"the action of environment {env_index} is {action[env_index, at].item()} at {at}; give finite numbers"
+            )
 
     def _now(self, field: Array | None, ahead: int = 0) -> Array | None:
         if field is None:

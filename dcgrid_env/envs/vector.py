@@ -1,4 +1,4 @@
-"""Gymnasium vector environment: a native batch, all lanes stepped by the same array operations."""
+"""Gymnasium vector environment: a native batch, all environments stepped by the same array operations."""
 
 from __future__ import annotations
 
@@ -143,12 +143,12 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin episodes: lane i with ``seed + i`` (or ``seed[i]``), or each lane's next one if no seed is given.
+        """Begin episodes: environment i with ``seed + i`` (or ``seed[i]``), or each one's next if no seed is given.
 
-        ``options={"reset_mask": mask}`` resets only the lanes where the bool array ``mask`` is True.
-        ``options={"buses": .., "begin_h": ..}``, either or both, sets what would be drawn in a reset of all lanes:
+        ``options={"reset_mask": mask}`` resets only the environments where the bool array ``mask`` is True.
+        ``options={"buses": .., "begin_h": ..}``, either or both, sets what a reset of all would draw:
         positions in ``feeder.bus_ids`` of the agents' buses, (num_envs, n_agents), and the time of day at which each
-        lane begins, h, (num_envs,).
+        environment begins, h, (num_envs,).
         """
         if seed is None or isinstance(seed, int | np.integer):
             first = as_seed(seed)
@@ -162,18 +162,20 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             if np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_:
                 raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},)")
             if not np.any(mask):
-                raise ValueError("reset_mask is False for every lane; leave the reset out")
+                raise ValueError("reset_mask is False for every environment; leave the reset out")
             if not self._simulation.begun:
-                raise ValueError("the first reset must be of all lanes; leave reset_mask out")
+                raise ValueError("the first reset must be of all environments; leave reset_mask out")
         given = episode_options(self.scenario, self.num_envs, options or {})
         if given is not None and mask is not None:
-            raise ValueError("reset_mask stands beside buses or begin_h, which are of all lanes; give one or the other")
+            raise ValueError(
+                "reset_mask is combined with buses or begin_h, which are of all environments; give one or the other"
+            )
         super().reset(seed=first)
         transition = self._reset(seeds, self.np_random, mask, given)
         return transition.observation.copy(), self._infos(transition, self._everyone if mask is None else mask)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance every lane by one step of joint actions (num_envs, n_action); ended lanes as the mode has it."""
+        """Advance every environment by one step of joint actions (num_envs, n_action); ended ones by the mode."""
         over = self._simulation.now.over
         if not over.any():
             transition = self._step(joint_action(self.scenario, actions, self.num_envs))
@@ -183,7 +185,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             self._arrived()
         else:
             raise RuntimeError(
-                f"the episodes of lanes {np.flatnonzero(over).tolist()} are over; "
+                f"the episodes of environments {np.flatnonzero(over).tolist()} are over; "
                 "reset them with options={'reset_mask': mask}"
             )
         self._last = None
@@ -200,14 +202,14 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             infos,
         )
 
-    def fork(self, lanes: Sequence[int] | np.ndarray) -> DcgridVectorEnv:
-        """Return a new environment whose episode i continues from the current state of episode ``lanes[i]``.
+    def fork(self, env_indices: Sequence[int] | np.ndarray) -> DcgridVectorEnv:
+        """Return a new environment whose episode i continues from the current state of episode ``env_indices[i]``.
 
         An episode may be copied many times, for instance to try several actions from the same state.
 
         Parameters
         ----------
-        lanes
+        env_indices
             Positions in this batch, each in 0 .. num_envs - 1.
 
         Raises
@@ -219,7 +221,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         """
         from dcgrid_env.engine.snapshot import taken  # brings the compiler with it, so not on import
 
-        chosen = np.asarray(lanes)
+        chosen = np.asarray(env_indices)
         if (
             chosen.ndim != 1
             or not chosen.size
@@ -227,7 +229,9 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             or chosen.min() < 0
             or chosen.max() >= self.num_envs
         ):
-            raise ValueError(f"lanes is {lanes!r}; give positions in 0 .. {self.num_envs - 1}, at least one")
+            raise ValueError(
+                f"env_indices is {env_indices!r}; give positions in 0 .. {self.num_envs - 1}, at least one"
+            )
         if isinstance(self.scenario.feeder, RandomFeeders):
             raise ScenarioError("fork: episodes on random feeders cannot be copied; choose one feeder")
         env = DcgridVectorEnv(len(chosen), self.scenario, info=self.info_level, autoreset_mode=self.autoreset_mode)
@@ -236,14 +240,14 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         return env
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Draw the lanes: a tuple of images (height, width, 3) uint8, one for each, or for "human" lane 0's window."""
+        """Draw the environments: a tuple of images (height, width, 3) uint8; for "human" a window of the first."""
         viewer = self._drawable()
         if self.render_mode == "human":
             return viewer.draw()
-        return tuple(viewer.draw(lane) for lane in range(self.num_envs))
+        return tuple(viewer.draw(env_index) for env_index in range(self.num_envs))
 
     def _begin_anew(self, transition: Transition, done: np.ndarray) -> tuple[Transition, dict[str, Any]]:
-        """The first transition of the next episode in the lanes that are done, and infos with the last of the old."""
+        """The first transition of the next episode where one is over, and infos with the last of the old."""
         final_info = self._infos(transition, done)
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(done):
@@ -255,7 +259,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         return begun, infos
 
     def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
-        """Arrays over lanes, each beside its mask of valid lanes, as gymnasium's vector environments give them."""
+        """Arrays over environments, each with its mask of valid ones, as gymnasium's vector environments give them."""
         figures = info_arrays(self.scenario, transition, self.info_level)
         # Rows of one array are made several times faster than arrays one by one, and share nothing either.
         infos: dict[str, Any] = dict(zip(figures, np.array(list(figures.values())), strict=True))

@@ -10,7 +10,7 @@ from dcgrid_env.core.arrays import Array
 class Control(NamedTuple):
     """Settings of the grid during one power flow; None where no device sets them.
 
-    Leading dimensions are those of the loads, or none where all lanes have the same setting.
+    Leading dimensions are those of the loads, or none where all rows have the same setting.
     """
 
     tap_ratio: Array | None = None

@@ -29,7 +29,7 @@ _SHOWN = 12
 
 
 def has_ratings(feeder: Any) -> bool:
-    """Whether the rating of any branch is known, of a feeder, a family of random ones or lanes on several of these."""
+    """Whether the rating of any branch is known, of a feeder, a family of random ones or rows on several of these."""
     if isinstance(feeder, RandomFeeders | FeederBatch):
         return True
     return feeder.rating_a is not None and len(rated_nodes(feeder)) > 0
@@ -73,9 +73,9 @@ def branch_loading(feeder: Any, solution: Any) -> Array:
     """
     if isinstance(feeder, FeederBatch):
         loading = np.zeros(solution.v_pu.shape)
-        for member, lanes in feeder.members:
-            flows = (solution.v_pu[lanes], solution.p_branch_kw[lanes], solution.q_branch_kvar[lanes])
-            loading[lanes] = branch_loading(member, _Flows(*flows))
+        for member, rows in feeder.members:
+            flows = (solution.v_pu[rows], solution.p_branch_kw[rows], solution.q_branch_kvar[rows])
+            loading[rows] = branch_loading(member, _Flows(*flows))
         return loading
     if not isinstance(feeder, Feeder):
         return _three_phase_loading(feeder, solution)

@@ -48,7 +48,7 @@ class Solution(NamedTuple):
     """Largest power mismatch at any bus, kVA, shape (...)."""
     restart: Array
     """Where the solver that made this can start the next, similar power flow from, shape (..., n). What stands in it is
-    that solver's own business; a lane of zeros is no start."""
+    that solver's own business; a row of zeros is no start."""
 
 
 def raise_not_finite(feeder: Feeder, p_kw: Array, q_kvar: Array) -> None:

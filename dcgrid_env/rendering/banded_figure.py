@@ -86,7 +86,7 @@ def _time_unit(scenario: Scenario) -> tuple[float, str]:
 
 def _tick(length: float, unit: str) -> float:
     per_h = {"days": 24.0, "h": 1.0, "min": 1.0 / 60.0}[unit]
-    spaces = [own / per_h for own in _TICKS_H if own >= per_h or unit != "days"]
+    spaces = [tick_h / per_h for tick_h in _TICKS_H if tick_h >= per_h or unit != "days"]
     return next((space for space in spaces if length / space <= _MOST_TICKS), spaces[-1])
 
 
@@ -147,12 +147,12 @@ def _mark_lowest(ax: Axes, scenario: Scenario, run: Envelope, per_unit_s: float,
     names = [scenario.feeder.node_ids[i] for i in list(run.groups.values())[ax.get_subplotspec().rowspan.start]]  # pyright: ignore
     if node not in names:
         return
-    at = at_s / per_unit_s
-    ax.plot([at], [v_pu], marker="^", markersize=6, color="#D55E00", clip_on=False, zorder=5)
-    late = at > 0.6 * scenario.horizon * scenario.dt_s / per_unit_s
+    time = at_s / per_unit_s
+    ax.plot([time], [v_pu], marker="^", markersize=6, color="#D55E00", clip_on=False, zorder=5)
+    late = time > 0.6 * scenario.horizon * scenario.dt_s / per_unit_s
     ax.annotate(
-        f"lowest: {v_pu:.3f} at {node_words(scenario.feeder)[0]} {node}, {at:.2f} {unit}",
-        (at, v_pu), xytext=(-8 if late else 8, -2), textcoords="offset points", fontsize=8, color="#A34700",
+        f"lowest: {v_pu:.3f} at {node_words(scenario.feeder)[0]} {node}, {time:.2f} {unit}",
+        (time, v_pu), xytext=(-8 if late else 8, -2), textcoords="offset points", fontsize=8, color="#A34700",
         ha="right" if late else "left", va="center",
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
     )  # fmt: skip
@@ -170,15 +170,17 @@ def _lines(
     """A band for all that have the figure, and the mean of each."""
 
     def draw(ax: Axes, run: Envelope, t: np.ndarray) -> None:
-        own = run.curves(name)
-        if own is None:
+        curves = run.curves(name)
+        if curves is None:
             return
-        n = own.mean.shape[1]
+        n = curves.mean.shape[1]
         if name != "tap":  # levels of their own each
-            ax.fill_between(t, own.low.min(axis=1), own.high.max(axis=1), color="#9A9A9A", linewidth=0, alpha=0.35)
+            ax.fill_between(
+                t, curves.low.min(axis=1), curves.high.max(axis=1), color="#9A9A9A", linewidth=0, alpha=0.35
+            )
         begin = np.arange(0, len(t), run.intervals_a_mean)
         counts = np.diff(np.append(begin, len(t)))
-        middle, mean = (np.add.reduceat(x, begin, axis=0) / counts[:, None] for x in (t[:, None], own.mean))
+        middle, mean = (np.add.reduceat(x, begin, axis=0) / counts[:, None] for x in (t[:, None], curves.mean))
         for i, colour in enumerate(colours):
             called = f"{prefix}_{i}" if prefix and n <= _MOST_NAMED else None
             ax.plot(middle[:, 0], mean[:, i], color=colour, linewidth=1.3, label=called)
@@ -190,7 +192,7 @@ def _lines(
             return 0.0, top
         if not from_zero:
             return None, None
-        peak = max((float(own.high.max(initial=0.0)) for run in runs if (own := run.curves(name))), default=0.0)
+        peak = max((float(curves.high.max(initial=0.0)) for run in runs if (curves := run.curves(name))), default=0.0)
         return -0.02 * max(peak, 1.0), 1.06 * max(peak, 1.0)
 
     return _Row(label, height_in, draw, limits)

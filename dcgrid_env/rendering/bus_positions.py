@@ -143,8 +143,8 @@ def _tree(feeder: AnyFeeder) -> FloatArray:
                 side = -taken
         return result
 
-    at = block(0, 0, False).at
-    xy = np.array([at[i] for i in range(feeder.n_bus)], dtype=np.float64)
+    positions = block(0, 0, False).at
+    xy = np.array([positions[i] for i in range(feeder.n_bus)], dtype=np.float64)
     width, height = np.maximum(np.ptp(xy, axis=0), 1.0)
     xy[:, 1] *= np.clip(width / height / _WIDTH_TO_HEIGHT, 0.3, 2.5)
     return xy

@@ -47,18 +47,18 @@ class Lowest(NamedTuple):
 
 
 class Envelope:
-    """The course of one lane's episode over intervals; it takes a course part by part, see ``PartSink``.
+    """The course of one environment's episode over intervals; it takes a course part by part, see ``PartSink``.
 
     Parameters
     ----------
     scenario
         What is run.
-    lane
+    env_index
         Whose episode.
     """
 
-    def __init__(self, scenario: Scenario, lane: int = 0):
-        self.scenario, self.lane = scenario, lane
+    def __init__(self, scenario: Scenario, env_index: int = 0):
+        self.scenario, self.env_index = scenario, env_index
         self.steps_each = math.ceil(scenario.horizon / INTERVALS)
         intervals = math.ceil(scenario.horizon / self.steps_each)
         self.intervals_a_mean = math.ceil(intervals / LINE_POINTS)
@@ -91,8 +91,8 @@ class Envelope:
         return 0.5 * (begin + end) * self.scenario.dt_s
 
     def add(self, parts: Sequence[Series | None], first_step: int) -> None:
-        """Take the next steps of every lane."""
-        part = parts[self.lane]
+        """Take the next steps of every environment."""
+        part = parts[self.env_index]
         if part is None:
             return
         self.cost += float(part.cost_j.sum()) / self.scenario.horizon
@@ -157,5 +157,5 @@ class Envelope:
                 quartiles = np.percentile(flat, _SHARES, axis=1).T
                 self._spreads.setdefault(name, []).append(Spread(flat.min(axis=1), quartiles, flat.max(axis=1)))
             else:
-                own = Curves(piece.min(axis=1), piece.mean(axis=1), piece.max(axis=1))
-                self._curves.setdefault(name, []).append(own)
+                curves = Curves(piece.min(axis=1), piece.mean(axis=1), piece.max(axis=1))
+                self._curves.setdefault(name, []).append(curves)

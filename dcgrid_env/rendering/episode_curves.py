@@ -34,10 +34,10 @@ class Bundle:
 
     def __init__(self, ax: Axes, n_dc: int, n_other: int, *, steps: bool, **look: Any):
         self.n_dc, self.steps = n_dc, steps
-        own = {"colors": [agent_colour(i) for i in range(n_dc)], "linewidths": 1.5, "zorder": 3} | look
+        site_style = {"colors": [agent_colour(i) for i in range(n_dc)], "linewidths": 1.5, "zorder": 3} | look
         others = {"colors": _OTHER["color"], "linewidths": _OTHER["linewidth"], "zorder": _OTHER["zorder"]}
         ends: Any = {"capstyle": "projecting", "joinstyle": "round"}
-        self.lines = [LineCollection([], **style, **ends) for style, n in ((own, n_dc), (others, n_other)) if n]
+        self.lines = [LineCollection([], **style, **ends) for style, n in ((site_style, n_dc), (others, n_other)) if n]
         for lines in self.lines:
             ax.add_collection(lines, autolim=False)
 
@@ -253,11 +253,11 @@ class Curves:
         widest = max(_DIGIT_PT * len(text) - (_DIGIT_PT - _COMMA_PT) * text.count(",") for text in figures)
         left, width = self.axes[0].get_window_extent().x0, self.axes[0].get_window_extent().width
         room = left - MIDDLE * self.figure.bbox.width - _NAME_PX
-        at = -min((widest + _PAD_PT) / 72.0 * self.figure.dpi, room) / width
-        moved = at != self.labels_at
-        self.labels_at = at
+        label_x = -min((widest + _PAD_PT) / 72.0 * self.figure.dpi, room) / width
+        moved = label_x != self.labels_at
+        self.labels_at = label_x
         for ax in self.axes if moved else ():
-            ax.yaxis.set_label_coords(at, 0.5)
+            ax.yaxis.set_label_coords(label_x, 0.5)
         return moved
 
 

@@ -122,8 +122,8 @@ def _agents(scenario: Scenario) -> dict[tuple[str, int], str]:
     """Id of the agent that commands a regulator, by ("tap", row), or a capacitor bank, by ("on", row)."""
     found, names = {}, iter(scenario.agents)
     for device in scenario.devices:
-        own = [next(names) for _ in range(device.count)]
+        device_names = [next(names) for _ in range(device.count)]
         if isinstance(device, TapChangers | CapacitorBanks):
             what = "tap" if isinstance(device, TapChangers) else "on"
-            found |= {(what, row): name for row, name in zip(device.rows, own, strict=True)}
+            found |= {(what, row): name for row, name in zip(device.rows, device_names, strict=True)}
     return found

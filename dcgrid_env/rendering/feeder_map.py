@@ -126,11 +126,11 @@ class FeederMap:
         """Move the devices to these positions in ``bus_ids``, (n_dc,) and (n_other,), and find room for their names."""
         self.dc = np.asarray(dc_buses, dtype=np.intp)
         self.others = np.asarray(other_buses, dtype=np.intp)
-        at = self.xy[self.dc]
-        self.halos.set_offsets(at)
-        self.halos.set_sizes(np.zeros(len(at)))
-        self.tracks.set_data(at[:, 0], at[:, 1])
-        self.clocks.set_offsets(at)
+        site_xy = self.xy[self.dc]
+        self.halos.set_offsets(site_xy)
+        self.halos.set_sizes(np.zeros(len(site_xy)))
+        self.tracks.set_data(site_xy[:, 0], site_xy[:, 1])
+        self.clocks.set_offsets(site_xy)
         self.triangles.set_offsets(self.xy[self.others])
         self._size_buses()
         self._place_labels()

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 class History:
-    """A lane's running episode, one row a step, in arrays that are made once; float32 is plenty for a picture."""
+    """An environment's running episode, one row a step, in arrays made once; float32 is enough for a picture."""
 
-    def __init__(self, scenario: Scenario, lane: int = 0):
-        self.lane = lane
+    def __init__(self, scenario: Scenario, env_index: int = 0):
+        self.env_index = env_index
         rows, n_dc = scenario.horizon + 1, scenario.n_sites
         self.order = sites_first(scenario)
         """Agents as the picture has them."""
@@ -61,37 +61,37 @@ class History:
         return history
 
     def add(self, snapshot: Snapshot) -> None:
-        """Copy the lane: it is small, while a reference would keep the arrays of every lane alive."""
-        lane, state, drawn = self.lane, snapshot.state, snapshot.episode
-        step = int(snapshot.step[lane])
+        """Copy the state of one environment: a reference would keep the arrays of every environment alive."""
+        env_index, state, drawn = self.env_index, snapshot.state, snapshot.episode
+        step = int(snapshot.step[env_index])
         # A restored environment may go on from any step, of this episode or another.
-        if step == 0 or drawn.key[lane] != self.key or not self.first <= step <= self.last + 1:
-            self.first, self.key, self.episode = step, drawn.key[lane], drawn
+        if step == 0 or drawn.key[env_index] != self.key or not self.first <= step <= self.last + 1:
+            self.first, self.key, self.episode = step, drawn.key[env_index], drawn
         self.last = step
-        self.v_pu[step] = state.v_pu[lane]
+        self.v_pu[step] = state.v_pu[env_index]
         if self.f_mhz.shape[1]:
-            self.f_mhz[step] = state.f_mhz[lane]
-            self.backlog_kws[step] = state.backlog_kws[lane]
-        self.p_kw[step] = state.p_kw[lane, self.order]
-        self.q_kvar[step] = state.q_kvar[lane, self.order]
+            self.f_mhz[step] = state.f_mhz[env_index]
+            self.backlog_kws[step] = state.backlog_kws[env_index]
+        self.p_kw[step] = state.p_kw[env_index, self.order]
+        self.q_kvar[step] = state.q_kvar[env_index, self.order]
         if self.phases is not None and state.three_phase is not None:
-            self.phases.add(state.three_phase, lane, step)
-        self.solved = snapshot.transition.converged[lane]
+            self.phases.add(state.three_phase, env_index, step)
+        self.solved = snapshot.transition.converged[env_index]
 
     @property
     def buses(self) -> np.ndarray:
         """Position of each agent's bus, in the picture's order."""
-        return self.episode.buses[self.lane, self.order]
+        return self.episode.buses[self.env_index, self.order]
 
     def p_ref_kw(self, scenario: Scenario, steps: np.ndarray) -> np.ndarray:
         """What was asked for in the intervals that end at ``steps``, kW, (n_step, n_dc)."""
-        return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.lane, None]), steps)
+        return episode.p_ref_kw(scenario, self.episode._replace(start=self.episode.start[self.env_index, None]), steps)
 
     def lost_banks(self, scenario: Scenario) -> np.ndarray:
         """Which capacitor banks a fault has taken in the last step, bool, (n_capacitor,)."""
         if not scenario.faults:
             return np.zeros(len(scenario.capacitor_connected), bool)
-        fault = self.episode.fault[self.lane, None]
+        fault = self.episode.fault[self.env_index, None]
         return episode.lost(scenario, fault, np.array([self.last]))[0, scenario.n_agents :]
 
 
@@ -112,12 +112,12 @@ class PhaseHistory:
         self.unbalance[:rows], self.tap[:rows], self.on[:rows] = over_time.unbalance, regulators.tap, banks.on
         self.moves[:rows] = np.column_stack((regulators.moves.sum(axis=1), banks.switchings.sum(axis=1)))
 
-    def add(self, state: ThreePhaseState, lane: int, step: int) -> None:
-        """Copy a lane's state after a step."""
+    def add(self, state: ThreePhaseState, env_index: int, step: int) -> None:
+        """Copy an environment's state after a step."""
         regulators, banks = state.equipment
-        self.unbalance[step] = state.unbalance[lane]
-        self.tap[step], self.on[step] = regulators.tap[lane], banks.on[lane]
-        self.moves[step] = regulators.moves[lane].sum(), banks.switchings[lane].sum()
+        self.unbalance[step] = state.unbalance[env_index]
+        self.tap[step], self.on[step] = regulators.tap[env_index], banks.on[env_index]
+        self.moves[step] = regulators.moves[env_index].sum(), banks.switchings[env_index].sum()
 
 
 def node_words(feeder: AnyFeeder) -> tuple[str, str]:

@@ -133,10 +133,10 @@ class PhaseCurves(Curves):
         v = history.v_pu[history.first : history.last + 1]
         nodes_of_agents = self._agents_nodes(history)
         for spread, (name, nodes) in zip(self.voltages, self.nodes.items(), strict=True):
-            own = v[:, nodes]
-            spread.show(t, own.min(axis=1), own.max(axis=1), own.mean(axis=1))
-            at = nodes_of_agents[name]
-            self.by_phase[name].show(t, np.where(at < 0, np.nan, v[:, at]))
+            bus_v = v[:, nodes]
+            spread.show(t, bus_v.min(axis=1), bus_v.max(axis=1), bus_v.mean(axis=1))
+            columns = nodes_of_agents[name]
+            self.by_phase[name].show(t, np.where(columns < 0, np.nan, v[:, columns]))
         judged = v[:, self.scenario.feeder.load_slice]
         return float(np.fmin.reduce(judged, axis=None)), float(np.fmax.reduce(judged, axis=None))
 
@@ -144,7 +144,7 @@ class PhaseCurves(Curves):
         """Node of each agent in the picture at each phase, -1 where it is not connected to it, (n_agent,) each."""
         s = self.scenario
         feeder: Any = s.feeder
-        buses = history.episode.buses[history.lane]
+        buses = history.episode.buses[history.env_index]
         if self.placed is None or not np.array_equal(buses, self.placed[0]):
             connected = agent_nodes(s, buses[None])[0][sites_first(s)]
             by_phase = {}

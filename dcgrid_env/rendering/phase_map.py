@@ -68,7 +68,7 @@ class PhaseMap(FeederMap):
         self._here = [np.flatnonzero(feeder.node_phase == phase + 1) for phase in range(3)]
         self._at = [xy[feeder.node_bus[here]] for here in self._here]
         self.sectors = [
-            ax.scatter(*at.T, c=np.ones(len(at)), marker=sector(phase), **look) for phase, at in enumerate(self._at)
+            ax.scatter(*xy.T, c=np.ones(len(xy)), marker=sector(phase), **look) for phase, xy in enumerate(self._at)
         ]
         self.dots = self.sectors[0]
         line: dict[str, Any] = {"facecolors": "none", "edgecolors": "black", "linewidths": 1.8, "zorder": 4.5}
@@ -100,10 +100,10 @@ class PhaseMap(FeederMap):
 
     def _show_voltages(self, v: FloatArray) -> None:
         outside = self.outside(v)
-        for phase, (shown, beyond, at) in enumerate(zip(self.sectors, self.rims, self._at, strict=True)):
+        for phase, (shown, beyond, xy) in enumerate(zip(self.sectors, self.rims, self._at, strict=True)):
             here = self._here[phase]
             shown.set_array(np.ma.masked_invalid(v[here]))
-            beyond.set_offsets(at[outside[here]])
+            beyond.set_offsets(xy[outside[here]])
             beyond.set_visible(bool(outside[here].any()))
 
     def mark_worst(self, bus: int | None) -> None:

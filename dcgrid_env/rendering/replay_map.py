@@ -64,9 +64,9 @@ def _room(feeder: Any, xy: np.ndarray) -> Room:
     size = np.array([_WIDTH_PX, float(height)])
     unit = span / (size - 2 * _MARGIN_PX)
     unit = np.maximum(unit, unit.max() / _STRETCH)
-    at = (xy - 0.5 * (xy.min(axis=0) + xy.max(axis=0))) / unit + 0.5 * size
+    xy_scaled = (xy - 0.5 * (xy.min(axis=0) + xy.max(axis=0))) / unit + 0.5 * size
     radius = np.full(len(xy), 8.0 if isinstance(feeder, ThreePhaseFeeder) else 6.0)
-    return Room(at, radius, feeder.parent, np.stack((0.0 * size, size)), False)
+    return Room(xy_scaled, radius, feeder.parent, np.stack((0.0 * size, size)), False)
 
 
 def _agents(run: Series, room: Room) -> list[dict[str, Any]]:
@@ -111,6 +111,6 @@ def _capacitors(feeder: Any, room: Room) -> list[dict[str, Any]]:
     found = []
     for row, (name, of_bank) in enumerate(zip(table.name, table.bus, strict=True)):
         bus = feeder.index(of_bank)
-        at = _rounded(room.take(bus, len(str(name)) + 4, 9.0, 1.6, led=True))
-        found.append({"name": str(name), "bus": bus, "row": row, "at": at})
+        label_xy = _rounded(room.take(bus, len(str(name)) + 4, 9.0, 1.6, led=True))
+        found.append({"name": str(name), "bus": bus, "row": row, "at": label_xy})
     return found

@@ -58,7 +58,7 @@ def replay(history: Series | Sequence[Series] | Mapping[str, Series], title: str
     Parameters
     ----------
     history
-        What :class:`dcgrid_env.Recorder` or ``dcgrid_env.baselines.rollout`` gives of a lane, one or several; by the
+        What :class:`dcgrid_env.Recorder` or ``dcgrid_env.baselines.rollout`` gives of episodes, one or several; by
         controllers' names in a mapping.
     title
         What stands above; the scenario and its split by default.
@@ -129,9 +129,9 @@ def _check(runs: dict[str, Series]) -> None:
     first = next(iter(runs.values()))
     check_size(first.scenario, len(runs))
     for name, run in runs.items():
-        s, own = first.scenario, run.scenario
-        same = s.feeder is own.feeder or s.feeder.bus_ids == own.feeder.bus_ids
-        same &= (s.dt_s, s.horizon, s.agents, s.split) == (own.dt_s, own.horizon, own.agents, own.split)
+        s, other = first.scenario, run.scenario
+        same = s.feeder is other.feeder or s.feeder.bus_ids == other.feeder.bus_ids
+        same &= (s.dt_s, s.horizon, s.agents, s.split) == (other.dt_s, other.horizon, other.agents, other.split)
         same = same and np.array_equal(run.buses, first.buses) and np.array_equal(run.trace_start, first.trace_start)
         if not same:
             raise ValueError(f"history {name!r} is of another episode; replay runs of one scenario and one seed")

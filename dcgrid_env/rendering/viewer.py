@@ -48,7 +48,7 @@ _STYLE: Any = {
 
 
 class Viewer:
-    """Draws the lanes of a simulation, one at a time and all with one figure.
+    """Draws the environments of a simulation, one at a time and all with one figure.
 
     Parameters
     ----------
@@ -56,14 +56,14 @@ class Viewer:
         What is simulated.
     render_mode
         "rgb_array" (``draw`` gives an image) or "human" (it shows a window, where the session has a display).
-    lanes
-        How many lanes, the first ones, can be drawn.
+    n_env
+        How many environments, the first ones, can be drawn.
     """
 
-    def __init__(self, scenario: Scenario, render_mode: str, lanes: int = 1):
+    def __init__(self, scenario: Scenario, render_mode: str, n_env: int = 1):
         self.scenario = scenario
         self.render_mode = render_mode
-        self._histories = [History(scenario, lane) for lane in range(lanes)]
+        self._histories = [History(scenario, env_index) for env_index in range(n_env)]
         self._forget()
 
     def record(self, snapshot: Snapshot) -> None:
@@ -71,12 +71,12 @@ class Viewer:
         for history in self._histories:
             history.add(snapshot)
 
-    def draw(self, lane: int = 0) -> np.ndarray | None:
-        """Draw a lane's episode up to now: an image, uint8, (height, width, 3), or None for "human".
+    def draw(self, env_index: int = 0) -> np.ndarray | None:
+        """Draw an environment's episode up to now: an image, uint8, (height, width, 3), or None for "human".
 
         RuntimeError before the first episode.
         """
-        return self.show(self._histories[lane])
+        return self.show(self._histories[env_index])
 
     def show(self, history: History) -> np.ndarray | None:
         """Draw a history, up to its last step, as ``draw`` does."""

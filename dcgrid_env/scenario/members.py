@@ -63,13 +63,13 @@ def grouped(scenario: Any, seeds: np.ndarray, numbers: np.ndarray) -> list[tuple
     seeds, numbers
         The seed of each episode, and the number of episodes since that, (row,) uint64 each.
     """
-    keys, of_lane = np.unique(scenario.feeder.keys(scenario.split, seeds, numbers), return_inverse=True)
-    return [(member_of(scenario, int(key)), np.flatnonzero(of_lane == i)) for i, key in enumerate(keys)]
+    keys, key_index = np.unique(scenario.feeder.keys(scenario.split, seeds, numbers), return_inverse=True)
+    return [(member_of(scenario, int(key)), np.flatnonzero(key_index == i)) for i, key in enumerate(keys)]
 
 
 def on_batch(scenario: Any, groups: Sequence[tuple[Any, np.ndarray]]) -> Any:
-    """The scenario for a batch of lanes on the feeders of ``grouped``, for the engine alone."""
-    batch = FeederBatch(scenario.feeder, tuple((member.feeder, lanes) for member, lanes in groups))
+    """The scenario for a batch of environments on the feeders of ``grouped``, for the engine alone."""
+    batch = FeederBatch(scenario.feeder, tuple((member.feeder, env_indices) for member, env_indices in groups))
     made = object.__new__(type(scenario))
     made.__setstate__(fields_alone(scenario) | {"feeder": batch})
     made.__dict__["_family"] = scenario

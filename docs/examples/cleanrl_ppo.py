@@ -1,6 +1,6 @@
 """PPO in a single file, as CleanRL has it, in torch on the native batch of dcgrid.
 
-``gymnasium.make_vec`` steps all environments by the same array operations. A lane whose episode ends begins the next
+``gymnasium.make_vec`` steps all environments by the same array operations. One whose episode ends begins the next
 in the same step (``AutoresetMode.SAME_STEP``): what is returned is already the new episode's first observation, the old
 one's last stands in ``infos["final_obs"]``. The horizon is not a terminal state, so the value of that last observation
 belongs in the advantage; after a collapse of the power flow (``terminated``) there is none.
@@ -68,7 +68,7 @@ def led_to(returned: np.ndarray, done: np.ndarray, infos: dict) -> torch.Tensor:
 
 
 def advantages(rewards, values, next_values, ended, gamma: float, gae_lambda: float) -> torch.Tensor:
-    """Generalised advantage estimates; all arrays (step, lane). Nothing passes from an episode to the next."""
+    """Generalised advantage estimates; all arrays (step, row). Nothing passes from an episode to the next."""
     found, running = torch.zeros_like(rewards), torch.zeros_like(rewards[0])
     for t in reversed(range(len(rewards))):
         surprise = rewards[t] + gamma * next_values[t] - values[t]

@@ -18,7 +18,7 @@ from dcgrid_env.baselines import make_controller, rollout
 
 
 class Trained:
-    """An SB3 model as dcgrid's controller: the joint observation in, the joint action out, for any number of lanes."""
+    """An SB3 model as dcgrid's controller: the joint observation in, the joint action out, for any batch size."""
 
     def __init__(self, model: PPO):
         self.model = model

@@ -1,7 +1,7 @@
 """Stable-Baselines3 on the native batch: PPO with VecNormalize, VecMonitor and EvalCallback.
 
 ``sb3_vec_env`` steps all environments with the same array operations, many times faster than the separate environments
-of sb3_plain.py. Here each lane is an agent, and one policy drives them all; ``--view joint`` gives each lane a whole
+of sb3_plain.py. Here each row is an agent, and one policy drives them all; ``--view joint`` gives each row a whole
 environment, whose policy holds all actuators.
 
     python docs/examples/sb3_vec_env.py --steps 300000 --save results/sb3_vec_env.zip
@@ -24,7 +24,7 @@ SCENARIO = "dcgrid/IEEE123-v0"
 
 
 def mean_j(model: Any, envs: VecNormalize) -> float:
-    """Mean J of one episode in each lane: minus the undiscounted return, over the steps of an episode."""
+    """Mean J of one episode in each row: minus the undiscounted return, over the steps of an episode."""
     envs.seed(0)
     returned, _ = evaluate_policy(model, envs, n_eval_episodes=envs.num_envs)
     return -float(returned) / envs.get_attr("scenario")[0].horizon
@@ -38,7 +38,7 @@ def main(
     seed: int = 0,
     save: Path | None = None,
 ) -> tuple[float, float]:
-    """Train, and give the mean J of validation episodes before and after; ``steps`` counts those of all lanes."""
+    """Train, and give the mean J of validation episodes before and after; ``steps`` counts those of all rows."""
     # info_keywords puts each episode's J into ep_info_buffer, and into a file where VecMonitor is given one.
     envs = VecNormalize(VecMonitor(sb3_vec_env(SCENARIO, num_envs, view), info_keywords=("J",)), gamma=0.5)
     envs.seed(seed)

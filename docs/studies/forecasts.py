@@ -62,12 +62,12 @@ class Informed(Mpc):
         return program._replace(offset=program.offset + moved[:, None])
 
     def _voltages(self, now: Estimate, p_kw: np.ndarray, q_kvar: np.ndarray, pv_kw: np.ndarray) -> np.ndarray:
-        """Voltages at these loads and this PV, with sites and reactive power as they are, p.u., (lane, n_load_node)."""
+        """Voltages at these loads and this PV, with sites and reactive power as they are, p.u., (row, n_load_node)."""
         s, p, q = self.scenario, p_kw.copy(), q_kvar.copy()
-        lanes = np.arange(len(p))[:, None]
+        rows = np.arange(len(p))[:, None]
         drawn = np.concatenate((now.local.p_kw[:, : s.datacenters.count], -pv_kw), axis=1)
-        np.add.at(p, (lanes, self._buses), drawn)
-        np.add.at(q, (lanes, self._buses), -now.local.q_kvar)
+        np.add.at(p, (rows, self._buses), drawn)
+        np.add.at(q, (rows, self._buses), -now.local.q_kvar)
         return np.asarray(distflow(s.feeder, p, q, s.source_voltage_pu).v_pu)[:, s.feeder.load_slice]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import dcgrid_env
 
 LEVELS = ("full", "costs", "none")
-LANES = 64
+N_ENV = 64
 ROUNDS = 100
 
 
@@ -46,7 +46,7 @@ def many(info: str) -> Callable[[], None]:
 
 def batch(info: str) -> Callable[[], None]:
     """An episode of ``gymnasium.make_vec``."""
-    env = gymnasium.make_vec("dcgrid/IEEE123-v0", num_envs=LANES, info=info)
+    env = gymnasium.make_vec("dcgrid/IEEE123-v0", num_envs=N_ENV, info=info)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (120, *(env.action_space.shape or ()))).astype(np.float32)
     env.reset()
 
@@ -59,7 +59,7 @@ def batch(info: str) -> Callable[[], None]:
 
 def main() -> None:
     """Print a line for each interface."""
-    interfaces = {"gymnasium.make": single, "parallel_env": many, f"make_vec, {LANES} lanes": batch}
+    interfaces = {"gymnasium.make": single, "parallel_env": many, f"make_vec, {N_ENV} environments": batch}
     print(f"| steps/s more than with info='full' | {' | '.join(f'info={level!r}' for level in LEVELS[1:])} |")
     print("|---|---|---|")
     for name, make in interfaces.items():

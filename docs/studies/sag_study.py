@@ -155,14 +155,14 @@ def _cost(one: Driven) -> float:
 def _driven(name: str, recorder: Recorder, seed: int, load_kw: float) -> Driven:
     """What the episodes of one controller come to."""
     metrics = recorder.metrics()
-    for of_lane in metrics:
-        of_lane[LOST_SHARE.name] = 100.0 * of_lane["ups_lost_step_kw"] / load_kw
+    for of_episode in metrics:
+        of_episode[LOST_SHARE.name] = 100.0 * of_episode["ups_lost_step_kw"] / load_kw
     figures = tuple(float(OVER[how]([one[metric.name] for one in metrics])) for metric, how in COLUMNS)
     return Driven(name, figures, _course(recorder, seed))
 
 
-def _course(recorder: Recorder, lane: int) -> Course:
-    own, scenario = recorder.lane(lane), recorder.scenario
+def _course(recorder: Recorder, env_index: int) -> Course:
+    own, scenario = recorder.lane(env_index), recorder.scenario
     n_dc, n_inv = scenario.datacenters.count, scenario.inverters.count
     v = own.v_pu[1:, scenario.feeder.load_slice]
     return Course(

@@ -195,11 +195,11 @@ class Broken(LocalController):
 
 
 def test_a_controller_that_returns_nan_is_named_by_agent():
-    with pytest.raises(ValueError, match=r"action of dc_0: clock is nan in lane 0"):
+    with pytest.raises(ValueError, match=r"action of dc_0: clock is nan in environment 0"):
         rollout(make_scenario("toy6"), Broken(), [0, 1])
 
 
-def test_rollout_counts_each_lane_once():
+def test_rollout_counts_each_environment_once():
     scenario = make_scenario("toy6", horizon=5)
     steps = []
     recorder = rollout(scenario, make_controller("none"), [4, 5], lambda: steps.append(1))

@@ -12,7 +12,7 @@ TOY6 = make_scenario("toy6", horizon=3)
 
 
 class Still:
-    """Returns what it was made with for each lane."""
+    """Returns what it was made with for each environment."""
 
     def __init__(self, action=None, fails_in=""):
         self.action, self.fails_in = action, fails_in
@@ -66,7 +66,7 @@ def test_tensors_and_lists_are_actions(action):
     [
         (torch.full((2, 4), 0.5, requires_grad=True), r"records gradients.* return action\.detach\(\)"),
         (torch.full((2, 3), 0.5), r"the action has shape \(2, 3\); it must be \(2, 4\): dc_0 clock"),
-        (torch.full((2, 4), torch.nan), "action of dc_0: clock is nan in lane 0"),
+        (torch.full((2, 4), torch.nan), "action of dc_0: clock is nan in environment 0"),
         (np.full((2, 4), 0.5j), "the action is complex; give real numbers"),
         (None, "act returned None; return the action"),
         ("x", "the action is no array of numbers"),

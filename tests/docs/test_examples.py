@@ -61,9 +61,9 @@ def test_plain_sb3_and_its_model_as_a_class_of_ones_own(tmp_path, monkeypatch, c
 @pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize("view", ["joint", "shared"])
 def test_sb3_on_the_native_batch(view, tmp_path, capsys):
-    lanes = 4 * (12 if view == "shared" else 1)
+    n_env = 4 * (12 if view == "shared" else 1)
     before, after = example("sb3_vec_env").main(
-        steps=16 * lanes, num_envs=4, view=view, episodes=2, save=tmp_path / "made" / "model.zip"
+        steps=16 * n_env, num_envs=4, view=view, episodes=2, save=tmp_path / "made" / "model.zip"
     )
     assert printed_figures(capsys)[:2] == pytest.approx([before, after], abs=0.00051)
     assert before != after
@@ -73,7 +73,7 @@ def test_sb3_on_the_native_batch(view, tmp_path, capsys):
 @pytest.mark.usefixtures("one_thread")
 def test_cleanrl_ppo_and_its_policy_without_torch(tmp_path, capsys):
     cleanrl = example("cleanrl_ppo")
-    # 130 steps, so that each lane's episode of 120 ends within the rollout.
+    # 130 steps, so that each environment's episode of 120 ends within the rollout.
     before, after = cleanrl.main(steps=520, num_envs=4, rollout_steps=130, episodes=2, save=tmp_path / "made")
     assert printed_figures(capsys)[:2] == pytest.approx([before, after], abs=0.00051)
     assert before != after
@@ -99,7 +99,7 @@ def test_cleanrl_takes_the_last_observation_of_an_episode_that_ended():
     envs = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, horizon=2)
     single = gymnasium.make("dcgrid/IEEE33Weak-v0", horizon=2)
     envs.reset(seed=0)
-    single.reset(seed=1)  # lane 1's episode
+    single.reset(seed=1)  # environment 1's episode
     action = np.full_like(envs.action_space.sample(), 0.25)
     for step in range(2):
         returned, _, terminated, truncated, infos = envs.step(action)
@@ -110,7 +110,7 @@ def test_cleanrl_takes_the_last_observation_of_an_episode_that_ended():
 
 
 def test_cleanrl_advantages_stop_at_the_end_of_an_episode():
-    # One lane, gamma lambda = 0.25: surprises 1, 2, 4, and an episode that ends after the second step.
+    # One environment, gamma lambda = 0.25: surprises 1, 2, 4, and an episode that ends after the second step.
     rewards, none = torch.tensor([[1.0], [2.0], [4.0]]), torch.zeros(3, 1)
     ended = torch.tensor([[0.0], [1.0], [0.0]])
     found = example("cleanrl_ppo").advantages(rewards, none, none, ended, 0.5, 0.5)

@@ -191,26 +191,26 @@ import numpy as np, dcgrid_env
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
 
-HORIZON, LANES = 12, 3
+HORIZON, N_ENV = 12, 3
 config = (
     PPOConfig()
     .environment("dcgrid_env:dcgrid/IEEE33Weak-v0", env_config={"horizon": HORIZON, "autoreset_mode": "next_step"})
     .env_runners(
         num_env_runners=0,
-        num_envs_per_env_runner=LANES,
+        num_envs_per_env_runner=N_ENV,
         gym_env_vectorize_mode="vector_entry_point",
     )
-    .training(train_batch_size_per_learner=HORIZON * LANES * 2, minibatch_size=HORIZON, num_epochs=1)
+    .training(train_batch_size_per_learner=HORIZON * N_ENV * 2, minibatch_size=HORIZON, num_epochs=1)
     .debugging(seed=7)
 )
 runner = SingleAgentEnvRunner(config=config)
 assert isinstance(runner.env.unwrapped, dcgrid_env.DcgridVectorEnv)
-episodes = runner.sample(num_episodes=4 * LANES, random_actions=True)
-singles = [dcgrid_env.DcgridEnv("ieee33-weak", horizon=HORIZON) for _ in range(LANES)]
+episodes = runner.sample(num_episodes=4 * N_ENV, random_actions=True)
+singles = [dcgrid_env.DcgridEnv("ieee33-weak", horizon=HORIZON) for _ in range(N_ENV)]
 for i, episode in enumerate(episodes):
     assert len(episode) == HORIZON, len(episode)
-    single = singles[i % LANES]
-    seen, _ = single.reset(seed=runner._seed + i if i < LANES else None)
+    single = singles[i % N_ENV]
+    seen, _ = single.reset(seed=runner._seed + i if i < N_ENV else None)
     np.testing.assert_array_equal(episode.get_observations(0), seen)
     for t, action in enumerate(episode.get_actions()):
         seen, reward, *_, info = single.step(action)
@@ -283,19 +283,19 @@ for name in ("toy6", "ieee33-weak", "mixed", "fault"):
     batch = DcgridTensorEnv(name, lanes=3, seed=5, horizon=4)
     data = batch.rollout(8, break_when_any_done=False)
     assert data["next", "done"].squeeze(-1).tolist() == [[False, False, False, True] * 2] * 3
-    for lane, seed in ((0, 5), (2, 7)):  # the first episode of a lane, and 3 seeds later its second
+    for env_index, seed in ((0, 5), (2, 7)):  # the first episode of an environment, and 3 seeds later its second
         for first, of in ((0, seed), (4, seed + 3)):
             single = dcgrid_env.parallel_env(name, horizon=4)
             seen, _ = single.reset(seed=of)
             for t in range(first, first + 4):
                 acted = {}
                 for kind, agents in batch.group_map.items():
-                    now = data[kind, "observation"][lane, t].numpy()
+                    now = data[kind, "observation"][env_index, t].numpy()
                     np.testing.assert_allclose(now, np.array([seen[a] for a in agents]), atol=2e-4)
-                    acted |= dict(zip(agents, data[kind, "action"][lane, t].numpy()))
+                    acted |= dict(zip(agents, data[kind, "action"][env_index, t].numpy()))
                 seen, paid, *_ = single.step(acted)
                 for kind, agents in batch.group_map.items():
-                    given = data["next", kind, "reward"][lane, t, :, 0].numpy()
+                    given = data["next", kind, "reward"][env_index, t, :, 0].numpy()
                     np.testing.assert_allclose(given, [paid[a] for a in agents], rtol=2e-3)
 frames = 0
 for data in Collector(lambda: DcgridTensorEnv(lanes=4, horizon=4), None, frames_per_batch=16, total_frames=48):

@@ -127,7 +127,7 @@ class BatchedSites(PassesBy):
         self,
         params: DataCenterParams,
         state: SiteState,
-        own: BatchState,
+        feature_state: BatchState,
         load: Load,
         setpoints: tuple[Array, ...],
         given: Work,
@@ -136,12 +136,14 @@ class BatchedSites(PassesBy):
         """Set the batch, see ``SiteFeature.admit``."""
         batch = 2.0 ** setpoints[0]
         wait_s = self.rule.gather_s * (batch / self.rule.reference - 1.0)
-        return BatchState(batch, wait_s, own.gathered_kws), load._replace(energy_share=self._energy(setpoints[0]))
+        return BatchState(batch, wait_s, feature_state.gathered_kws), load._replace(
+            energy_share=self._energy(setpoints[0])
+        )
 
     def step(
         self,
         params: DataCenterParams,
-        own: BatchState,
+        feature_state: BatchState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -149,20 +151,26 @@ class BatchedSites(PassesBy):
         dt_s: float,
     ) -> tuple[BatchState, DataCenterState, Array]:
         """Account for the wait of what was served, see ``SiteFeature.step``."""
-        return own._replace(gathered_kws=site.served_kw * positive_part(own.batch_wait_s)), site, p_kw
+        return (
+            feature_state._replace(gathered_kws=site.served_kw * positive_part(feature_state.batch_wait_s)),
+            site,
+            p_kw,
+        )
 
-    def observe(self, params: DataCenterParams, own: BatchState) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: BatchState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
-        return (own.batch,)
+        return (feature_state.batch,)
 
-    def amount(self, name: str, params: DataCenterParams, own: BatchState) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: BatchState) -> Array:
         """What the term of ``cost_terms`` charges."""
-        return own.gathered_kws
+        return feature_state.gathered_kws
 
-    def totals(self, own: BatchState) -> dict[str, Array]:
+    def totals(self, feature_state: BatchState) -> dict[str, Array]:
         """Nothing of all slots together."""
         return {}
 
-    def metrics(self, params: DataCenterParams, history: SiteState, own: BatchState, dt_s: float) -> dict[str, float]:
+    def metrics(
+        self, params: DataCenterParams, history: SiteState, feature_state: BatchState, dt_s: float
+    ) -> dict[str, float]:
         """Figures of an episode, see ``core.metric``."""
-        return {"batch_mean": own.batch[1:].mean() if own.batch.size else 0.0}
+        return {"batch_mean": feature_state.batch[1:].mean() if feature_state.batch.size else 0.0}

@@ -102,7 +102,7 @@ class CooledSite:
     def step(
         self,
         params: DataCenterParams,
-        own: CoolingState,
+        feature_state: CoolingState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -111,33 +111,42 @@ class CooledSite:
     ) -> tuple[CoolingState, DataCenterState, Array]:
         """Advance by one interval, see ``SiteFeature.step``."""
         steady_kw = self.settings.cooling_share * p_kw
-        begun_kw = namespace(p_kw).where(own.cooling_end_kw < 0.0, steady_kw, own.cooling_end_kw)
+        begun_kw = namespace(p_kw).where(feature_state.cooling_end_kw < 0.0, steady_kw, feature_state.cooling_end_kw)
         left, mean = _left(self.settings.time_constant_s, dt_s)
         cooling_kw = steady_kw + mean * (begun_kw - steady_kw)
         auxiliary_kw = 0.0 * p_kw + self.settings.auxiliary_share * params.p_rated_kw
         after = CoolingState(p_kw, cooling_kw, steady_kw + left * (begun_kw - steady_kw), auxiliary_kw)
         return after, site, p_kw + cooling_kw + auxiliary_kw
 
-    def with_supply(self, own: CoolingState, share: Array) -> CoolingState:
+    def with_supply(self, feature_state: CoolingState, share: Array) -> CoolingState:
         """The state where this share of the draw is supplied, (row, slot)."""
-        drawn = (own.computing_kw * share, own.cooling_kw * share, own.cooling_end_kw, own.auxiliary_kw * share)
+        drawn = (
+            feature_state.computing_kw * share,
+            feature_state.cooling_kw * share,
+            feature_state.cooling_end_kw,
+            feature_state.auxiliary_kw * share,
+        )
         return CoolingState(*drawn)
 
-    def observe(self, params: DataCenterParams, own: CoolingState) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: CoolingState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
-        return (own.cooling_end_kw,)
+        return (feature_state.cooling_end_kw,)
 
-    def amount(self, name: str, params: DataCenterParams, own: CoolingState) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: CoolingState) -> Array:
         """Nothing is charged."""
         raise ValueError(f"cooling charges nothing, and so no {name!r}; it has no cost terms")
 
-    def totals(self, own: CoolingState) -> dict[str, Array]:
+    def totals(self, feature_state: CoolingState) -> dict[str, Array]:
         """Cooling power of all sites."""
-        return {"cooling_kw": sum_last(own.cooling_kw)}
+        return {"cooling_kw": sum_last(feature_state.cooling_kw)}
 
-    def metrics(self, params: DataCenterParams, history: SiteState, own: CoolingState, dt_s: float) -> dict[str, float]:
+    def metrics(
+        self, params: DataCenterParams, history: SiteState, feature_state: CoolingState, dt_s: float
+    ) -> dict[str, float]:
         """Energy of cooling, and the power usage effectiveness of all sites over the episode."""
-        computing, cooling, rest = (kw[1:].sum() for kw in (own.computing_kw, own.cooling_kw, own.auxiliary_kw))
+        computing, cooling, rest = (
+            kw[1:].sum() for kw in (feature_state.computing_kw, feature_state.cooling_kw, feature_state.auxiliary_kw)
+        )
         pue = (computing + cooling + rest) / computing if computing > 0.0 else 1.0
         return {"cooling_kwh": cooling * dt_s / 3600.0, "pue": pue}
 

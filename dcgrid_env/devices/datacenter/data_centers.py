@@ -167,7 +167,7 @@ class DataCenters(PickledByFields):
         there is of the features."""
         rated, boost = self.parameters.p_rated_kw, self.boost_share
         longest_s = horizon * dt_s * (boost + bool(self.routing))  # a site is given at most its rating beside its own
-        of_features = [field for own in self.features for field in own.fields(self.parameters, horizon, dt_s)]
+        of_features = [field for feature in self.features for field in feature.fields(self.parameters, horizon, dt_s)]
         common = (
             Field("p_ref_next", "share of the rating", 0.0, boost, rated, of_preview=True),
             Field("backlog", "s at the rating", 0.0, longest_s, rated),
@@ -193,7 +193,7 @@ class DataCenters(PickledByFields):
             CostTerm("backlog", "backlog_kws", rated, of_all, queued),
             CostTerm("clock", "clock_movement", one, float(max(self.count, 1)), 1.0),
             CostTerm("leftover", "backlog_kws", rated, of_all, queued, at_end=True),
-            *(term for own in self.features for term in own.cost_terms(self.parameters, horizon, dt_s)),
+            *(term for feature in self.features for term in feature.cost_terms(self.parameters, horizon, dt_s)),
         )
 
     def check_episode(self, horizon: int) -> None:
@@ -239,9 +239,9 @@ class DataCenters(PickledByFields):
         """Raw figures of the fields, kW and kW s."""
         coming, waiting = given_next.p_ref_kw, state.backlog_kws
         of_features = []
-        for own, at in self._with_states(state):
-            ahead = (given_next,) if getattr(own, "looks_ahead", False) else ()
-            of_features += own.observe(parameters, at, *ahead)
+        for feature, feature_state in self._with_states(state):
+            ahead = (given_next,) if getattr(feature, "looks_ahead", False) else ()
+            of_features += feature.observe(parameters, feature_state, *ahead)
         if self.work_classes == 1:
             return (coming, waiting, *of_features)
         compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
@@ -251,25 +251,25 @@ class DataCenters(PickledByFields):
         """Queued work, kW s, or the clock's movement as a share of its range; or what a feature is charged for."""
         if name == "backlog_kws":
             return state.backlog_kws
-        for feature, own in self._with_states(state):
+        for feature, feature_state in self._with_states(state):
             if name in feature.amounts:
-                return feature.amount(name, parameters, own)
+                return feature.amount(name, parameters, feature_state)
         span = self.f_max_mhz - self.f_min_mhz or 1.0
         return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
 
     def totals(self, state: Any) -> dict[str, Array]:
         """Queued work of all sites, kW s, and what there is of the features."""
         figures = {"backlog_kws": sum_last(state.backlog_kws)}
-        for feature, own in self._with_states(state):
-            figures |= feature.totals(own)
+        for feature, feature_state in self._with_states(state):
+            figures |= feature.totals(feature_state)
         return figures
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
         """Waiting times, clocks, times of requests, and what there is of the features."""
         latency_s = self.routing.move_latency_s if self.routing else 0.0
         figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests, latency_s)
-        for feature, own in self._with_states(history):
-            figures |= feature.metrics(self.parameters, history, own, dt_s)
+        for feature, feature_state in self._with_states(history):
+            figures |= feature.metrics(self.parameters, history, feature_state, dt_s)
         return figures
 
     def streaming(self, dt_s: float, requests: Any) -> StreamingSites:

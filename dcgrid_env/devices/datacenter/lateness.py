@@ -34,8 +34,8 @@ def lateness(
     dt_s
         Length of a step, s.
     """
-    none: list[tuple[list[np.ndarray], list[np.ndarray]]] = [([np.zeros(0)] * 2, [np.zeros(0)] * 2)]
-    of_sites = none + [
+    no_work: list[tuple[list[np.ndarray], list[np.ndarray]]] = [([np.zeros(0)] * 2, [np.zeros(0)] * 2)]
+    of_sites = no_work + [
         _of_site((arrived - moved, moved), served, slack, interactive_share, by_deadline)
         for arrived, moved, served in zip(arrived_kw.T, moved_kw.T, served_kw.T, strict=True)
     ]
@@ -70,9 +70,9 @@ def _of_site(
     work: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
 
     def note(step: int, taken: np.ndarray) -> None:
-        for kind, (steps_late, own) in enumerate(line.lateness(step, taken)):
+        for kind, (steps_late, taken_kws) in enumerate(line.lateness(step, taken)):
             late[kind].append(steps_late)
-            work[kind].append(own)
+            work[kind].append(taken_kws)
 
     left = serve_in_line(line, served, 0, rounding, note)
     left[left <= rounding] = 0.0
@@ -160,5 +160,5 @@ def _mean_and_p95(steps: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
         return 0.0, 0.0
     order = np.argsort(steps, kind="stable")
     share = np.cumsum(weight[order]) / whole
-    at = min(int(np.searchsorted(share, 0.95 - 1e-12)), len(share) - 1)
-    return float((steps * weight).sum() / whole), float(steps[order][at])
+    position = min(int(np.searchsorted(share, 0.95 - 1e-12)), len(share) - 1)
+    return float((steps * weight).sum() / whole), float(steps[order][position])

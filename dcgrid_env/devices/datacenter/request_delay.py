@@ -88,8 +88,8 @@ def serve_requests(
     prefill_s, prefill_left = _delay(first_s, arrived_kw[:, 0], served_kw[:, 0], dt_s)
     decode_s, decode_left = _delay(end_s, arrived_kw[:, -1], served_kw[:, -1], dt_s)
     slower = 1.0 / speed_share - 1.0
-    at = np.clip((first_s / dt_s).astype(np.int64), 0, len(slower) - 1)
-    reading_s = taken.prefill_s * slower[at, 0] + np.broadcast_to(wait_s, len(slower))[at]
+    begin_step = np.clip((first_s / dt_s).astype(np.int64), 0, len(slower) - 1)
+    reading_s = taken.prefill_s * slower[begin_step, 0] + np.broadcast_to(wait_s, len(slower))[begin_step]
     answering_s = _integral(end_s, slower[:, -1], dt_s) - _integral(first_s, slower[:, -1], dt_s)
     return Served(
         ttft_s=taken.first_token_s + prefill_s + reading_s,

@@ -138,7 +138,7 @@ class ServedSites(PassesBy):
     def step(
         self,
         params: DataCenterParams,
-        own: ServiceState,
+        feature_state: ServiceState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -147,26 +147,31 @@ class ServedSites(PassesBy):
     ) -> tuple[ServiceState, DataCenterState, Array]:
         """Take what was served out of the queue, see ``SiteFeature.step``."""
         soon, later = self.rule.slack(dt_s)
-        queue, moved = own.slack_kws, given.load.moved_kw if given.load is not None and self.moves_late else None
+        queue, moved = (
+            feature_state.slack_kws,
+            given.load.moved_kw if given.load is not None and self.moves_late else None,
+        )
         if queue.shape[-1] != later + 1:
             queue = namespace(queue).concat((queue,) * (later + 1), axis=-1)
         share, first = self.rule.interactive_share, self.rule.order == "edf"
         after = serve_by_slack(queue, moved, site.arrived_kw, site.served_kw, dt_s, soon, later, share, first)
         return ServiceState(*after), site, p_kw
 
-    def observe(self, params: DataCenterParams, own: ServiceState) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: ServiceState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
-        return own.overdue_kws, own.due_next_kws
+        return feature_state.overdue_kws, feature_state.due_next_kws
 
-    def amount(self, name: str, params: DataCenterParams, own: ServiceState) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: ServiceState) -> Array:
         """What the term of ``cost_terms`` charges."""
-        return own.overdue_kws
+        return feature_state.overdue_kws
 
-    def totals(self, own: ServiceState) -> dict[str, Array]:
+    def totals(self, feature_state: ServiceState) -> dict[str, Array]:
         """Work that is overdue at all sites."""
-        return {"overdue_kws": sum_last(own.overdue_kws)}
+        return {"overdue_kws": sum_last(feature_state.overdue_kws)}
 
-    def metrics(self, params: DataCenterParams, history: SiteState, own: ServiceState, dt_s: float) -> dict[str, float]:
+    def metrics(
+        self, params: DataCenterParams, history: SiteState, feature_state: ServiceState, dt_s: float
+    ) -> dict[str, float]:
         """Figures of an episode, see ``core.metric``."""
         moved = history.received_kw if self.moves_late else np.zeros_like(history.arrived_kw)
         slack = self.rule.slack(dt_s)
@@ -186,7 +191,7 @@ class _LatenessOfSites:
         rule = sites.rule
         self._late = StreamingLateness(rule.slack(dt_s), rule.interactive_share, rule.order == "edf", dt_s)
 
-    def add(self, history: SiteState, own: ServiceState) -> None:
+    def add(self, history: SiteState, feature_state: ServiceState) -> None:
         """Take a part."""
         moved = history.received_kw if self.moves_late else np.zeros_like(history.arrived_kw)
         self._late.add(history.arrived_kw[1:], moved[1:], history.served_kw[1:])
@@ -228,12 +233,12 @@ def serve_by_slack(
     xp = namespace(arrived_kw)
     bins = np.zeros((2, later + 2))
     for slack, share in ((soon, interactive_share), (later, 1.0 - interactive_share)):
-        at = slack + 1 if by_deadline else later + 1
-        bins[0, at] += share
-        bins[1, max(at - 1, 1)] += share
+        due_step = slack + 1 if by_deadline else later + 1
+        bins[0, due_step] += share
+        bins[1, max(due_step - 1, 1)] += share
     here, less = (as_like(row, queue_kws) for row in bins)
-    own = arrived_kw if moved_kw is None else arrived_kw - moved_kw
-    x = xp.concat((queue_kws, 0.0 * queue_kws[..., :1]), axis=-1) + (own * dt_s)[..., None] * here
+    local_kw = arrived_kw if moved_kw is None else arrived_kw - moved_kw
+    x = xp.concat((queue_kws, 0.0 * queue_kws[..., :1]), axis=-1) + (local_kw * dt_s)[..., None] * here
     if moved_kw is not None:
         x = x + (moved_kw * dt_s)[..., None] * less
     before = x.cumsum(-1) - x

@@ -35,9 +35,9 @@ class SiteState(NamedTuple):
     features: tuple[Any, ...]
 
     def __getattr__(self, name: str) -> Any:
-        for own in self.features:
-            if name in own._fields:
-                return getattr(own, name)
+        for feature_state in self.features:
+            if name in feature_state._fields:
+                return getattr(feature_state, name)
         raise AttributeError(f"neither the sites nor a feature of theirs have a field {name!r}")
 
     @property
@@ -81,7 +81,7 @@ class PassesBy:
     def step(
         self,
         params: DataCenterParams,
-        own: Any,
+        feature_state: Any,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -89,7 +89,7 @@ class PassesBy:
         dt_s: float,
     ) -> tuple[Any, DataCenterState, Array]:
         """Leave all as it is, see ``SiteFeature.step``."""
-        return own, site, p_kw
+        return feature_state, site, p_kw
 
 
 class SiteFeature(Protocol):
@@ -123,7 +123,7 @@ class SiteFeature(Protocol):
     def step(
         self,
         params: DataCenterParams,
-        own: Any,
+        feature_state: Any,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -136,7 +136,7 @@ class SiteFeature(Protocol):
         ----------
         params
             Ratings of the sites.
-        own
+        feature_state
             Its state of before.
         site, p_kw
             State of the sites at the end, and their draw over the interval, kW, (row, slot), as the features before it
@@ -155,19 +155,21 @@ class SiteFeature(Protocol):
         """
         ...
 
-    def observe(self, params: DataCenterParams, own: Any) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: Any) -> tuple[Array, ...]:
         """Raw figures of the fields, (row, slot) each."""
         ...
 
-    def amount(self, name: str, params: DataCenterParams, own: Any) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: Any) -> Array:
         """What a cost term charges, one of ``amounts``, (row, slot)."""
         ...
 
-    def totals(self, own: Any) -> dict[str, Array]:
+    def totals(self, feature_state: Any) -> dict[str, Array]:
         """Figures of all slots together in ``info``, (row,) each."""
         ...
 
-    def metrics(self, params: DataCenterParams, history: SiteState, own: Any, dt_s: float) -> dict[str, float]:
+    def metrics(
+        self, params: DataCenterParams, history: SiteState, feature_state: Any, dt_s: float
+    ) -> dict[str, float]:
         """Figures of an episode from the sites' state over time and from its own, (T + 1, slot, ..) each."""
         ...
 
@@ -179,7 +181,7 @@ class AdmittingFeature(SiteFeature, Protocol):
         self,
         params: DataCenterParams,
         state: SiteState,
-        own: Any,
+        feature_state: Any,
         load: Load,
         setpoints: tuple[Array, ...],
         given: Work,

@@ -15,21 +15,21 @@ from dcgrid_env.core.compiled import compiled
 @compiled
 def serve_by_slack(queue_kws, moved_kw, arrived_kw, served_kw, dt_s, soon, later, share, by_deadline):
     """See ``service_levels.serve_by_slack``."""
-    lanes, slots = arrived_kw.shape
-    queue = np.empty((lanes, slots, later + 1))
-    due = np.empty((2, lanes, slots))
+    n_row, slots = arrived_kw.shape
+    queue = np.empty((n_row, slots, later + 1))
+    due = np.empty((2, n_row, slots))
     at_soon = soon + 1 if by_deadline else later + 1
-    for lane in range(lanes):
+    for row in range(n_row):
         for i in range(slots):
-            moved = moved_kw[lane, i] * dt_s if moved_kw is not None else 0.0
-            own, left_kws = arrived_kw[lane, i] * dt_s - moved, served_kw[lane, i] * dt_s
+            moved = moved_kw[row, i] * dt_s if moved_kw is not None else 0.0
+            local_kws, left_kws = arrived_kw[row, i] * dt_s - moved, served_kw[row, i] * dt_s
             carried, young_old = 0.0, 0.0
             for j in range(later + 2):
-                x = queue_kws[lane, i, j] if j <= later else 0.0
+                x = queue_kws[row, i, j] if j <= later else 0.0
                 if j == at_soon:
-                    x += own * share
+                    x += local_kws * share
                 if j == later + 1:
-                    x += own * (1.0 - share)
+                    x += local_kws * (1.0 - share)
                 if j == max(at_soon - 1, 1):
                     x += moved * share
                 if j == later:
@@ -39,16 +39,16 @@ def serve_by_slack(queue_kws, moved_kw, arrived_kw, served_kw, dt_s, soon, later
                 if j == 0:
                     carried = x
                 elif j == 1:
-                    queue[lane, i, 0] = carried + x
+                    queue[row, i, 0] = carried + x
                 else:
-                    queue[lane, i, j - 1] = x
+                    queue[row, i, j - 1] = x
             if by_deadline:
-                due[0, lane, i], due[1, lane, i] = queue[lane, i, 0], queue[lane, i, 1]
+                due[0, row, i], due[1, row, i] = queue[row, i, 0], queue[row, i, 1]
             else:
                 old = later - soon
                 for j in range(old + 1):
-                    young_old += queue[lane, i, j]
-                due[0, lane, i] = (1.0 - share) * queue[lane, i, 0] + share * young_old
-                after = queue[lane, i, old + 1] if old + 1 <= later else 0.0
-                due[1, lane, i] = (1.0 - share) * queue[lane, i, 1] + share * after
+                    young_old += queue[row, i, j]
+                due[0, row, i] = (1.0 - share) * queue[row, i, 0] + share * young_old
+                after = queue[row, i, old + 1] if old + 1 <= later else 0.0
+                due[1, row, i] = (1.0 - share) * queue[row, i, 1] + share * after
     return queue, due[0], due[1]

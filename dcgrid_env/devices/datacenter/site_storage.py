@@ -73,7 +73,7 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
     def step(
         self,
         params: DataCenterParams,
-        own: SiteStorageState,
+        feature_state: SiteStorageState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -84,26 +84,30 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
         xp = namespace(p_kw)
         highest, lowest = positive_part(params.p_rated_kw - p_kw), -params.p_rated_kw - p_kw
         asked_kw = xp.maximum(xp.minimum(setpoints[0], highest), lowest)
-        after = energy_balance.step(self._like(p_kw), own.storage, asked_kw, given.work.available, dt_s)
+        after = energy_balance.step(self._like(p_kw), feature_state.storage, asked_kw, given.work.available, dt_s)
         return SiteStorageState(after), site, p_kw + after.storage_kw
 
-    def observe(self, params: DataCenterParams, own: SiteStorageState) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: SiteStorageState) -> tuple[Array, ...]:
         """Raw figures of the fields, kWh and kW."""
-        return own.storage.stored_kwh, own.storage.charge_limit_kw, own.storage.discharge_limit_kw
+        return (
+            feature_state.storage.stored_kwh,
+            feature_state.storage.charge_limit_kw,
+            feature_state.storage.discharge_limit_kw,
+        )
 
-    def amount(self, name: str, params: DataCenterParams, own: SiteStorageState) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: SiteStorageState) -> Array:
         """Throughput, kW, or energy that is missing, kWh, each times its price."""
-        return figures.amount(name, self._like(own.storage.stored_kwh), own.storage)
+        return figures.amount(name, self._like(feature_state.storage.stored_kwh), feature_state.storage)
 
-    def totals(self, own: SiteStorageState) -> dict[str, Array]:
+    def totals(self, feature_state: SiteStorageState) -> dict[str, Array]:
         """Energy of all sites' storages that is stored, has been put through, has been lost, and is missing, kWh."""
-        return figures.totals(own.storage, OF_SITES)
+        return figures.totals(feature_state.storage, OF_SITES)
 
     def metrics(
-        self, params: DataCenterParams, history: SiteState, own: SiteStorageState, dt_s: float
+        self, params: DataCenterParams, history: SiteState, feature_state: SiteStorageState, dt_s: float
     ) -> dict[str, float]:
         """Energy at the end and at its lowest, and what was put through, lost and is missing."""
-        return figures.metrics(self.params(len(params.p_rated_kw)), own.storage, OF_SITES)
+        return figures.metrics(self.params(len(params.p_rated_kw)), feature_state.storage, OF_SITES)
 
     def _like(self, values: Array) -> StorageParams:
         """Figures as arrays of the kind of ``values``, (row, slot)."""

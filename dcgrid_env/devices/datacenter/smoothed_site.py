@@ -79,10 +79,10 @@ class SmoothedSite:
         """Floor and ramps, where the agent decides; a ramp as the power of ten that the fastest is multiplied by."""
         if not self.by_agent:
             return ()
-        none = np.zeros(len(params.p_rated_kw))
-        floor = Channel("floor", "share of the rating", none, none + self.settings.floor_share, rest=none)
-        slowest = none + np.log10(self.settings.slowest_share)
-        ramps = (Channel(f"ramp_{way}", "log10 of a share", slowest, none, rest=none) for way in ("up", "down"))
+        zeros = np.zeros(len(params.p_rated_kw))
+        floor = Channel("floor", "share of the rating", zeros, zeros + self.settings.floor_share, rest=zeros)
+        slowest = zeros + np.log10(self.settings.slowest_share)
+        ramps = (Channel(f"ramp_{way}", "log10 of a share", slowest, zeros, rest=zeros) for way in ("up", "down"))
         return (floor, *ramps)
 
     def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
@@ -120,7 +120,7 @@ class SmoothedSite:
     def step(
         self,
         params: DataCenterParams,
-        own: SmoothingState,
+        feature_state: SmoothingState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -129,13 +129,13 @@ class SmoothedSite:
     ) -> tuple[SmoothingState, DataCenterState, Array]:
         """Advance by one interval, see ``SiteFeature.step``."""
         xp, hysteresis_s = namespace(p_kw), self.settings.hysteresis_s
-        began = own.smoothed_kw < 0.0
-        own = self._set(params, own, setpoints, dt_s)
-        busy = p_kw >= own.floor_kw
-        wanted = xp.where(busy | self._held(own), xp.maximum(p_kw, own.floor_kw), p_kw)
+        began = feature_state.smoothed_kw < 0.0
+        feature_state = self._set(params, feature_state, setpoints, dt_s)
+        busy = p_kw >= feature_state.floor_kw
+        wanted = xp.where(busy | self._held(feature_state), xp.maximum(p_kw, feature_state.floor_kw), p_kw)
         idle_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw)
-        lowest = own.smoothed_kw - own.ramp_down_kw_per_s * dt_s
-        highest = own.smoothed_kw + own.ramp_up_kw_per_s * dt_s
+        lowest = feature_state.smoothed_kw - feature_state.ramp_down_kw_per_s * dt_s
+        highest = feature_state.smoothed_kw + feature_state.ramp_up_kw_per_s * dt_s
         within = xp.maximum(xp.minimum(xp.maximum(wanted, lowest), highest), idle_kw)
         smoothed_kw = xp.where(began, wanted, within)
         supplied_kw = xp.minimum(p_kw, smoothed_kw)
@@ -143,9 +143,9 @@ class SmoothedSite:
         works = dynamic_kw > 0.0
         one = 0.0 * p_kw + 1.0
         share = xp.where(works, (supplied_kw - idle_kw) / xp.where(works, dynamic_kw, one), one)
-        quiet_s = own.quiet_s + dt_s
+        quiet_s = feature_state.quiet_s + dt_s
         longest_s = 0.0 * p_kw + hysteresis_s  # a time is rounded to whole steps
-        after = own._replace(
+        after = feature_state._replace(
             smoothed_kw=smoothed_kw,
             burnt_kw=smoothed_kw - supplied_kw,
             held_back_kw=p_kw - supplied_kw,
@@ -153,61 +153,75 @@ class SmoothedSite:
         )
         return after, with_share_served(site, share, dt_s), smoothed_kw
 
-    def with_supply(self, own: SmoothingState, share: Array) -> SmoothingState:
+    def with_supply(self, feature_state: SmoothingState, share: Array) -> SmoothingState:
         """The state where this share of the draw is supplied, (row, slot): nothing else is burnt."""
-        return own._replace(burnt_kw=own.burnt_kw * share)
+        return feature_state._replace(burnt_kw=feature_state.burnt_kw * share)
 
-    def observe(self, params: DataCenterParams, own: SmoothingState) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: SmoothingState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
-        held_kw = namespace(own.quiet_s).where(self._held(own), own.floor_kw, 0.0 * own.floor_kw)
-        common = (own.smoothed_kw, held_kw, own.quiet_s)
+        held_kw = namespace(feature_state.quiet_s).where(
+            self._held(feature_state), feature_state.floor_kw, 0.0 * feature_state.floor_kw
+        )
+        common = (feature_state.smoothed_kw, held_kw, feature_state.quiet_s)
         if not self.by_agent:
             return common
-        return (*common, own.floor_kw, own.ramp_up_kw_per_s, own.ramp_down_kw_per_s, own.unchanged_s)
+        return (
+            *common,
+            feature_state.floor_kw,
+            feature_state.ramp_up_kw_per_s,
+            feature_state.ramp_down_kw_per_s,
+            feature_state.unchanged_s,
+        )
 
-    def amount(self, name: str, params: DataCenterParams, own: SmoothingState) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: SmoothingState) -> Array:
         """Power burnt, kW."""
-        return own.burnt_kw
+        return feature_state.burnt_kw
 
-    def totals(self, own: SmoothingState) -> dict[str, Array]:
+    def totals(self, feature_state: SmoothingState) -> dict[str, Array]:
         """Power burnt and work held back in the step."""
-        return {"burnt_kw": sum_last(own.burnt_kw), "held_back_kw": sum_last(own.held_back_kw)}
+        return {"burnt_kw": sum_last(feature_state.burnt_kw), "held_back_kw": sum_last(feature_state.held_back_kw)}
 
     def metrics(
-        self, params: DataCenterParams, history: SiteState, own: SmoothingState, dt_s: float
+        self, params: DataCenterParams, history: SiteState, feature_state: SmoothingState, dt_s: float
     ) -> dict[str, float]:
         """Figures of an episode, see ``core.metric``."""
-        burnt_kws = own.burnt_kw[1:].sum() * dt_s
-        drawn_kws = own.smoothed_kw[1:].sum() * dt_s
+        burnt_kws = feature_state.burnt_kw[1:].sum() * dt_s
+        drawn_kws = feature_state.smoothed_kw[1:].sum() * dt_s
         return {
             "burnt_kwh": burnt_kws / 3600.0,
             "burnt_pct": 100.0 * burnt_kws / drawn_kws if drawn_kws > 0.0 else 0.0,
-            "held_back_kws": own.held_back_kw[1:].sum() * dt_s,
-            "floor_mean_pct": 100.0 * (own.floor_kw[1:] / params.p_rated_kw).mean() if own.floor_kw.size else 0.0,
+            "held_back_kws": feature_state.held_back_kw[1:].sum() * dt_s,
+            "floor_mean_pct": 100.0 * (feature_state.floor_kw[1:] / params.p_rated_kw).mean()
+            if feature_state.floor_kw.size
+            else 0.0,
         }
 
-    def _held(self, own: SmoothingState) -> Array:
+    def _held(self, feature_state: SmoothingState) -> Array:
         """Whether the floor outlasts the work over the coming interval."""
-        return own.quiet_s < self.settings.hysteresis_s
+        return feature_state.quiet_s < self.settings.hysteresis_s
 
     def _fastest(self, params: DataCenterParams, like: Array) -> tuple[Array, Array]:
         up, down = self.settings.ramps_kw_per_s(np.asarray(params.p_rated_kw, dtype=np.float64))
         return as_like(up, like), as_like(down, like)
 
     def _set(
-        self, params: DataCenterParams, own: SmoothingState, setpoints: tuple[Array, ...], dt_s: float
+        self, params: DataCenterParams, feature_state: SmoothingState, setpoints: tuple[Array, ...], dt_s: float
     ) -> SmoothingState:
         """Take what the agent sets, where it may change."""
         if not self.by_agent:
-            return own
-        xp, (floor, up, down) = namespace(own.quiet_s), setpoints
-        may = own.unchanged_s < 0.5 * dt_s
-        fastest_up, fastest_down = self._fastest(params, own.quiet_s)
+            return feature_state
+        xp, (floor, up, down) = namespace(feature_state.quiet_s), setpoints
+        may = feature_state.unchanged_s < 0.5 * dt_s
+        fastest_up, fastest_down = self._fastest(params, feature_state.quiet_s)
         # What is at rest at t = 0 may change in the first step.
-        hold_s = xp.where(own.smoothed_kw < 0.0, 0.0 * own.quiet_s, 0.0 * own.quiet_s + self.settings.change_every_s)
-        return own._replace(
-            floor_kw=xp.where(may, floor * params.p_rated_kw, own.floor_kw),
-            ramp_up_kw_per_s=xp.where(may, fastest_up * 10.0**up, own.ramp_up_kw_per_s),
-            ramp_down_kw_per_s=xp.where(may, fastest_down * 10.0**down, own.ramp_down_kw_per_s),
-            unchanged_s=xp.maximum(xp.where(may, hold_s, own.unchanged_s) - dt_s, 0.0 * hold_s),
+        hold_s = xp.where(
+            feature_state.smoothed_kw < 0.0,
+            0.0 * feature_state.quiet_s,
+            0.0 * feature_state.quiet_s + self.settings.change_every_s,
+        )
+        return feature_state._replace(
+            floor_kw=xp.where(may, floor * params.p_rated_kw, feature_state.floor_kw),
+            ramp_up_kw_per_s=xp.where(may, fastest_up * 10.0**up, feature_state.ramp_up_kw_per_s),
+            ramp_down_kw_per_s=xp.where(may, fastest_down * 10.0**down, feature_state.ramp_down_kw_per_s),
+            unchanged_s=xp.maximum(xp.where(may, hold_s, feature_state.unchanged_s) - dt_s, 0.0 * hold_s),
         )

@@ -34,8 +34,8 @@ class StreamingLateness:
             late = self._late
 
             def note(step: int, taken: np.ndarray, line: Line = line, late: list[np.ndarray] = late) -> None:
-                for kind, own in enumerate(line.lateness(step, taken)):
-                    late[kind] = added(late[kind], own[0].astype(np.int64), own[1])
+                for kind, late_work in enumerate(line.lateness(step, taken)):
+                    late[kind] = added(late[kind], late_work[0].astype(np.int64), late_work[1])
 
             left = serve_in_line(line, served, self.steps, rounding, note)
             waits = left > 0.0

@@ -57,11 +57,13 @@ class StreamingSites:
         arrived, served = (w[1:].reshape(steps, -1) for w in (history.class_arrived_kw, history.class_served_kw))
         self._waiting.add(arrived, served)
         figures = {"clock_mean_pct": mean_clock_pct(self.params, history)}
-        for feature, own, state in zip(self.features, self._own, getattr(history, "features", ()), strict=True):
-            if own is None:
+        for feature, feature_metrics, state in zip(
+            self.features, self._own, getattr(history, "features", ()), strict=True
+        ):
+            if feature_metrics is None:
                 figures |= feature.metrics(self.params, history, state, self.dt_s)
             else:
-                own.add(history, state)
+                feature_metrics.add(history, state)
         shares = {
             m.name: getattr(history, m.share_of)[1:].sum() for m in OF_FEATURES if m.share_of and m.name in figures
         }
@@ -77,7 +79,7 @@ class StreamingSites:
         if self.requests:
             whole = SimpleNamespace(**{name: np.concatenate(parts) for name, parts in self._kept.items()})
             figures |= figures_of_requests(self.params, self.clock_law, whole, self.dt_s, self.requests, self.latency_s)
-        for own in self._own:
-            if own is not None:
-                figures |= own.figures()
+        for feature_metrics in self._own:
+            if feature_metrics is not None:
+                figures |= feature_metrics.figures()
         return figures

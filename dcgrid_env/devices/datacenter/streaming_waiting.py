@@ -78,8 +78,8 @@ class WaitingTimes:
         """Those of all steps so far as if the episode ended here, see ``waiting_time.fcfs_delays``."""
         of_queues = [queue.by_wait(self.steps) for queue in self._queues]
         work = np.zeros(max(map(len, of_queues), default=0))
-        for own in of_queues:
-            work[: len(own)] += own
+        for queued in of_queues:
+            work[: len(queued)] += queued
         whole = work.sum()
         if whole <= 0.0:
             return Delays(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

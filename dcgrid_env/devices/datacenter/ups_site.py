@@ -103,7 +103,7 @@ class UpsSite:
     def step(
         self,
         params: DataCenterParams,
-        own: UpsState,
+        feature_state: UpsState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -119,25 +119,25 @@ class UpsSite:
             pace = xp.where(rate > 0.0, rate * dt_s, 0.0 * rate)
             if supply.widths is not None:
                 pace = connection_surrogate.smoothed_pace(pace, rate, 1.0 / rule.walk_in_s, dt_s, supply.widths)
-        ups = connection.advance(rule, own.ups, supply, pace, dt_s)
+        ups = connection.advance(rule, feature_state.ups, supply, pace, dt_s)
         idle_kw, rated_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw), params.p_rated_kw
         if self.cooling is not None:
             idle_kw = (1.0 + self.cooling.cooling_share) * idle_kw + self.cooling.auxiliary_share * rated_kw
             rated_kw = rated_kw * self._site_share
         battery, grid_kw, works = ups_battery.step(
-            rule, own.battery.stored_kws, ups.share, p_kw, idle_kw, site.served_kw, rated_kw, dt_s
+            rule, feature_state.battery.stored_kws, ups.share, p_kw, idle_kw, site.served_kw, rated_kw, dt_s
         )
         if supply.available is not None:  # what a fault has taken already is not lost again, and recharges nothing
             ups = ups._replace(tripped=ups.tripped * supply.available)
             battery = ups_battery.without_grid(rule, battery, supply.available, dt_s)
-        ups = ups._replace(lost_kw=ups.tripped * own.ups.share * p_kw)
+        ups = ups._replace(lost_kw=ups.tripped * feature_state.ups.share * p_kw)
         return UpsState(ups, battery), with_share_served(site, works, dt_s), grid_kw
 
-    def supplied(self, own: UpsState, p_kw: Array) -> Array:
+    def supplied(self, feature_state: UpsState, p_kw: Array) -> Array:
         """Share of what the sites would draw, ``p_kw``, that grid and battery have supplied, (row, slot)."""
         xp, one = namespace(p_kw), 0.0 * p_kw + 1.0
         some = p_kw > 0.0
-        share = (own.ups.share * p_kw + own.battery.battery_kw) / xp.where(some, p_kw, one)
+        share = (feature_state.ups.share * p_kw + feature_state.battery.battery_kw) / xp.where(some, p_kw, one)
         return xp.where(some, xp.minimum(share, one), one)
 
     @property
@@ -150,37 +150,39 @@ class UpsSite:
         full = params.p_rated_kw * self.rule.battery_s
         return full if self.cooling is None else full * self._site_share
 
-    def observe(self, params: DataCenterParams, own: UpsState) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: UpsState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
-        ups, rule = own.ups, self.rule
+        ups, rule = feature_state.ups, self.rule
         events, returns, timer_share = connection.counters(rule, ups)
         full = self._full_kws(params)
-        stored = own.battery.stored_kws / full if rule.battery_s > 0.0 else 0.0 * ups.share
+        stored = feature_state.battery.stored_kws / full if rule.battery_s > 0.0 else 0.0 * ups.share
         return ups.share, ups.locked, events, returns, timer_share, ups.wait_s, stored
 
-    def amount(self, name: str, params: DataCenterParams, own: UpsState) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: UpsState) -> Array:
         """What the terms of ``cost_terms`` charge."""
         if name == "tripped":
-            return own.ups.tripped
+            return feature_state.ups.tripped
         if name == "away":
-            return 1.0 - own.ups.share
-        return self._full_kws(params) - own.battery.stored_kws
+            return 1.0 - feature_state.ups.share
+        return self._full_kws(params) - feature_state.battery.stored_kws
 
-    def totals(self, own: UpsState) -> dict[str, Array]:
+    def totals(self, feature_state: UpsState) -> dict[str, Array]:
         """Trips and draw lost in the step, sites that are away or locked out, and the draw from batteries."""
-        ups, xp = own.ups, namespace(own.ups.share)
+        ups, xp = feature_state.ups, namespace(feature_state.ups.share)
         return {
             "ups_trips": sum_last(ups.tripped),
             "ups_lost_kw": sum_last(ups.lost_kw),
             "ups_away": sum_last(xp.astype(ups.share <= 0.0, ups.share.dtype)),
             "ups_locked": sum_last(ups.locked),
-            "battery_kw": sum_last(own.battery.battery_kw),
+            "battery_kw": sum_last(feature_state.battery.battery_kw),
         }
 
-    def metrics(self, params: DataCenterParams, history: SiteState, own: UpsState, dt_s: float) -> dict[str, float]:
+    def metrics(
+        self, params: DataCenterParams, history: SiteState, feature_state: UpsState, dt_s: float
+    ) -> dict[str, float]:
         """Figures of an episode, see ``core.metric``."""
         whole = self.streaming(params, dt_s)
-        whole.add(history, own)
+        whole.add(history, feature_state)
         return whole.figures()
 
     def streaming(self, params: DataCenterParams, dt_s: float) -> _StreamingUps:
@@ -198,9 +200,14 @@ class _StreamingUps:
         self._away: tuple[int, int] | None = None
         """The first and the last step with a site away."""
 
-    def add(self, history: SiteState, own: UpsState) -> None:
+    def add(self, history: SiteState, feature_state: UpsState) -> None:
         """Take a part."""
-        ups, battery, dt_s, steps = own.ups, own.battery, self._dt_s, len(own.ups.share) - 1
+        ups, battery, dt_s, steps = (
+            feature_state.ups,
+            feature_state.battery,
+            self._dt_s,
+            len(feature_state.ups.share) - 1,
+        )
         lost_kw = ups.lost_kw[1:].sum(axis=1)
         gone = np.flatnonzero((ups.share[1:] < 1.0).any(axis=1)) + self._steps
         if len(gone):

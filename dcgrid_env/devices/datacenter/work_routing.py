@@ -128,7 +128,7 @@ class RoutedSites(PassesBy):
         self,
         params: DataCenterParams,
         state: SiteState,
-        own: RoutingState,
+        feature_state: RoutingState,
         load: Load,
         setpoints: tuple[Array, ...],
         given: Work,
@@ -157,26 +157,30 @@ class RoutedSites(PassesBy):
 
     def _on_grid(self, state: SiteState, given: Work) -> Array | None:
         """Share of each site that is on the grid, None where all are for certain."""
-        ups = next((own.ups for own in state.features if "ups" in own._fields), None)
+        ups = next((fields.ups for fields in state.features if "ups" in fields._fields), None)
         if ups is None:
             return given.available
         return ups.share if given.available is None else ups.share * given.available
 
-    def observe(self, params: DataCenterParams, own: RoutingState, given_next: Work | None = None) -> tuple[Array, ...]:
+    def observe(
+        self, params: DataCenterParams, feature_state: RoutingState, given_next: Work | None = None
+    ) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
         assert given_next is not None  # which a feature that looks ahead is always given
         coming = positive_part(given_next.p_ref_kw - params.p_idle_kw)
-        return own.work_share, 0.0 * coming + sum_last(coming)[..., None]
+        return feature_state.work_share, 0.0 * coming + sum_last(coming)[..., None]
 
-    def amount(self, name: str, params: DataCenterParams, own: RoutingState) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: RoutingState) -> Array:
         """Work that came from elsewhere, by how long it took, kW s."""
-        return own.received_kw * self.rule.move_latency_s
+        return feature_state.received_kw * self.rule.move_latency_s
 
-    def totals(self, own: RoutingState) -> dict[str, Array]:
+    def totals(self, feature_state: RoutingState) -> dict[str, Array]:
         """Work moved in the step."""
-        return {"moved_kw": sum_last(own.received_kw)}
+        return {"moved_kw": sum_last(feature_state.received_kw)}
 
-    def metrics(self, params: DataCenterParams, history: SiteState, own: RoutingState, dt_s: float) -> dict[str, float]:
+    def metrics(
+        self, params: DataCenterParams, history: SiteState, feature_state: RoutingState, dt_s: float
+    ) -> dict[str, float]:
         """Figures of an episode, see ``core.metric``."""
-        moved, arrived = own.received_kw[1:].sum(), history.arrived_kw[1:].sum()
+        moved, arrived = feature_state.received_kw[1:].sum(), history.arrived_kw[1:].sum()
         return {"moved_kws": moved * dt_s, "moved_pct": 100.0 * moved / arrived if arrived > 0.0 else 0.0}

@@ -110,7 +110,7 @@ def advance(
 
 
 @compiled_as(
-    "dcgrid_env.devices.ride_through.connection_kernel:advance_lanes",
+    "dcgrid_env.devices.ride_through.connection_kernel:advance_rows",
     like="before",
     views=("v_lowest_pu", "v_highest_pu"),
 )
@@ -229,7 +229,7 @@ def _repeated(values: Array, times: int) -> Array:
 
 
 def _sags(sags: Any) -> Any:
-    """Duration, share left and rest of each sag that begins in the interval in any lane, (row, 1) each, in turn."""
+    """Duration, share left and rest of each sag that begins in the interval in any row, (row, 1) each, in turn."""
     if sags is None:
         return
     for i in range(sags.shape[1]):

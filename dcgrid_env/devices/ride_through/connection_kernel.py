@@ -20,18 +20,18 @@ def _note(ages_s, age_s, window_s):
 
 
 @compiled
-def advance_lanes(before, low, high, sags, pace, figures, widths, dt_s):
+def advance_rows(before, low, high, sags, pace, figures, widths, dt_s):
     """The fields of ``ConnectionState`` after an interval, ``lost_kw`` 0; ``widths`` are for tensors."""
     threshold, time_s, delay_s, release_s, n_under, longest_s, remembered_s, window_s = figures
     share_in, timer_in, wait_in, locked_in = before.share, before.timer_s, before.wait_s, before.locked
     events_in, returns_in = before.event_age_s, before.return_age_s
     in_step = np.empty((len(share_in), 0, 3)) if sags is None else sags
-    lanes, slots = share_in.shape
+    n_row, slots = share_in.shape
     share, wait, locked = np.empty_like(share_in), np.empty_like(share_in), np.empty_like(share_in)
     tripped, lost = np.empty_like(share_in), np.zeros_like(share_in)
     timer, events, returns = np.empty_like(timer_in), np.empty_like(events_in), np.empty_like(returns_in)
     soon = 1e-3 * dt_s
-    for i in range(lanes):
+    for i in range(n_row):
         for j in range(slots):
             connected, out_of_order, event = share_in[i, j] > 0.0, False, False
             for k in range(threshold.shape[1]):

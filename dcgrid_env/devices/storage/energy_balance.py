@@ -83,7 +83,7 @@ def step(
     return StorageState(*_stepped(figures, share, before, asked_kw, connected, hours))
 
 
-@compiled_as("dcgrid_env.devices.storage.energy_kernel:step_lanes", like="before", views=("asked_kw", "connected"))
+@compiled_as("dcgrid_env.devices.storage.energy_kernel:step_rows", like="before", views=("asked_kw", "connected"))
 def _stepped(
     figures: tuple[Array, ...],
     share: Array,

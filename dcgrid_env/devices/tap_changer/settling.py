@@ -29,7 +29,7 @@ class SettledTaps(NamedTuple):
     settled: Array
     """Whether nothing moves any more, bool, (row,); False too where the power flow has no solution."""
     rounds: int
-    """Power flows done, of the lane that took the most."""
+    """Power flows done, of the row that took the most."""
 
 
 def one_tap(settings: RelaySettings, missing_v: Array) -> Array:
@@ -48,7 +48,7 @@ def settled_taps(
     controlled: Array | None = None,
     move: Move = one_tap,
 ) -> SettledTaps:
-    """Settle the taps of a batch of lanes, each lane by itself.
+    """Settle the taps of a batch of rows, each row by itself.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def settled_taps(
     """
     p_kw, q_kvar = (a.detach() if hasattr(a, "detach") else a for a in (p_kw, q_kvar))
     xp, settings = namespace(p_kw), settings_like(relay_settings(feeder), p_kw)
-    lanes = p_kw.shape[0]
+    n_row = p_kw.shape[0]
     none = 0.0 * p_kw[:, :1] + as_like(np.zeros(feeder.n_regulator), p_kw)
     taps = none + as_like(feeder.base_tap, p_kw) if tap is None else tap
-    at = xp.arange(lanes, device=p_kw.device)
+    at = xp.arange(n_row, device=p_kw.device)
     settled = at < 0
     before, start, rounds = [taps], None, 0
     while len(at) and feeder.n_regulator and rounds < MOST_ROUNDS:
@@ -98,12 +98,12 @@ def _solve(
     at: Array,
     start: Any,
 ) -> Any:
-    """The power flow of some lanes at their taps."""
-    lanes = p_kw.shape[0]
+    """The power flow of some rows at their taps."""
+    n_row = p_kw.shape[0]
     shunt, capacitor = (None, None) if control is None else (control.shunt_kvar, control.capacitor_on)
-    of_lanes = [None if a is None else a[at] if a.ndim > 1 else a for a in (shunt, capacitor)]
-    source = source[at] if getattr(source, "shape", ()) == (lanes,) else source
-    changed = Control(feeder.tap_ratio(tap[at]), *of_lanes)
+    of_rows = [None if a is None else a[at] if a.ndim > 1 else a for a in (shunt, capacitor)]
+    source = source[at] if getattr(source, "shape", ()) == (n_row,) else source
+    changed = Control(feeder.tap_ratio(tap[at]), *of_rows)
     return solve_unbalanced(feeder, p_kw[at], q_kvar[at], source, changed, start)
 
 

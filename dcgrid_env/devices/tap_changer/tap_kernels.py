@@ -42,22 +42,22 @@ def _direct(settings, acts, volts, tap, wanted):
 @compiled
 def control_taps(settings, state, dt_s, controlled):
     """What ``tap_control.control_taps`` does: the fields of the state after the step, (7, row, n_regulator)."""
-    lanes, n = state.tap.shape
-    out = np.empty((7, lanes, n))
+    n_row, n = state.tap.shape
+    out = np.empty((7, n_row, n))
     wanted, due_in = np.empty(n), np.empty(n)
     acts = np.ones(n) if controlled is None else controlled
-    for lane in range(lanes):
+    for row in range(n_row):
         tap, volts, waited, sequence, since, moved, moves = (
-            out[0, lane], out[1, lane], out[2, lane], out[3, lane], out[4, lane], out[5, lane], out[6, lane],
+            out[0, row], out[1, row], out[2, row], out[3, row], out[4, row], out[5, row], out[6, row],
         )  # fmt: skip
         for r in range(n):
-            tap[r], volts[r], since[r] = state.tap[lane, r], state.relay_v[lane, r], state.since_s[lane, r]
+            tap[r], volts[r], since[r] = state.tap[row, r], state.relay_v[row, r], state.since_s[row, r]
             moved[r] = 0.0
         asking = _direct(settings, acts, volts, tap, wanted)
         for r in range(n):
             asks = wanted[r] != 0.0
-            waited[r] = state.out_of_band_s[lane, r] if asks else 0.0
-            sequence[r] = state.in_sequence[lane, r] if asks else 0.0
+            waited[r] = state.out_of_band_s[row, r] if asks else 0.0
+            sequence[r] = state.in_sequence[row, r] if asks else 0.0
         left = dt_s
         for _ in range(MOST_EVENTS if asking else 0):
             soonest = np.inf
@@ -87,5 +87,5 @@ def control_taps(settings, state, dt_s, controlled):
         for r in range(n):
             waited[r] = waited[r] + left if wanted[r] != 0.0 else 0.0
             since[r] += left
-            moves[r] = state.moves[lane, r] + moved[r]
+            moves[r] = state.moves[row, r] + moved[r]
     return out

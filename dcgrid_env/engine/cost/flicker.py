@@ -169,8 +169,8 @@ class StreamingFlicker:
 
     def _take(self, v_pu: np.ndarray) -> None:
         sections, scale, smoothing = self._filters
-        for i, (own, first) in enumerate(zip(v_pu.T, self._first, strict=True)):
-            change = np.repeat(own - first, self._steps)
+        for i, (bus_v_pu, first) in enumerate(zip(v_pu.T, self._first, strict=True)):
+            change = np.repeat(bus_v_pu - first, self._steps)
             sensation, self._states[i] = _sensation_from(self._states[i], change, sections, smoothing)
             self._largest = max(self._largest or 0.0, _severity_of(scale * sensation))
 
@@ -203,8 +203,8 @@ def _severity_of(sensation: np.ndarray) -> float:
     ranked = np.sort(np.maximum(sensation, 0.0))  # rounding may leave a tiny negative one
     pst_squared = 0.0
     for weight, exceeded_pct in _GROUPS:
-        at = np.minimum((1.0 - np.array(exceeded_pct) / 100.0) * n, n - 1.0)
-        pst_squared += weight * np.interp(at, np.arange(n), ranked).mean()
+        rank = np.minimum((1.0 - np.array(exceeded_pct) / 100.0) * n, n - 1.0)
+        pst_squared += weight * np.interp(rank, np.arange(n), ranked).mean()
     return math.sqrt(pst_squared)
 
 

@@ -173,9 +173,9 @@ def after_loss(scenario: Scenario, histories: Sequence[Any], v_pu: Any) -> dict[
     v_pu
         Voltages of the steps 1 .. T at nodes but the substation's, p.u., (T, node).
     """
-    own = leaving(scenario)
-    if not own:
+    leaving_devices = leaving(scenario)
+    if not leaving_devices:
         return {}
-    shares = [scenario.devices[i].connected(histories[i])[1:] for i in own]  # pyright: ignore
+    shares = [scenario.devices[i].connected(histories[i])[1:] for i in leaving_devices]  # pyright: ignore
     away = sum((share < 1.0).any(-1) for share in shares) > 0
     return {"voltage_after_loss_max_pu": v_pu[away].max(initial=0.0)}

@@ -154,7 +154,10 @@ def device_fields(scenario: Scenario) -> tuple[tuple[Field, ...], ...]:
     """The fields of each device, those that are deviations of voltages in bands."""
     band = scenario.cost.band_pu or 1.0
     of_devices = (device.fields(scenario.horizon, scenario.dt_s) for device in scenario.devices)
-    return tuple(tuple(_in_bands(field, band) if field.of_band else field for field in own) for own in of_devices)
+    return tuple(
+        tuple(_in_bands(field, band) if field.of_band else field for field in fields_of_device)
+        for fields_of_device in of_devices
+    )
 
 
 def _in_bands(field: Field, band_pu: float) -> Field:
@@ -199,8 +202,8 @@ def _largest_distance(scenario: Scenario) -> tuple[float, float]:
     if isinstance(feeder, RandomFeeders):
         largest = feeder.largest_drop_pu_per_mw / band
         return largest * scenario.sensing.r_model_share, largest * scenario.sensing.x_model_share
-    own = distance_in_bands(scenario)
-    return float(own[..., 0].max()), float(own[..., 1].max())
+    distances = distance_in_bands(scenario)
+    return float(distances[..., 0].max()), float(distances[..., 1].max())
 
 
 class _Layout(NamedTuple):

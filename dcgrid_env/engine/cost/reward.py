@@ -50,14 +50,14 @@ def team_costs(scenario: Scenario, state: State, solution: Any, last: Array, fig
     ``figures`` of its voltages (``VoltageFigures``) are used if they are given.
     """
     t, step = terms(scenario), _step(scenario, state, solution, figures)
-    costs = [none := 0.0 * solution.loss_kw] * len(t.kind._fields)
-    for at, amount, factor in t.of_grid:
-        costs[at] = amount(step) * factor
+    costs = [zero := 0.0 * solution.loss_kw] * len(t.kind._fields)
+    for place, amount, factor in t.of_grid:
+        costs[place] = amount(step) * factor
     for i, amount, team_scale, of_amount in t.shares:
         share = sum_last(scenario.devices[i].amount(amount, step.params.devices[i], state.devices[i])) / team_scale
-        for weight, at_end, at in of_amount:
+        for weight, at_end, place in of_amount:
             due = share * weight * last if at_end else share * weight
-            costs[at] = due if costs[at] is none else costs[at] + due
+            costs[place] = due if costs[place] is zero else costs[place] + due
     return t.kind._make(costs)
 
 
@@ -67,18 +67,18 @@ def local_costs(scenario: Scenario, state: State, solution: Any, last: Array) ->
     Terms that no agent causes alone, such as the loss of the feeder, are charged to all alike.
     """
     xp, t, step = namespace(state.v_pu), terms(scenario), _step(scenario, state, solution)
-    costs = [none := 0.0 * state.v_agent_pu] * len(t.kind._fields)
-    for (term, weight), (at, amount, factor) in zip(charged_terms(scenario), t.of_grid, strict=True):
+    costs = [zero := 0.0 * state.v_agent_pu] * len(t.kind._fields)
+    for (term, weight), (place, amount, factor) in zip(charged_terms(scenario), t.of_grid, strict=True):
         if term.of_agents is None:
-            costs[at] = none + (amount(step) * factor)[..., None]
+            costs[place] = zero + (amount(step) * factor)[..., None]
         else:
-            costs[at] = term.of_agents(step) * weight
-    for i, term, weight, at in t.charged:
+            costs[place] = term.of_agents(step) * weight
+    for i, term, weight, place in t.charged:
         cut = device_slices(scenario)[i]
         amount = scenario.devices[i].amount(term.amount, step.params.devices[i], state.devices[i])
         of_device = amount / as_like(term.own_scale, amount) * weight
         of_device = of_device * last[..., None] if term.at_end else of_device
-        costs[at] = costs[at] + xp.concat((none[..., : cut.start], of_device, none[..., cut.stop :]), axis=-1)
+        costs[place] = costs[place] + xp.concat((zero[..., : cut.start], of_device, zero[..., cut.stop :]), axis=-1)
     return t.kind._make(costs)
 
 
@@ -118,7 +118,9 @@ def terms(scenario: Scenario) -> Terms:
     of_devices.sort(key=lambda entry: (entry[0], entry[1].amount))
     charged = tuple((i, term, weight, place(term.name)) for i, term, weight in of_devices if weight)
     by_amount = groupby(charged, lambda entry: (entry[0], entry[1].amount, entry[1].team_scale))
-    shares = tuple((*key, tuple((weight, term.at_end, at) for _, term, weight, at in of)) for key, of in by_amount)
+    shares = tuple(
+        (*key, tuple((weight, term.at_end, place) for _, term, weight, place in of)) for key, of in by_amount
+    )
     constraints = {term.name for term in (*TERMS, *(term for _, term, _ in of_devices)) if term.is_constraint}
     judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
     n_converters = max(sum(device.count for device in scenario.devices if not is_equipment(device)), 1)
@@ -161,7 +163,7 @@ def total(costs: Costs) -> Array:
 def constraint(scenario: Scenario, costs: Costs) -> Array:
     """Cost that a constrained learner keeps below its budget: the violation, what is charged of limits, and trips."""
     places = terms(scenario).constraints
-    return costs[places[0]] if len(places) == 1 else reduce(operator.add, [costs[at] for at in places])
+    return costs[places[0]] if len(places) == 1 else reduce(operator.add, [costs[place] for place in places])
 
 
 def largest_costs(scenario: Scenario) -> Costs:

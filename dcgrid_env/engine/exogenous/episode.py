@@ -1,4 +1,4 @@
-"""An episode as drawn: placement, trace windows, time of day, faults and noise, all functions of one key per lane."""
+"""An episode as drawn: placement, trace windows, time of day, faults and noise, all functions of one key per row."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class EpisodeOptions(NamedTuple):
 
 
 class Episode(NamedTuple):
-    """What a reset draws, for a batch of lanes."""
+    """What a reset draws, for a batch of rows."""
 
     key: np.ndarray
     """(row,) uint64."""
@@ -165,8 +165,8 @@ def lost(scenario: Scenario, fault: np.ndarray, step: np.ndarray) -> np.ndarray:
     target, begin, end = np.moveaxis(fault, -1, 0)
     struck = (begin <= step[:, None]) & (step[:, None] < end)
     out = np.zeros((len(step), scenario.n_agents + len(scenario.capacitor_connected)), bool)
-    lane, i = np.nonzero(struck)
-    out[lane, target[lane, i]] = True
+    row, i = np.nonzero(struck)
+    out[row, target[row, i]] = True
     return out
 
 
@@ -217,12 +217,12 @@ def exogenous(
     p_ref: np.ndarray,
     draw_loads: bool = True,
 ) -> tuple[Exogenous, np.ndarray]:
-    """What comes from outside in the interval that ends at each lane's ``step``, and the load noise behind it.
+    """What comes from outside in the interval that ends at each row's ``step``, and the load noise behind it.
 
     Parameters
     ----------
     scenario, episode
-        The scenario, and what a reset drew of it for each lane.
+        The scenario, and what a reset drew of it for each row.
     step
         (row,) int64; at 0 the noise starts afresh.
     noise

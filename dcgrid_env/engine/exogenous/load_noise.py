@@ -1,4 +1,4 @@
-"""The other loads of a feeder and the noise on them, drawn for many lanes at once."""
+"""The other loads of a feeder and the noise on them, drawn for many rows at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.scenario import Scenario
@@ -67,11 +67,11 @@ def drawn_loads(
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     if isinstance(scenario.feeder, FeederBatch):
-        for member, at in scenario.feeder.members:
-            own = np.empty((3, len(at), noise.shape[1]))
+        for member, rows in scenario.feeder.members:
+            process = np.empty((3, len(rows), noise.shape[1]))
             load = _load_of(member, scenario)
-            random.load_step(key[at], step[at], noise[at], share[at], *load, own[0], own[1], own[2])
-            process_and_loads[:, at] = own
+            random.load_step(key[rows], step[rows], noise[rows], share[rows], *load, process[0], process[1], process[2])
+            process_and_loads[:, rows] = process
     else:
         load = load_noise(scenario)
 
@@ -81,5 +81,5 @@ def drawn_loads(
         if len(step) == 1:
             random.load_step(key, step, noise, share, *load, z, p, q)
         else:
-            over_lanes(part, len(step))
+            over_rows(part, len(step))
     return z, p, q

@@ -53,8 +53,8 @@ class BankControl:
 
     def __init__(self, relays: ActingRelays, dt_s: float) -> None:
         rows, whole = relays.rows, relays.settings
-        own = (values[rows] if values.ndim == 1 else values[np.ix_(rows, rows)] for values in whole)
-        self._settings, self._dt_s = RelaySettings(*own), dt_s
+        of_rows = (values[rows] if values.ndim == 1 else values[np.ix_(rows, rows)] for values in whole)
+        self._settings, self._dt_s = RelaySettings(*of_rows), dt_s
         self._state: RegulatorState | None = None
 
     @property

@@ -84,7 +84,7 @@ def action_layout(scenario: Scenario) -> ActionLayout:
 
 
 def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -> np.ndarray:
-    """The joint action as float64, (row, n_action); one lane if ``num_envs`` is None, given without that dimension."""
+    """The joint action as float64, (row, n_action); ``num_envs`` None is one environment without that dimension."""
     layout = action_layout(scenario)
     n = layout.n
     want = (n,) if num_envs is None else (num_envs, n)
@@ -100,15 +100,17 @@ def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -
         raise ActionError(f"the action has shape {array.shape}; it must be {want}: {listing}")
     array = array.reshape(-1, n)
     if not math.isfinite(array.sum()) and not np.isfinite(array).all():  # the sum alone is cheap, but may overflow
-        lane, at = np.argwhere(~np.isfinite(array))[0]
-        where = "" if num_envs is None else f" in lane {lane}"
-        agent, name = layout.names[at]
-        raise ActionError(f"action of {agent}: {name} is {array[lane, at]}{where}; give a finite number in [-1, 1]")
+        env_index, column = np.argwhere(~np.isfinite(array))[0]
+        where = "" if num_envs is None else f" in environment {env_index}"
+        agent, name = layout.names[column]
+        raise ActionError(
+            f"action of {agent}: {name} is {array[env_index, column]}{where}; give a finite number in [-1, 1]"
+        )
     return array
 
 
 def joined_actions(scenario: Scenario, actions: Any) -> np.ndarray:
-    """One action an agent, a mapping, as a joint action of one lane."""
+    """One action an agent, a mapping, as a joint action of one environment."""
     layout = action_layout(scenario)
     try:
         parts = [actions[agent] for agent in layout.agents]

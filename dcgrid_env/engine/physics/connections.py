@@ -67,8 +67,8 @@ def own_distance(scenario: Scenario) -> np.ndarray:
     very large three-phase feeder 0 at buses where the agent cannot stand.
     """
     if isinstance(scenario.feeder, Feeder):
-        own = np.stack(own_sensitivity(scenario.model), axis=-1)
-        return np.broadcast_to(own, (scenario.n_agents, *own.shape))
+        distances = np.stack(own_sensitivity(scenario.model), axis=-1)
+        return np.broadcast_to(distances, (scenario.n_agents, *distances.shape))
     nodes = nodes_by_bus(scenario)
     if scenario.feeder.n_node > DENSE_MOST:
         return _own_distance_where_agents_may_stand(scenario, nodes)
@@ -87,19 +87,19 @@ def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) 
             pairs += [(first + slot, int(bus)) for bus in buses]
         first += device.count
     agent, bus = np.array(pairs, np.int64).reshape(-1, 2).T
-    own, n_seen = nodes[agent, bus], nodes.shape[-1]
+    own_nodes, n_seen = nodes[agent, bus], nodes.shape[-1]
     found = np.zeros((*nodes.shape[:2], 2))
     control = Control(capacitor_on=scenario.capacitor_connected)
-    wanted = np.unique(own)
+    wanted = np.unique(own_nodes)
     for begin in range(0, len(wanted), _ROWS_AT_ONCE):
-        at = wanted[begin : begin + _ROWS_AT_ONCE]
+        source_nodes = wanted[begin : begin + _ROWS_AT_ONCE]
         slopes = linearise(
-            feeder, feeder.p_load_kw, feeder.q_load_kvar, scenario.source_voltage_pu, control, at=at.tolist()
+            feeder, feeder.p_load_kw, feeder.q_load_kvar, scenario.source_voltage_pu, control, at=source_nodes.tolist()
         )
-        pair, seen = np.nonzero(np.isin(own, at))
-        row = np.searchsorted(at, own[pair, seen])
+        pair, seen = np.nonzero(np.isin(own_nodes, source_nodes))
+        row = np.searchsorted(source_nodes, own_nodes[pair, seen])
         for k, share in enumerate((scenario.sensing.r_model_share, scenario.sensing.x_model_share)):
-            rise = share * slopes[k][row[:, None], own[pair]].sum(-1) / n_seen**2
+            rise = share * slopes[k][row[:, None], own_nodes[pair]].sum(-1) / n_seen**2
             np.add.at(found[..., k], (agent[pair], bus[pair]), rise)
     return found
 
@@ -191,8 +191,8 @@ def _by_buses(feeder: Feeder, buses: np.ndarray) -> Sensitivity:
         if feeder.voltage_ratio is not None:  # without it the matrices are symmetric
             r, x = r.T, x.T
         return Sensitivity(r[buses], x[buses])
-    once, at = np.unique(buses, return_inverse=True)
-    return Sensitivity(*(rows[at.reshape(buses.shape)] for rows in sensitivity_by(feeder, once.tolist())))
+    once, position = np.unique(buses, return_inverse=True)
+    return Sensitivity(*(rows[position.reshape(buses.shape)] for rows in sensitivity_by(feeder, once.tolist())))
 
 
 def _at_agents(rows: np.ndarray, buses: np.ndarray) -> np.ndarray:
@@ -210,9 +210,9 @@ def between_agents(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
         return between_buses(scenario)[buses[:, :, None], buses[:, None, :]]
     feeder = scenario.model
     ratio = 1.0 if feeder.voltage_ratio is None else feeder.voltage_ratio
-    own = [(values / ratio)[buses] for values in own_sensitivity(feeder)]
+    of_buses = [(values / ratio)[buses] for values in own_sensitivity(feeder)]
     by_agent = (_at_agents(rows / ratio, buses) for rows in _by_buses(feeder, buses))
-    return np.hypot(*(o[:, :, None] + o[:, None, :] - 2.0 * by for o, by in zip(own, by_agent, strict=True)))
+    return np.hypot(*(o[:, :, None] + o[:, None, :] - 2.0 * by for o, by in zip(of_buses, by_agent, strict=True)))
 
 
 @cached_on_owner
@@ -239,19 +239,19 @@ def distance_in_bands(scenario: Scenario) -> np.ndarray:
 
 def placement(scenario: Scenario, buses: np.ndarray) -> Placement:
     """What the agents' buses (positions, (row, n_agent)) mean for the observation."""
-    feeder, own = scenario.feeder, distance_in_bands(scenario)
-    lanes, n_agent = buses.shape
-    lane = np.arange(lanes)[:, None, None]
-    own = own[np.arange(n_agent), buses]
+    feeder, distances = scenario.feeder, distance_in_bands(scenario)
+    n_row, n_agent = buses.shape
+    row = np.arange(n_row)[:, None, None]
+    distances = distances[np.arange(n_agent), buses]
     local = agent_nodes(scenario, buses)
-    nodes = legs = local + lane * feeder.n_node
+    nodes = legs = local + row * feeder.n_node
     if feeder.n_leg != feeder.n_node:
-        legs = local + feeder.first_device_leg + lane * feeder.n_leg
+        legs = local + feeder.first_device_leg + row * feeder.n_leg
     count = min(N_NEIGHBOURS, n_agent - 1) if scenario.sensing.observe == "neighbours" else 0
-    nearest = np.zeros((lanes, n_agent, 0), dtype=np.int64)
+    nearest = np.zeros((n_row, n_agent, 0), dtype=np.int64)
     if count:
         apart = between_agents(scenario, buses)
         apart[:, np.arange(n_agent), np.arange(n_agent)] = -1.0
         nearest = np.argsort(apart, axis=-1, kind="stable")[..., 1 : count + 1]
-        nearest = nearest + np.arange(lanes)[:, None, None] * n_agent
-    return Placement(own[..., 0].copy(), own[..., 1].copy(), nodes, legs, nearest)
+        nearest = nearest + np.arange(n_row)[:, None, None] * n_agent
+    return Placement(distances[..., 0].copy(), distances[..., 1].copy(), nodes, legs, nearest)

@@ -44,18 +44,18 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
     agents = 0.0 * (exogenous.p_load_kw[..., :1] + params.p_scale_kw)
     cuts = device_slices(scenario)
     devices = tuple(
-        device.initial(own, agents[..., cut])
-        for device, own, cut in zip(scenario.devices, params.devices, cuts, strict=True)
+        device.initial(device_params, agents[..., cut])
+        for device, device_params, cut in zip(scenario.devices, params.devices, cuts, strict=True)
     )
     setpoints = tuple(
         tuple(agents[..., cut] + rest for rest in of_device) for of_device, cut in zip(params.rest, cuts, strict=True)
     )
     phases = None
     if isinstance(feeder, ThreePhaseFeeder):
-        none = 0.0 * v[..., : len(three_phase_nodes(feeder))]
+        zeros = 0.0 * v[..., : len(three_phase_nodes(feeder))]
         angle = as_like(np.deg2rad(feeder.source_angle_deg[feeder.node_phase - 1]), v)
         at_agents = agents + scenario.source_voltage_pu
-        phases = ThreePhaseState(v * xp.cos(angle), v * xp.sin(angle), at_agents, at_agents, none, None)
+        phases = ThreePhaseState(v * xp.cos(angle), v * xp.sin(angle), at_agents, at_agents, zeros, None)
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
     draws = (state.p_kw,) * remembered_draws(scenario) or None
@@ -63,12 +63,12 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
 
 
 def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, AnySolution]:
-    """Advance every lane by one interval.
+    """Advance every environment by one interval.
 
     Parameters
     ----------
     scenario
-        The scenario, one for all lanes.
+        The scenario, one for all environments.
     state
         State at the beginning of the interval.
     action
@@ -85,7 +85,7 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     """
     params = parameters(scenario, action)
     setpoint = setpoints(action, params.middle, params.half_range, params.minus_one, params.one)
-    by_device = [[setpoint[..., at] for at in columns] for columns in action_layout(scenario).columns]
+    by_device = [[setpoint[..., column] for column in columns] for columns in action_layout(scenario).columns]
     q_kvar = take_last(setpoint, params.reactive)
     if params.has_reactive is not None:
         q_kvar = q_kvar * params.has_reactive
@@ -131,9 +131,9 @@ def _step(
             loading = xp.where(solved, loading, 0.0 * v if state.loading is None else state.loading)
         if phases is not None:
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
-    own = tuple(devices)
+    device_states = tuple(devices)
     if phases is not None:
-        own = feeder_equipment.with_relays(scenario, own, phases.equipment)
+        device_states = feeder_equipment.with_relays(scenario, device_states, phases.equipment)
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
@@ -143,7 +143,7 @@ def _step(
         p_kw=p_agent,
         q_kvar=q_agent,
         q_limit_kvar=q_limit,
-        devices=own,
+        devices=device_states,
         three_phase=phases,
         p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
         loading=loading,
@@ -198,8 +198,8 @@ def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: 
         change = scenario.devices[i].grid_change(params[i], states[i])
         if change.shunt_kvar is not None:
             nodes = exogenous.nodes[:, cuts[i]]
-            none = 0.0 * exogenous.q_load_kvar[..., : scenario.feeder.n_node]
-            shunt_kvar = add_at(none if shunt_kvar is None else shunt_kvar, nodes, _to_nodes(change.shunt_kvar, nodes))
+            zeros = 0.0 * exogenous.q_load_kvar[..., : scenario.feeder.n_node]
+            shunt_kvar = add_at(zeros if shunt_kvar is None else shunt_kvar, nodes, _to_nodes(change.shunt_kvar, nodes))
         if change.tap_ratio is not None:
             ratios.append(change.tap_ratio)
     return Control(xp.concat(ratios, axis=-1) if ratios else None, shunt_kvar)
@@ -282,14 +282,16 @@ def _to_nodes(values: Array, nodes: Array) -> Array:
 
 def from_nodes(v_pu: Array, nodes: Array) -> Array:
     """Each agent's voltage, the mean of its nodes', (row, n_agent)."""
-    at = take_at(v_pu, nodes)
-    return at[..., 0] if nodes.shape[-1] == 1 else at.sum(-1) / nodes.shape[-1]
+    v_nodes = take_at(v_pu, nodes)
+    return v_nodes[..., 0] if nodes.shape[-1] == 1 else v_nodes.sum(-1) / nodes.shape[-1]
 
 
 def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
     """Lowest and highest voltage of each agent's nodes, (row, n_agent) each."""
-    at = take_at(v_pu, nodes)
-    return (at.min(-1), at.max(-1)) if isinstance(at, np.ndarray) else (at.amin(-1), at.amax(-1))
+    v_nodes = take_at(v_pu, nodes)
+    return (
+        (v_nodes.min(-1), v_nodes.max(-1)) if isinstance(v_nodes, np.ndarray) else (v_nodes.amin(-1), v_nodes.amax(-1))
+    )
 
 
 @compiled_as("dcgrid_env.engine.physics.step_kernels:by_phase", like="v_pu")

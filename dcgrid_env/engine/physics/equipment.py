@@ -59,8 +59,8 @@ def begun(
     of what is ``connected``, None where all banks are.
     """
     feeder, plan = _feeder(scenario), _plan(scenario, p_kw)
-    none = 0.0 * p_kw[..., :1]
-    tap, on = (none + _like(values, p_kw) for values in (feeder.base_tap, feeder.base_capacitor_on))
+    zeros = 0.0 * p_kw[..., :1]
+    tap, on = (zeros + _like(values, p_kw) for values in (feeder.base_tap, feeder.base_capacitor_on))
     if plan.regulators.acts:
         control = Control(None, shunt_kvar, on if connected is None else on * connected)
         given = (feeder, p_kw, q_kvar, scenario.source_voltage_pu, control)
@@ -74,15 +74,17 @@ def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> E
     of_regulators, of_banks = _plan(scenario, regulators.tap)
     regulators = control_taps(of_regulators.settings, regulators, dt_s, of_regulators.controlled)
     if of_regulators.agents is not None:
-        own = devices[of_regulators.agents]
-        tap, since, moved = (_picked(of_regulators, regulators, own, name) for name in ("tap", "since_s", "moved"))
+        device_state = devices[of_regulators.agents]
+        tap, since, moved = (
+            _picked(of_regulators, regulators, device_state, name) for name in ("tap", "since_s", "moved")
+        )
         moves = before.regulators.moves + moved
         regulators = regulators._replace(tap=tap, since_s=since, moved=moved, moves=moves)
     if of_banks.acts:
         banks = control_banks(scenario.grid_control.capacitor_settings, banks, dt_s, of_banks.controlled)
     if of_banks.agents is not None:
-        own = devices[of_banks.agents]
-        on, since, switched = (_picked(of_banks, banks, own, name) for name in ("on", "since_s", "switched"))
+        device_state = devices[of_banks.agents]
+        on, since, switched = (_picked(of_banks, banks, device_state, name) for name in ("on", "since_s", "switched"))
         switchings = before.banks.switchings + switched
         banks = banks._replace(on=on, since_s=since, switched=switched, switchings=switchings)
     return Equipment(regulators, banks)
@@ -97,12 +99,12 @@ def measured(scenario: Scenario, equipment: Equipment, solution: Any) -> Equipme
 
 def with_relays(scenario: Scenario, devices: tuple[Any, ...], equipment: Equipment) -> tuple[Any, ...]:
     """The states of the devices, with what the relays of regulators that are agents measure."""
-    at = _plan(scenario, equipment.regulators.relay_v).regulators.agents
-    if at is None:
+    position = _plan(scenario, equipment.regulators.relay_v).regulators.agents
+    if position is None:
         return devices
-    own: Any = scenario.devices[at]
-    relay_v = equipment.regulators.relay_v[..., list(own.rows)]
-    return (*devices[:at], devices[at]._replace(relay_v=relay_v), *devices[at + 1 :])
+    agents: Any = scenario.devices[position]
+    relay_v = equipment.regulators.relay_v[..., list(agents.rows)]
+    return (*devices[:position], devices[position]._replace(relay_v=relay_v), *devices[position + 1 :])
 
 
 def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None) -> Control:
@@ -112,9 +114,9 @@ def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None
     return Control(ratio, None, on if connected is None else on * connected)
 
 
-def _picked(group: _Group, state: Any, own: Any, name: str) -> Array:
+def _picked(group: _Group, state: Any, commanded: Any, name: str) -> Array:
     """A figure of all pieces, that of the agents out of the state of their group."""
-    both = (getattr(state, name), getattr(own, name))
+    both = (getattr(state, name), getattr(commanded, name))
     return take_last(namespace(both[0]).concat(both, axis=-1), group.pick)
 
 
@@ -142,13 +144,13 @@ def _made(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Plan:
     ):
         decides = deciders(scenario.grid_control, feeder)
         controlled = np.array([decider == "controlled" for decider in decides], np.float64)
-        at = kinds.index(kind.kind) if kind.kind in kinds else None
+        position = kinds.index(kind.kind) if kind.kind in kinds else None
         pick = np.arange(len(decides))
-        if at is not None:
-            own: Any = scenario.devices[at]
-            pick[list(own.rows)] = len(decides) + np.arange(own.count)
+        if position is not None:
+            agents: Any = scenario.devices[position]
+            pick[list(agents.rows)] = len(decides) + np.arange(agents.count)
         settings, acts = settings_like(settings, like), bool(controlled.any())
-        groups.append(_Group(settings, _like(controlled, like), acts, at, xp.asarray(pick, device=device)))
+        groups.append(_Group(settings, _like(controlled, like), acts, position, xp.asarray(pick, device=device)))
     return _Plan(*groups)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.random import load_step
-from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.threads import over_rows
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.engine.physics.state import LoadsToDraw
 from dcgrid_env.engine.physics.step_kernels import net_loads
@@ -24,11 +24,11 @@ from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.powerflow.balanced.batch import constants, rows
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
 from dcgrid_env.powerflow.balanced.distflow import MAX_SWEEPS, TOLERANCE_KVA
-from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_rows
 from dcgrid_env.powerflow.solution import raise_not_finite
 from dcgrid_env.scenario.scenario import Scenario
 
-CHUNK = 64  # lanes whose loads stand in the cache together
+CHUNK = 64  # rows whose loads stand in the cache together
 TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA
 
 
@@ -60,23 +60,23 @@ def grid_pass(
     ``nodes`` are those of ``Exogenous``; the power flow starts from ``restart``. PowerFlowError for a power that is
     not finite.
     """
-    lanes, n = drawing.noise.shape
-    agents = (lanes, p_kw.shape[1])
-    own = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (lanes, n - 1)))
+    n_row, n = drawing.noise.shape
+    agents = (n_row, p_kw.shape[1])
+    own = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (n_row, n - 1)))
     given = (*_fixed(scenario), *drawing, nodes, *own)
-    over_buses, after = np.empty((4 if lanes <= FEW else 2, lanes, n)), np.empty((lanes, n - 1))
-    per_lane, converged = np.empty((7, lanes)), np.empty(lanes, np.bool_)
-    out = (over_buses, after, per_lane, converged)
-    if lanes <= FEW:
-        failed = _few_lanes(0, lanes, *given, *out, np.zeros(lanes, np.int64))
+    over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
+    per_row, converged = np.empty((7, n_row)), np.empty(n_row, np.bool_)
+    out = (over_buses, after, per_row, converged)
+    if n_row <= FEW:
+        failed = _few_rows(0, n_row, *given, *out, np.zeros(n_row, np.int64))
     else:
-        failed = over_lanes(lambda first, last: _many_lanes(first, last, *given, *out), lanes)
+        failed = over_rows(lambda first, last: _many_rows(first, last, *given, *out), n_row)
     if failed and not np.isfinite(p_kw + q_kvar).all():
-        loads = np.empty((3, lanes, n))
+        loads = np.empty((3, n_row, n))
         load_step(*drawing, *loads)
         raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *own[:2]))
-    figures = VoltageFigures(per_lane[0], per_lane[1], per_lane[2], per_lane[3])
-    return GridPass(over_buses[1], after, per_lane[4], converged, figures, over_buses[0])
+    figures = VoltageFigures(per_row[0], per_row[1], per_row[2], per_row[3])
+    return GridPass(over_buses[1], after, per_row[4], converged, figures, over_buses[0])
 
 
 @cached_on_owner
@@ -100,19 +100,19 @@ def _draw(
     load_step(
         key[a:b], step[a:b], noise[a:b], share[a:b], rho, sigma, p_base, q_base, q_fixed, noise_out[a:b], p, q,
     )  # fmt: skip
-    for lane in range(a, b):
+    for row in range(a, b):
         for agent in range(nodes.shape[1]):
             for part in range(parts):
-                at = nodes[lane, agent, part] - lane * n
-                p[lane - a, at] += p_agent[lane, agent] / parts
-                q[lane - a, at] += -q_agent[lane, agent] / parts
+                at = nodes[row, agent, part] - row * n
+                p[row - a, at] += p_agent[row, agent] / parts
+                q[row - a, at] += -q_agent[row, agent] / parts
 
 
 @compiled(nogil=True)
-def _few_lanes(
+def _few_rows(
     first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
-    over_buses, restart, per_lane, converged, sweeps,
+    over_buses, restart, per_row, converged, sweeps,
 ):  # fmt: skip
     """Run the pass over up to FEW environments, without the code for blocks; return how many have no solution.
 
@@ -123,21 +123,21 @@ def _few_lanes(
         first, last, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
         noise_out, p, q,
     )  # fmt: skip
-    none, v0_pu = noise[:0], per_lane[6]
+    none, v0_pu = noise[:0], per_row[6]
     v0_pu[:] = source_pu
-    failed = distflow_lanes(
+    failed = distflow_rows(
         order, parent, r, x, shunt_g, shunt_b, ratio, p, q, v0_pu, warm, tolerance, max_sweeps,
-        (v_pu, none, none, restart, per_lane[4], converged, sweeps, per_lane[5]),
+        (v_pu, none, none, restart, per_row[4], converged, sweeps, per_row[5]),
     )  # fmt: skip
-    fill_figures(v_pu, first, last, judged, band_pu, per_lane[0], per_lane[1], per_lane[2], per_lane[3])
+    fill_figures(v_pu, first, last, judged, band_pu, per_row[0], per_row[1], per_row[2], per_row[3])
     return failed
 
 
 @compiled(nogil=True)
-def _many_lanes(
+def _many_rows(
     first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
-    over_buses, restart, per_lane, converged,
+    over_buses, restart, per_row, converged,
 ):  # fmt: skip
     """Run the pass over the environments ``first`` up to ``last`` in chunks; return how many have no solution."""
     n, failed = noise.shape[1], 0
@@ -152,7 +152,7 @@ def _many_lanes(
             a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
             noise_out, p[:m], q[:m],
         )  # fmt: skip
-        out = (v_pu[a:b], none, none, restart[a:b], per_lane[4, a:b], converged[a:b], sweeps[:m], residual[:m])
+        out = (v_pu[a:b], none, none, restart[a:b], per_row[4, a:b], converged[a:b], sweeps[:m], residual[:m])
         sweeps[:m], unsettled = 0, m
         if m > FEW and n <= MOST_IN_BLOCKS:
             unsettled = distflow_blocks(
@@ -160,9 +160,9 @@ def _many_lanes(
                 max_sweeps, out,
             )  # fmt: skip
         if unsettled > 0:
-            failed += distflow_lanes(
+            failed += distflow_rows(
                 order, parent, r, x, shunt_g, shunt_b, ratio, p[:m], q[:m], v0_pu[:m], warm[a:b], tolerance,
                 max_sweeps, out,
             )  # fmt: skip
-        fill_figures(v_pu, a, b, judged, band_pu, per_lane[0], per_lane[1], per_lane[2], per_lane[3])
+        fill_figures(v_pu, a, b, judged, band_pu, per_row[0], per_row[1], per_row[2], per_row[3])
     return failed

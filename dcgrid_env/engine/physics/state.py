@@ -1,4 +1,4 @@
-"""What a step begins from and ends in, and what comes from outside meanwhile; arrays over lanes, slots and buses."""
+"""State before and after a step, and its exogenous inputs; arrays over environments, slots and buses."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class ThreePhaseState(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state after a step; every array has the lanes as its leading dimension, agents are ordered by device.
+    """The state after a step; every array has the environments as its leading dimension, agents are ordered by device.
 
     A field of a device's state is read by its name too: ``state.backlog_kws``.
     """

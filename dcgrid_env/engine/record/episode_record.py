@@ -20,24 +20,28 @@ if TYPE_CHECKING:
 class Series:
     """One episode as arrays over time: ``v_pu`` and ``backlog_kws`` from the reset on (T + 1 rows), the rest T rows."""
 
-    def __init__(self, scenario: Scenario, transitions: list[Transition], lane: int):
-        self._take(scenario, _course(transitions, lambda values: np.array([own[lane] for own in values])), lane)
+    def __init__(self, scenario: Scenario, transitions: list[Transition], env_index: int):
+        self._take(
+            scenario,
+            _course(transitions, lambda values: np.array([values_of_step[env_index] for values_of_step in values])),
+            env_index,
+        )
 
     @classmethod
-    def of_lanes(cls, scenario: Scenario, transitions: list[Transition], lengths: Sequence[int]) -> list[Series | None]:
-        """The first so many steps of each lane; None where there are none. Lanes share memory."""
+    def of_batch(cls, scenario: Scenario, transitions: list[Transition], lengths: Sequence[int]) -> list[Series | None]:
+        """The first so many steps of each environment; None where there are none. They share memory."""
         stacked = _course(transitions, np.array)
-        return [cls._cut(scenario, stacked, lane, n) if n else None for lane, n in enumerate(lengths)]
+        return [cls._cut(scenario, stacked, env_index, n) if n else None for env_index, n in enumerate(lengths)]
 
     @classmethod
-    def _cut(cls, scenario: Scenario, stacked: _Course, lane: int, steps: int) -> Series:
+    def _cut(cls, scenario: Scenario, stacked: _Course, env_index: int, steps: int) -> Series:
         series = cls.__new__(cls)
-        from_reset = over_arrays(lambda values: values[: steps + 1, lane], stacked.from_reset)
-        of_steps = over_arrays(lambda values: values[:steps, lane], stacked.of_steps)
-        series._take(scenario, _Course(from_reset, of_steps, stacked.drawn), lane)
+        from_reset = over_arrays(lambda values: values[: steps + 1, env_index], stacked.from_reset)
+        of_steps = over_arrays(lambda values: values[:steps, env_index], stacked.of_steps)
+        series._take(scenario, _Course(from_reset, of_steps, stacked.drawn), env_index)
         return series
 
-    def _take(self, scenario: Scenario, course: _Course, lane: int) -> None:
+    def _take(self, scenario: Scenario, course: _Course, env_index: int) -> None:
         self.scenario = scenario
         self.v_pu, self.p_kw_from_reset, self.devices, self.three_phase, self.loading = course.from_reset
         """``devices`` are the states of each device over time, and ``three_phase`` is ``State.three_phase``, None on a
@@ -45,7 +49,7 @@ class Series:
         self.p_kw = self.p_kw_from_reset[1:]
         self.q_kvar, self.loss_kw, self.cost_j, converged, costs = course.of_steps
         self.costs = costs._asdict()
-        self.trace_start, self.buses, self.fault = (own[lane] for own in course.drawn)
+        self.trace_start, self.buses, self.fault = (drawn[env_index] for drawn in course.drawn)
         """Where each site's trace window begins, (n_site,); position in ``bus_ids`` of each agent's bus, (n_agent,);
         what each fault strikes and when, ``Episode.fault``, (n_fault, 3)."""
         self.converged = bool(converged[-1])
@@ -117,7 +121,7 @@ def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]
 
 
 class Recorder:
-    """Collects the transitions of one episode in every lane of a batch, from the reset on.
+    """Collects the transitions of one episode in every environment of a batch, from the reset on.
 
     Parameters
     ----------
@@ -130,12 +134,12 @@ class Recorder:
     def __init__(self, scenario: Scenario, begun: Transition, seeds: Sequence[int] | None = None):
         self.scenario, self._seeds = scenario, seeds
         self._transitions = [begun]
-        lanes = len(begun.terminated)
-        self._length = np.zeros(lanes, dtype=np.int64)
-        self._over = np.zeros(lanes, dtype=bool)
+        n_env = len(begun.terminated)
+        self._length = np.zeros(n_env, dtype=np.int64)
+        self._over = np.zeros(n_env, dtype=bool)
 
     def add(self, transition: Transition) -> None:
-        """Take a step's transition; a lane whose episode has ended before is not counted further."""
+        """Take a step's transition; an environment whose episode has ended before is not counted further."""
         self._length += ~self._over
         self._over |= transition.terminated | transition.truncated
         self._transitions.append(transition)
@@ -145,18 +149,18 @@ class Recorder:
         """Whether the episode has ended in every environment."""
         return bool(self._over.all())
 
-    def lane(self, lane: int) -> Series:
-        """The course of one lane's episode; ValueError before its first step."""
-        if self._length[lane] == 0:
+    def lane(self, env_index: int) -> Series:
+        """The course of one environment's episode; ValueError before its first step."""
+        if self._length[env_index] == 0:
             raise ValueError("no step has been recorded yet")
-        taken = self._transitions[: int(self._length[lane]) + 1]
-        on = self.scenario if self._seeds is None else self.scenario.member(self._seeds[lane])
-        return Series(on, taken, lane)
+        taken = self._transitions[: int(self._length[env_index]) + 1]
+        on = self.scenario if self._seeds is None else self.scenario.member(self._seeds[env_index])
+        return Series(on, taken, env_index)
 
     def costs(self) -> np.ndarray:
         """J of each environment's episode, (row,); ValueError before all have ended."""
         if not self.over:
-            raise ValueError("costs of an episode that has not ended; step until every lane is over")
+            raise ValueError("costs of an episode that has not ended; step until every environment is over")
         charged = np.array([t.cost_j for t in self._transitions[1:]])
         within = np.arange(len(charged))[:, None] < self._length
         return (charged * within).sum(axis=0) / self.scenario.horizon
@@ -164,7 +168,7 @@ class Recorder:
     def metrics(self) -> list[dict[str, float]]:
         """The figures of each environment's episode; ValueError before all have ended."""
         if not self.over:
-            raise ValueError("metrics of an episode that has not ended; step until every lane is over")
+            raise ValueError("metrics of an episode that has not ended; step until every environment is over")
         return [self.lane(i).metrics() for i in range(len(self._over))]
 
 
@@ -176,13 +180,17 @@ class JoinedRecorder(Recorder):
     scenario
         What they are members of.
     parts
-        Each with its lanes, in the order of its own.
+        Each with its environments, in the order of its own.
     """
 
     def __init__(self, scenario: Scenario, parts: Sequence[tuple[np.ndarray, Recorder]]):
         self.scenario, self._parts = scenario, list(parts)
-        places = [(int(lane), k, i) for k, (lanes, _) in enumerate(parts) for i, lane in enumerate(lanes)]
-        self._place = {lane: (k, i) for lane, k, i in places}
+        places = [
+            (int(env_index), k, i)
+            for k, (env_indices, _) in enumerate(parts)
+            for i, env_index in enumerate(env_indices)
+        ]
+        self._place = {env_index: (k, i) for env_index, k, i in places}
 
     def add(self, transition: object) -> None:
         """TypeError: steps are recorded where they are made."""
@@ -193,16 +201,16 @@ class JoinedRecorder(Recorder):
         """Whether the episode has ended in every environment."""
         return all(part.over for _, part in self._parts)
 
-    def lane(self, lane: int) -> Series:
+    def lane(self, env_index: int) -> Series:
         """The trajectory of one environment's episode, on its feeder."""
-        part, own = self._place[lane]
-        return self._parts[part][1].lane(own)
+        part, part_index = self._place[env_index]
+        return self._parts[part][1].lane(part_index)
 
     def costs(self) -> np.ndarray:
         """J of each environment's episode, (row,)."""
         whole = np.empty(len(self._place))
-        for lanes, part in self._parts:
-            whole[lanes] = part.costs()
+        for env_indices, part in self._parts:
+            whole[env_indices] = part.costs()
         return whole
 
     def metrics(self) -> list[dict[str, float]]:

@@ -37,7 +37,7 @@ class ParquetCourse:
     scenario
         What is run.
     seeds
-        Those of the lanes.
+        Those of the environments.
 
     Raises
     ------
@@ -70,7 +70,7 @@ class ParquetCourse:
             self._write()
 
     def add(self, parts: Sequence[Series | None], first_step: int) -> None:
-        """Take the next steps of every lane, see ``streaming_recorder.PartSink``."""
+        """Take the next steps of every environment, see ``streaming_recorder.PartSink``."""
         for waiting, part in zip(self._waiting, parts, strict=True):
             if part is not None:
                 waiting.append(course_table(part, first_step))
@@ -133,9 +133,9 @@ def course_table(part: Series, first_step: int) -> dict[str, np.ndarray]:
     columns |= _of_each("p_kw", s.agents, part.p_kw)
     columns |= _of_each("q_kvar", s.agents, part.q_kvar)
     for cut, state in zip(device_slices(s), part.devices, strict=True):
-        own: dict[str, np.ndarray] = {}
-        _collect(state, len(s.agents[cut]), own)
-        for field, values in own.items():
+        by_field: dict[str, np.ndarray] = {}
+        _collect(state, len(s.agents[cut]), by_field)
+        for field, values in by_field.items():
             columns |= _of_each(field, s.agents[cut], values[1:])
     if part.three_phase is not None:
         regulators, banks = part.three_phase.equipment

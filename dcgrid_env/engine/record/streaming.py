@@ -29,12 +29,12 @@ class PartSink(Protocol):
     """Takes the course of episodes part by part, to write it or to draw it."""
 
     def add(self, parts: Sequence[Series | None], first_step: int) -> None:
-        """Take the next steps of every lane.
+        """Take the next steps of every environment.
 
         Parameters
         ----------
         parts
-            One for each lane, from the end of the part before on; None where an episode has ended before.
+            One for each environment, from the end of the part before on; None where an episode has ended before.
         first_step
             Steps that the parts before had: the first of these is the one behind.
         """
@@ -42,7 +42,7 @@ class PartSink(Protocol):
 
 
 class StreamingRecorder:
-    """Collects the figures of one episode in every lane of a batch, in memory that does not grow with its length.
+    """Collects the figures of one episode in every environment of a batch, in memory independent of its length.
 
     The figures are those of ``Recorder`` to rounding, some 1e-12 of their size. The course itself is gone; ``sinks``
     are given it part by part.
@@ -68,14 +68,14 @@ class StreamingRecorder:
         self.part_steps = part_steps or int(np.clip(fitting, *_PART_STEPS))
         self._waiting = [begun]
         self._steps = 0
-        lanes = len(begun.terminated)
-        self._part_length = np.zeros(lanes, dtype=np.int64)
-        self._over = np.zeros(lanes, dtype=bool)
-        self._costs = np.zeros(lanes)
-        self._figures = [_StreamingMetrics(scenario) for _ in range(lanes)]
+        n_env = len(begun.terminated)
+        self._part_length = np.zeros(n_env, dtype=np.int64)
+        self._over = np.zeros(n_env, dtype=bool)
+        self._costs = np.zeros(n_env)
+        self._figures = [_StreamingMetrics(scenario) for _ in range(n_env)]
 
     def add(self, transition: Transition) -> None:
-        """Take a step's transition; a lane whose episode has ended before is not counted further."""
+        """Take a step's transition; an environment whose episode has ended before is not counted further."""
         self._part_length += ~self._over
         self._costs += np.where(self._over, 0.0, transition.cost_j)
         self._over |= transition.terminated | transition.truncated
@@ -85,26 +85,26 @@ class StreamingRecorder:
 
     @property
     def over(self) -> bool:
-        """Whether the episode has ended in every lane."""
+        """Whether the episode has ended in every environment."""
         return bool(self._over.all())
 
     def costs(self) -> np.ndarray:
         """J of each environment's episode, (row,); ValueError before all have ended."""
         if not self.over:
-            raise ValueError("costs of an episode that has not ended; step until every lane is over")
+            raise ValueError("costs of an episode that has not ended; step until every environment is over")
         return self._costs / self.scenario.horizon
 
     def metrics(self) -> list[dict[str, float]]:
-        """The figures of each lane's episode; ValueError before all have ended."""
+        """The figures of each environment's episode; ValueError before all have ended."""
         if not self.over:
-            raise ValueError("metrics of an episode that has not ended; step until every lane is over")
-        return [own.figures() for own in self._figures]
+            raise ValueError("metrics of an episode that has not ended; step until every environment is over")
+        return [metrics.figures() for metrics in self._figures]
 
     def _end_part(self) -> None:
-        parts = Series.of_lanes(self.scenario, self._waiting, self._part_length.tolist())
-        for own, part in zip(self._figures, parts, strict=True):
+        parts = Series.of_batch(self.scenario, self._waiting, self._part_length.tolist())
+        for metrics, part in zip(self._figures, parts, strict=True):
             if part is not None:
-                own.add(part)
+                metrics.add(part)
         for sink in self.sinks:
             sink.add(parts, self._steps)
         self._steps += len(self._waiting) - 1
@@ -149,8 +149,8 @@ class _StreamingMetrics:
         if not self._devices:
             self._devices = [_of_device(device, part, i) for i, device in enumerate(self.scenario.devices)]
         self._grid.add(part)
-        for own, history in zip(self._devices, part.devices, strict=True):
-            own.add(history, steps)
+        for metrics, history in zip(self._devices, part.devices, strict=True):
+            metrics.add(history, steps)
         self._after_loss.add(part.after_loss(), steps)
 
     def figures(self) -> dict[str, float]:
@@ -158,8 +158,8 @@ class _StreamingMetrics:
         if not self._devices:
             raise ValueError("no step has been recorded yet")
         figures = self._grid.figures()
-        for own in self._devices:
-            figures |= own.figures()
+        for metrics in self._devices:
+            figures |= metrics.figures()
         return {name: float(value) for name, value in (figures | self._after_loss.figures()).items()}
 
 
@@ -195,8 +195,8 @@ class _Whole:
         self._parts: list[Any] = []
 
     def add(self, history: Any, steps: int) -> None:
-        own = over_arrays(lambda values: np.array(values[1:] if self._parts else values), history)
-        self._parts.append(own)
+        course = over_arrays(lambda values: np.array(values[1:] if self._parts else values), history)
+        self._parts.append(course)
 
     def figures(self) -> dict[str, float]:
         return self._metrics(over_arrays(lambda *parts: np.concatenate(parts), *self._parts))

@@ -32,7 +32,7 @@ class RandomFeeders(OneNodeABus):
     """Random feeders of one style, number of buses and peak load, for the ``feeder`` of a scenario.
 
     An episode's seed says which feeder it is on. In the train split ``batch`` seeds in a row share one, 0 to
-    ``batch - 1`` the first, so that a batch of episodes is one batch of power flows, and each further episode of a lane
+    ``batch - 1`` the first, so that a batch of episodes is one batch of power flows, and each further episode of one
     is on another. Validation, test and ood have 64 feeders each, and seed s is on feeder s % 64 there. No feeder is in
     two splits. ``Scenario.member(seed)`` is the scenario on the feeder of a seed.
 

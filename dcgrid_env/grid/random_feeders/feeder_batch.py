@@ -1,4 +1,4 @@
-"""Lanes that are stepped together though they are on different members of a family of random feeders."""
+"""Environments that are stepped together on different members of a family of random feeders."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from dcgrid_env.grid.random_feeders.family import RandomFeeders
 
 @dataclass(frozen=True, eq=False)
 class FeederBatch(OneNodeABus):
-    """What stands for the feeder of a batch of lanes; it has what all members share, and says who is on which."""
+    """The feeders of a batch of environments: what all members share, and which environment is on which."""
 
     family: RandomFeeders
     members: tuple[tuple[Feeder, np.ndarray], ...]
-    """Each feeder with the positions of its lanes."""
+    """Each feeder with the positions of its environments."""
 
     @property
     def name(self) -> str:

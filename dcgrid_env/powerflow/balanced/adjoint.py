@@ -10,7 +10,7 @@ weighted sum with respect to a variable, branch k from i:
     wbar_k = weight of w + sum over what k feeds: wbar_c - l_c / w_k lbar_c + g_k Pbar_k - b_k Qbar_k
 
 The last two terms are those of a shunt, which draws g_k w_k and injects b_k w_k.
-The sweeps go up the tree for w, down it for the rest, until lbar stands still; blocks of lanes are innermost, as in
+The sweeps go up the tree for w, down it for the rest, until lbar stands still; blocks of rows are innermost, as in
 ``compiled_blocks``.
 """
 
@@ -22,7 +22,7 @@ from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.units import S_BASE_KVA
 
 BLOCK = 32
-"""Lanes innermost; of 4, 8, 16 and 32 the fastest on ieee123."""
+"""Rows innermost; of 4, 8, 16 and 32 the fastest on ieee123."""
 SWEEPS = 200
 """Most of them: enough for 1e-8 of the derivative up to 99.9 % of the load at which the named feeders collapse."""
 TOLERANCE = {8: 1e-10, 4: 1e-5}
@@ -30,17 +30,17 @@ TOLERANCE = {8: 1e-10, 4: 1e-5}
 
 
 @compiled(nogil=True)
-def distflow_adjoint_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, solved, weights, converged, tolerance, out):
+def distflow_adjoint_rows(order, parent, r, x, shunt_g, shunt_b, ratio, solved, weights, converged, tolerance, out):
     """Fill ``out``: derivatives by p_kw and q_kvar (row, bus) and by v0_pu (row,) of sum(weights * solved).
 
     ``solved`` and ``weights`` hold v_pu (row, bus), p_branch_kw, q_branch_kvar, current_sq_pu (row, branch) and the
-    weights loss_kw (row,) besides; what comes before them is as in ``distflow_lanes``. A row without a solution has
+    weights loss_kw (row,) besides; what comes before them is as in ``distflow_rows``. A row without a solution has
     no derivative and gets 0.
     """
     v_pu, p_branch, q_branch, current = solved
     g_v, g_p, g_q, g_l, g_loss = weights
     d_p, d_q, d_v0 = out
-    n_lanes, n = v_pu.shape
+    n_row, n = v_pu.shape
     work = np.empty((12, n, BLOCK), v_pu.dtype)
     w, P, Q, l, gw, gP, gQ, gl, Pb, Qb, lb, wb = (
         work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7], work[8], work[9], work[10], work[11],
@@ -48,24 +48,24 @@ def distflow_adjoint_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, solved,
     before = np.empty((shunt_g.shape[0], BLOCK), v_pu.dtype)
     off = np.empty(BLOCK, v_pu.dtype)
     size = np.empty(BLOCK, v_pu.dtype)
-    for first in range(0, n_lanes, BLOCK):
-        count = min(BLOCK, n_lanes - first)
+    for first in range(0, n_row, BLOCK):
+        count = min(BLOCK, n_row - first)
         for b in range(BLOCK):
-            lane = first + min(b, count - 1)
-            on = 1.0 if converged[lane] else 0.0
-            w[0, b] = v_pu[lane, 0] * v_pu[lane, 0]
-            gw[0, b] = on * g_v[lane, 0] / (2.0 * v_pu[lane, 0])
+            row = first + min(b, count - 1)
+            on = 1.0 if converged[row] else 0.0
+            w[0, b] = v_pu[row, 0] * v_pu[row, 0]
+            gw[0, b] = on * g_v[row, 0] / (2.0 * v_pu[row, 0])
             Pb[0, b] = Qb[0, b] = lb[0, b] = l[0, b] = 0.0
             for k in range(1, n):
                 i = order[k]
-                w[k, b] = v_pu[lane, i] * v_pu[lane, i]
-                P[k, b] = p_branch[lane, i - 1] / S_BASE_KVA
-                Q[k, b] = q_branch[lane, i - 1] / S_BASE_KVA
-                l[k, b] = current[lane, i - 1]
-                gw[k, b] = on * g_v[lane, i] / (2.0 * v_pu[lane, i])
-                gP[k, b] = on * g_p[lane, i - 1] * S_BASE_KVA
-                gQ[k, b] = on * g_q[lane, i - 1] * S_BASE_KVA
-                gl[k, b] = on * (g_l[lane, i - 1] + g_loss[lane] * S_BASE_KVA * r[k])
+                w[k, b] = v_pu[row, i] * v_pu[row, i]
+                P[k, b] = p_branch[row, i - 1] / S_BASE_KVA
+                Q[k, b] = q_branch[row, i - 1] / S_BASE_KVA
+                l[k, b] = current[row, i - 1]
+                gw[k, b] = on * g_v[row, i] / (2.0 * v_pu[row, i])
+                gP[k, b] = on * g_p[row, i - 1] * S_BASE_KVA
+                gQ[k, b] = on * g_q[row, i - 1] * S_BASE_KVA
+                gl[k, b] = on * (g_l[row, i - 1] + g_loss[row] * S_BASE_KVA * r[k])
                 lb[k, b] = 0.0
             for k in range(ratio.shape[0]):
                 w[k, b] /= ratio[k] * ratio[k]
@@ -113,9 +113,9 @@ def distflow_adjoint_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, solved,
             if settled:
                 break
         for b in range(count):
-            lane = first + b
-            d_p[lane, 0] = d_q[lane, 0] = 0.0
+            row = first + b
+            d_p[row, 0] = d_q[row, 0] = 0.0
             for k in range(1, n):
-                d_p[lane, order[k]] = Pb[k, b] / S_BASE_KVA
-                d_q[lane, order[k]] = Qb[k, b] / S_BASE_KVA
-            d_v0[lane] = wb[0, b] * 2.0 * v_pu[lane, 0]
+                d_p[row, order[k]] = Pb[k, b] / S_BASE_KVA
+                d_q[row, order[k]] = Qb[k, b] / S_BASE_KVA
+            d_v0[row] = wb[0, b] * 2.0 * v_pu[row, 0]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
-from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes, lindistflow_lanes
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_rows, lindistflow_rows
 from dcgrid_env.powerflow.solution import Solution, raise_not_finite
 
 _NO_ROWS = {np.float64: np.empty((0, 0)), np.float32: np.empty((0, 0), np.float32)}
@@ -28,35 +28,35 @@ def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
     return order, parent, *z, g, b, none if ratio is None else ratio[order].astype(dtype)
 
 
-def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, *rest: Any) -> Solution:
-    """Run a kernel over all lanes, on several threads where there are many, and shape its output as a Solution.
+def solve_rows(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, *rest: Any) -> Solution:
+    """Run a kernel over all rows, on several threads where there are many, and shape its output as a Solution.
 
     ``rest`` is what the kernel takes beyond the loads: for DistFlow the warm start or None, tolerance and most sweeps.
     """
     shape, n, dtype = p_kw.shape[:-1], feeder.n_bus, p_kw.dtype
-    n_lanes = p_kw.size // n
-    loads = rows(p_kw, (n_lanes, n)), rows(q_kvar, (n_lanes, n)), rows(v0_pu, (n_lanes,))
+    n_row = p_kw.size // n
+    loads = rows(p_kw, (n_row, n)), rows(q_kvar, (n_row, n)), rows(v0_pu, (n_row,))
     if rest:
         warm = rest[0]
-        warm = _NO_ROWS[dtype.type] if warm is None else rows(warm, (n_lanes, n - 1))
+        warm = _NO_ROWS[dtype.type] if warm is None else rows(warm, (n_row, n - 1))
         rest = (warm, *rest[1:])
-    over_branches = np.empty((3, n_lanes, n - 1), dtype)
-    per_lane = np.empty((2, n_lanes), dtype)
+    over_branches = np.empty((3, n_row, n - 1), dtype)
+    per_row = np.empty((2, n_row), dtype)
     out = (
-        np.empty((n_lanes, n), dtype),
+        np.empty((n_row, n), dtype),
         over_branches[0],
         over_branches[1],
         over_branches[2],
-        per_lane[0],
-        np.empty(n_lanes, np.bool_),
-        np.zeros(n_lanes, np.int64),
-        per_lane[1],
+        per_row[0],
+        np.empty(n_row, np.bool_),
+        np.zeros(n_row, np.int64),
+        per_row[1],
     )
     kernel, of_feeder = _KERNELS[method], constants(feeder, dtype.type)
-    if n_lanes == 1:
+    if n_row == 1:
         failed = kernel(*of_feeder, *loads, *rest, out)
     else:
-        failed = over_lanes(partial(_part, kernel, of_feeder, loads, rest, out), n_lanes)
+        failed = over_rows(partial(_part, kernel, of_feeder, loads, rest, out), n_row)
     if failed:
         raise_not_finite(feeder, p_kw, q_kvar)
     if len(shape) == 1:
@@ -66,17 +66,17 @@ def solve_lanes(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any,
 
 
 def _distflow(*given: Any) -> int:
-    """Solve rows by ``distflow_lanes``, after ``distflow_blocks`` if there are many; return how many have no solution.
+    """Solve rows by ``distflow_rows``, after ``distflow_blocks`` if there are many; return how many have no solution.
 
     Two kernels, so a single environment does not compile code that only many need.
     """
-    n_lanes, n = given[7].shape
-    if n_lanes > FEW and n <= MOST_IN_BLOCKS and distflow_blocks(*given) == 0:
+    n_row, n = given[7].shape
+    if n_row > FEW and n <= MOST_IN_BLOCKS and distflow_blocks(*given) == 0:
         return 0
-    return distflow_lanes(*given)
+    return distflow_rows(*given)
 
 
-_KERNELS: dict[str, Any] = {"distflow": _distflow, "lindistflow": lindistflow_lanes}
+_KERNELS: dict[str, Any] = {"distflow": _distflow, "lindistflow": lindistflow_rows}
 
 
 def _part(kernel: Any, of_feeder: Any, loads: Any, rest: Any, out: Any, first: int, last: int) -> int:

@@ -13,29 +13,29 @@ from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
 
-TILE = 8  # lanes that are put into a block, or taken from it, side by side: a cache line of columns
-BLOCK = 8 * TILE  # lanes innermost; of 8, 16, 32 and 64 the fastest on ieee123
-FEW = 10  # up to this many lanes one at a time beats a mostly empty block
-MOST_IN_BLOCKS = 3000  # buses: a block is three times as fast there as one lane at a time, and no faster at 10,000
-BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
-NOT_IN_BLOCKS = -1  # iterations of a lane that its block left without a solution
+TILE = 8  # rows that are put into a block, or taken from it, side by side: a cache line of columns
+BLOCK = 8 * TILE  # rows innermost; of 8, 16, 32 and 64 the fastest on ieee123
+FEW = 10  # up to this many rows one at a time beats a mostly empty block
+MOST_IN_BLOCKS = 3000  # buses: a block is three times as fast there as one row at a time, and no faster at 10,000
+BLOCK_SWEEPS = 30  # a row that needs more leaves its block, so that one near collapse does not hold up the rest
+NOT_IN_BLOCKS = -1  # iterations of a row that its block left without a solution
 PER_KVA = 1.0 / S_BASE_KVA
 
 
 @compiled(inner=True)
 def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v, l, finite):
-    """Put loads and start of the lanes from ``first`` to ``last`` into the columns, and ``last`` into what is left.
+    """Put loads and start of the rows from ``first`` to ``last`` into the columns, and ``last`` into what is left.
 
-    A few lanes at a time and of these a bus at a time, so that neither what is read nor what is written lies scattered.
-    ``finite`` tells whether all loads of a lane are.
+    A few rows at a time and of these a bus at a time, so that neither what is read nor what is written lies scattered.
+    ``finite`` tells whether all loads of a row are.
     """
     check = np.zeros(BLOCK, p_kw.dtype)
     for tile in range(0, BLOCK, TILE):
         for k in range(order.shape[0]):
             i = order[k]
             for b in range(tile, tile + TILE):
-                lane = min(first + b, last)
-                p, q = p_kw[lane, i] * PER_KVA, q_kvar[lane, i] * PER_KVA
+                row = min(first + b, last)
+                p, q = p_kw[row, i] * PER_KVA, q_kvar[row, i] * PER_KVA
                 load[k, b], load[k, BLOCK + b] = p, q
                 check[b] += 0.0 * p + 0.0 * q
         l[0, tile : tile + TILE] = 0.0
@@ -55,7 +55,7 @@ def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v
 
 @compiled(inner=True)
 def _store_flows(first, settled, order, flow, p_branch_kw, q_branch_kvar):
-    """Write the flows of the lanes that have settled in this sweep: the next one changes them."""
+    """Write the flows of the rows that have settled in this sweep: the next one changes them."""
     for b in range(settled.shape[0]):
         if settled[b]:
             for k in range(1, order.shape[0]):
@@ -65,8 +65,8 @@ def _store_flows(first, settled, order, flow, p_branch_kw, q_branch_kvar):
 
 @compiled(inner=True)
 def _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_kw):
-    """Write what has been found of the lanes from ``first`` to ``last``, as ``_load_block`` reads them."""
-    loss = np.zeros(BLOCK)  # added up in float64 whatever the precision, as one lane alone does
+    """Write what has been found of the rows from ``first`` to ``last``, as ``_load_block`` reads them."""
+    loss = np.zeros(BLOCK)  # added up in float64 whatever the precision, as one row alone does
     for tile in range(0, BLOCK, TILE):
         for k in range(order.shape[0]):
             i = order[k]
@@ -79,12 +79,12 @@ def _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_k
     for k in range(1, order.shape[0]):
         for b in range(BLOCK):
             loss[b] += r[k] * l[k, b]
-    for lane in range(first, last + 1):
+    for row in range(first, last + 1):
         for i in range(v_pu.shape[1]):
-            v_pu[lane, i] = np.sqrt(v_pu[lane, i])
+            v_pu[row, i] = np.sqrt(v_pu[row, i])
         for k in range(ratio.shape[0]):
-            v_pu[lane, order[k]] *= ratio[k]
-        loss_kw[lane] = loss[lane - first] * S_BASE_KVA
+            v_pu[row, order[k]] *= ratio[k]
+        loss_kw[row] = loss[row - first] * S_BASE_KVA
 
 
 @compiled(inner=True)
@@ -99,7 +99,7 @@ def _add_shunts(shunt_g, shunt_b, flow, v, before):
 
 @compiled(inner=True)
 def _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up):
-    """One sweep of a block of lanes; per lane the residual in ``off`` and whether a voltage is no longer positive.
+    """One sweep of a block of rows; per row the residual in ``off`` and whether a voltage is no longer positive.
 
     ``v_up`` is a scratch row for the voltages above: to read one row of an array while another row of it is written
     takes a check of overlap in every loop.
@@ -152,7 +152,7 @@ def distflow_blocks(
     Their iterations are then NOT_IN_BLOCKS.
     """
     v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
-    n_lanes, n = p_kw.shape
+    n_row, n = p_kw.shape
     powers, work = np.empty((2, n, 2 * BLOCK), p_kw.dtype), np.empty((2, n, BLOCK), p_kw.dtype)
     load, flow, v, l = powers[0], powers[1], work[0], work[1]
     rows = np.empty((4, BLOCK), p_kw.dtype)
@@ -160,15 +160,15 @@ def distflow_blocks(
     before = np.empty((shunt_g.shape[0], BLOCK), p_kw.dtype)
     finite, settled = np.empty(BLOCK, np.bool_), np.empty(BLOCK, np.bool_)
     most = min(BLOCK_SWEEPS, max_sweeps)
-    for first in range(0, n_lanes, BLOCK):
-        left = count = min(BLOCK, n_lanes - first)
+    for first in range(0, n_row, BLOCK):
+        left = count = min(BLOCK, n_row - first)
         last = first + count - 1
         _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, shunt_g.shape[0], load, v, l, finite)
         live[:] = 1.0
         iterations[first : last + 1] = NOT_IN_BLOCKS
         for sweep in range(1, most + 1):
             _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up)
-            for b in range(BLOCK):  # columns without a lane of their own do as the last lane does
+            for b in range(BLOCK):  # columns without a row of their own do as the last row does
                 gone = collapsed[b] > 0.0 or not finite[b]
                 settled[b] = live[b] > 0.0 and not gone and off[b] <= tolerance
                 if live[b] > 0.0 and (settled[b] or gone):
@@ -184,6 +184,6 @@ def distflow_blocks(
                 break
         _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_kw)
     unsettled = 0
-    for lane in range(n_lanes):
-        unsettled += iterations[lane] == NOT_IN_BLOCKS
+    for row in range(n_row):
+        unsettled += iterations[row] == NOT_IN_BLOCKS
     return unsettled

@@ -99,7 +99,7 @@ def distflow(
         if not bool(namespace(p_kw).all(solution.converged)):
             raise_not_finite(feeder, p_kw, q_kvar)
         return solution
-    return kernels().solve_lanes("distflow", feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
+    return kernels().solve_rows("distflow", feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
 
 
 @cache

@@ -1,9 +1,9 @@
 """Compiled DistFlow sweeps over buses in depth-first order, for NumPy arrays.
 
-Two forms of one arithmetic: ``_lane`` for a single feeder, and ``compiled_blocks`` for many, whose innermost loops run
-over a block of lanes so that they become vector instructions. Neither lets the compiler reorder or fuse floating-point
-operations and a lane's figures are taken at its own last sweep, so a feeder's solution has the same bits alone, in any
-lane of any batch and on any number of threads.
+Two forms of one arithmetic: ``_row`` for a single feeder, and ``compiled_blocks`` for many, whose innermost loops run
+over a block of rows so that they become vector instructions. Neither lets the compiler reorder or fuse floating-point
+operations and a row's figures are taken at its own last sweep, so a feeder's solution has the same bits alone, in any
+row of any batch and on any number of threads.
 
 Scratch arrays are (n_bus, width) in depth-first order and per unit; ``l`` is squared current, ``v`` squared voltage.
 
@@ -30,23 +30,23 @@ from dcgrid_env.powerflow.solution import (
 
 
 @compiled(inner=True)
-def _load(b, lane, order, p_kw, q_kvar, v0_pu, scratch):
-    """Put a lane's loads into column b; whether all of them are finite."""
+def _load(b, row, order, p_kw, q_kvar, v0_pu, scratch):
+    """Put a row's loads into column b; whether all of them are finite."""
     p, q, _, _, v, _ = scratch
     check = 0.0
     for k in range(order.shape[0]):
-        p[k, b] = p_kw[lane, order[k]] * PER_KVA
-        q[k, b] = q_kvar[lane, order[k]] * PER_KVA
-        v[k, b] = v0_pu[lane] * v0_pu[lane]
+        p[k, b] = p_kw[row, order[k]] * PER_KVA
+        q[k, b] = q_kvar[row, order[k]] * PER_KVA
+        v[k, b] = v0_pu[row] * v0_pu[row]
         check += 0.0 * p[k, b] + 0.0 * q[k, b]
     return check == 0.0
 
 
 @compiled(inner=True)
-def _start(b, lane, order, warm, l):
+def _start(b, row, order, warm, l):
     l[0, b] = 0.0
     for k in range(1, order.shape[0]):
-        l[k, b] = warm[lane, order[k] - 1] if warm.shape[0] > 0 else 0.0
+        l[k, b] = warm[row, order[k] - 1] if warm.shape[0] > 0 else 0.0
 
 
 @compiled(inner=True)
@@ -79,29 +79,29 @@ def _add_change(shunt_g, shunt_b, v, before, off):
 
 
 @compiled(inner=True)
-def _store(b, lane, order, r, ratio, scratch, sweeps, residual, converged, out):
+def _store(b, row, order, r, ratio, scratch, sweeps, residual, converged, out):
     _, _, P, Q, v, l = scratch
     v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
     loss = 0.0
-    v_pu[lane, 0] = np.sqrt(v[0, b])
+    v_pu[row, 0] = np.sqrt(v[0, b])
     for k in range(1, order.shape[0]):
         i = order[k]
-        v_pu[lane, i] = np.sqrt(v[k, b])
+        v_pu[row, i] = np.sqrt(v[k, b])
         if p_branch_kw.shape[0] > 0:
-            p_branch_kw[lane, i - 1] = P[k, b] * S_BASE_KVA
-            q_branch_kvar[lane, i - 1] = Q[k, b] * S_BASE_KVA
-        current_sq_pu[lane, i - 1] = l[k, b]
+            p_branch_kw[row, i - 1] = P[k, b] * S_BASE_KVA
+            q_branch_kvar[row, i - 1] = Q[k, b] * S_BASE_KVA
+        current_sq_pu[row, i - 1] = l[k, b]
         loss += r[k] * l[k, b]
     for k in range(ratio.shape[0]):
-        v_pu[lane, order[k]] *= ratio[k]
-    loss_kw[lane] = loss * S_BASE_KVA
-    ok[lane] = converged
-    iterations[lane] = sweeps
-    residual_kva[lane] = residual * S_BASE_KVA
+        v_pu[row, order[k]] *= ratio[k]
+    loss_kw[row] = loss * S_BASE_KVA
+    ok[row] = converged
+    iterations[row] = sweeps
+    residual_kva[row] = residual * S_BASE_KVA
 
 
 @compiled(inner=True)
-def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps):
+def _row(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps):
     """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf on a collapse."""
     p, q, P, Q, v, l = scratch
     n = parent.shape[0]
@@ -134,7 +134,7 @@ def _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_s
 
 
 @compiled(nogil=True)
-def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
+def distflow_rows(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, warm, tolerance, max_sweeps, out):
     """Solve each row of ``p_kw, q_kvar`` (row, bus) into the arrays of ``out``, which follow ``Solution``.
 
     ``warm`` (row, branch) holds squared currents to start from, or has no rows. A row that does not settle from there
@@ -142,38 +142,38 @@ def distflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v
     A row with positive iterations has settled already and is skipped. A row with NOT_IN_BLOCKS skips its start.
     Returns the number of rows without a solution.
     """
-    n_lanes, n = p_kw.shape
+    n_row, n = p_kw.shape
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     before = np.empty((shunt_g.shape[0], 1), p_kw.dtype)
     off = np.empty(1, p_kw.dtype)
     cold = warm[:0]
     failed = 0
-    for lane in range(n_lanes):
-        if out[6][lane] > 0:
+    for row in range(n_row):
+        if out[6][row] > 0:
             continue
         sweeps, residual = 0, np.inf
-        finite = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
-        if finite and out[6][lane] != NOT_IN_BLOCKS:
-            _start(0, lane, order, warm, scratch[5])
+        finite = _load(0, row, order, p_kw, q_kvar, v0_pu, scratch)
+        if finite and out[6][row] != NOT_IN_BLOCKS:
+            _start(0, row, order, warm, scratch[5])
             most = min(BLOCK_SWEEPS, max_sweeps)
-            sweeps, residual = _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, most)
+            sweeps, residual = _row(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, most)
         if finite and not residual <= tolerance:
-            _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
-            _start(0, lane, order, cold, scratch[5])
-            sweeps, residual = _lane(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps)
+            _load(0, row, order, p_kw, q_kvar, v0_pu, scratch)
+            _start(0, row, order, cold, scratch[5])
+            sweeps, residual = _row(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps)
         settled = residual <= tolerance
         failed += not settled
         if residual == np.inf:
             _clear(scratch)
-        _store(0, lane, order, r, ratio, scratch, sweeps, residual, settled, out)
+        _store(0, row, order, r, ratio, scratch, sweeps, residual, settled, out)
     return failed
 
 
 @compiled(nogil=True)
-def lindistflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, out):
-    """Solve what ``distflow_lanes`` solves without its loss terms: one pass, and more only for the shunts' power."""
-    n_lanes, n = p_kw.shape
+def lindistflow_rows(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar, v0_pu, out):
+    """Solve what ``distflow_rows`` solves without its loss terms: one pass, and more only for the shunts' power."""
+    n_row, n = p_kw.shape
     work = np.empty((6, n, 1), p_kw.dtype)
     scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
     p, q, P, Q, v, l = scratch
@@ -181,8 +181,8 @@ def lindistflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar
     off = np.empty(1, p_kw.dtype)
     tolerance = LINEAR_TOLERANCE if p_kw.itemsize == 8 else LINEAR_TOLERANCE_32
     failed = 0
-    for lane in range(n_lanes):
-        settled = _load(0, lane, order, p_kw, q_kvar, v0_pu, scratch)
+    for row in range(n_row):
+        settled = _load(0, row, order, p_kw, q_kvar, v0_pu, scratch)
         sweeps = 0
         off[0] = np.inf
         while settled and off[0] > tolerance and sweeps < LINEAR_SWEEPS:
@@ -204,5 +204,5 @@ def lindistflow_lanes(order, parent, r, x, shunt_g, shunt_b, ratio, p_kw, q_kvar
         failed += not settled
         if not settled:
             _clear(scratch)
-        _store(0, lane, order, r, ratio, scratch, max(sweeps, 1), off[0] if settled else np.inf, settled, out)
+        _store(0, row, order, r, ratio, scratch, max(sweeps, 1), off[0] if settled else np.inf, settled, out)
     return failed

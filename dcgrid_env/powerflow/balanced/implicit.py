@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.threads import over_rows
 from dcgrid_env.core.torch_threads import rest_of_backward_on
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.powerflow.balanced import adjoint
-from dcgrid_env.powerflow.balanced.batch import constants, solve_lanes
+from dcgrid_env.powerflow.balanced.batch import constants, solve_rows
 from dcgrid_env.powerflow.solution import Solution
 
 
@@ -32,7 +32,7 @@ class _DistFlow(torch.autograd.Function):
     def forward(ctx: Any, p_kw: Any, q_kvar: Any, v0_pu: Any, feeder: Feeder, warm: Any, *rest: Any) -> Any:
         loads = (p_kw.detach().numpy(), q_kvar.detach().numpy(), v0_pu.detach().numpy())
         start = None if warm is None else warm.detach().numpy()
-        solved = solve_lanes("distflow", feeder, *loads, start, *rest)
+        solved = solve_rows("distflow", feeder, *loads, start, *rest)
         tensors = [torch.from_numpy(np.asarray(a)) for a in solved[:-1]]
         ctx.feeder, ctx.torch_threads = feeder, torch.get_num_threads()
         ctx.save_for_backward(*tensors[:4], tensors[5])
@@ -48,15 +48,15 @@ class _DistFlow(torch.autograd.Function):
         rest_of_backward_on(ctx.torch_threads)
         *solved, converged = (a.detach().numpy() for a in ctx.saved_tensors)
         n, dtype, shape = ctx.feeder.n_bus, solved[0].dtype, converged.shape
-        n_lanes = converged.size
+        n_row = converged.size
         widths = (n, n - 1, n - 1, n - 1, None)
         of_feeder = constants(ctx.feeder, dtype.type)
-        g = [_rows(w.numpy(), n_lanes, width) for w, width in zip(weights, widths, strict=False)]
-        s = [_rows(a, n_lanes, width) for a, width in zip(solved, widths, strict=False)]
-        ok = _rows(converged, n_lanes, None)
-        out = (np.empty((n_lanes, n), dtype), np.empty((n_lanes, n), dtype), np.empty(n_lanes, dtype))
+        g = [_rows(w.numpy(), n_row, width) for w, width in zip(weights, widths, strict=False)]
+        s = [_rows(a, n_row, width) for a, width in zip(solved, widths, strict=False)]
+        ok = _rows(converged, n_row, None)
+        out = (np.empty((n_row, n), dtype), np.empty((n_row, n), dtype), np.empty(n_row, dtype))
         tolerance = adjoint.TOLERANCE[dtype.itemsize]
-        kernel: Any = adjoint.distflow_adjoint_lanes
+        kernel: Any = adjoint.distflow_adjoint_rows
 
         def part(a: int, b: int) -> int:
             cut = slice(a, b)
@@ -64,11 +64,11 @@ class _DistFlow(torch.autograd.Function):
             kernel(*of_feeder, solved_part, weights_part, ok[cut], tolerance, out_part)
             return 0
 
-        over_lanes(part, n_lanes)
+        over_rows(part, n_row)
         d_p, d_q = (torch.from_numpy(d.reshape(*shape, n)) for d in out[:2])
         return d_p, d_q, torch.from_numpy(out[2].reshape(shape)), None, None, None, None
 
 
-def _rows(values: np.ndarray, n_lanes: int, width: int | None) -> np.ndarray:
+def _rows(values: np.ndarray, n_row: int, width: int | None) -> np.ndarray:
     """(row, width) or (row,), contiguous: the one memory layout that the kernel is compiled for."""
-    return np.ascontiguousarray(values.reshape((n_lanes,) if width is None else (n_lanes, width)))
+    return np.ascontiguousarray(values.reshape((n_row,) if width is None else (n_row, width)))

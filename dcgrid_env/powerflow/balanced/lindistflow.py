@@ -33,4 +33,4 @@ def lindistflow(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Any = None) -
         if not bool(namespace(p_kw).all(solution.converged)):
             raise_not_finite(feeder, p_kw, q_kvar)
         return solution
-    return kernels().solve_lanes("lindistflow", feeder, p_kw, q_kvar, v0)
+    return kernels().solve_rows("lindistflow", feeder, p_kw, q_kvar, v0)

@@ -168,7 +168,7 @@ def _sweeps(
         new_flow = _subtree_sums(t, drawn + z * current_sq)
         new_v_sq = v0_sq - _path_sums(t, 2.0 * xp.sum(z * new_flow, axis=0) - z_sq * current_sq)
         alive = (xp.min(new_v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(new_v_sq, axis=-1) < V_SQ_CEILING)
-        # The floor keeps lanes without a solution finite, so that they spoil neither values nor derivatives.
+        # The floor keeps rows without a solution finite, so that they spoil neither values nor derivatives.
         new_v_sq = xp.clip(new_v_sq, V_SQ_FLOOR, V_SQ_CEILING)
         new_current_sq = xp.sum(new_flow * new_flow, axis=0) / take_last(new_v_sq, t.parent)
         off = xp.max(xp.abs(new_current_sq - current_sq) * z_max, axis=-1)

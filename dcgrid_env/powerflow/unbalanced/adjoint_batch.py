@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.plan import plan_of
-from dcgrid_env.powerflow.unbalanced.sweep_adjoint import sweep_adjoint_lanes
-from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE
+from dcgrid_env.powerflow.unbalanced.sweep_adjoint import sweep_adjoint_rows
+from dcgrid_env.powerflow.unbalanced.sweep_rows import FEW, ONE, WIDE
 
 _NO_ROWS = np.empty((0, 0))
 
@@ -48,24 +48,24 @@ def derivatives(
         By p_kw, q_kvar, source_pu, ratio and state, in the shapes that they have in ``given``.
     """
     shape, n = converged.shape, feeder.n_node
-    n_lanes = converged.size
-    rows = tuple(_rows(a, n_lanes, None if k == 2 else a.shape[-1]) for k, a in enumerate(given))
-    solved = (_rows(solved[0], n_lanes, 2 * n), _rows(solved[1], n_lanes, 2 * n))
-    of_lane = np.zeros((3, n_lanes)) if any(w is not None for w in weights[3]) else np.empty((3, 0))
+    n_row = converged.size
+    rows = tuple(_rows(a, n_row, None if k == 2 else a.shape[-1]) for k, a in enumerate(given))
+    solved = (_rows(solved[0], n_row, 2 * n), _rows(solved[1], n_row, 2 * n))
+    of_row = np.zeros((3, n_row)) if any(w is not None for w in weights[3]) else np.empty((3, 0))
     for k, weight in enumerate(weights[3]):
         if weight is not None:
-            of_lane[k] = weight.reshape(n_lanes)
+            of_row[k] = weight.reshape(n_row)
     widths = (n, 2 * n, 2 * n)
-    wide = [_NO_ROWS if w is None else _rows(w, n_lanes, width) for w, width in zip(weights[:3], widths, strict=True)]
+    wide = [_NO_ROWS if w is None else _rows(w, n_row, width) for w, width in zip(weights[:3], widths, strict=True)]
     out = tuple(np.zeros(a.shape) for a in rows)
-    plan, good = plan_of(feeder), np.ascontiguousarray(converged.reshape(n_lanes))
-    settled = np.ones(n_lanes, np.bool_)
+    plan, good = plan_of(feeder), np.ascontiguousarray(converged.reshape(n_row))
+    settled = np.ones(n_row, np.bool_)
 
     def take(width: tuple[int, ...], least: int, first: int, last: int) -> int:
         cut = slice(first, last)
         given_part, solved_part, out_part = (tuple(a[cut] for a in arrays) for arrays in (rows, solved, out))
-        of_part = (*(w[cut] for w in wide), np.ascontiguousarray(of_lane[:, cut]))
-        return sweep_adjoint_lanes(
+        of_part = (*(w[cut] for w in wide), np.ascontiguousarray(of_row[:, cut]))
+        return sweep_adjoint_rows(
             plan, width, given_part, solved_part, of_part, good[cut], least, settled[cut], out_part
         )
 
@@ -73,27 +73,27 @@ def derivatives(
         for group in groups:
             sweeps = take(ONE, 0, group.start, group.stop)
             take(ONE, sweeps, group.start, group.stop)
-    elif n_lanes:
-        over_lanes(partial(take, ONE if n_lanes <= FEW else WIDE, 0), n_lanes)
-    for lane in np.flatnonzero(good & ~settled):
-        _by_newton(feeder, lane, rows, solved, (*wide, of_lane), out)
+    elif n_row:
+        over_rows(partial(take, ONE if n_row <= FEW else WIDE, 0), n_row)
+    for row in np.flatnonzero(good & ~settled):
+        _by_newton(feeder, row, rows, solved, (*wide, of_row), out)
     return tuple(a.reshape((*shape, a.shape[-1]) if a.ndim == 2 else shape) for a in out)
 
 
-def _by_newton(feeder: ThreePhaseFeeder, lane: Any, rows: Any, solved: Any, weights: Any, out: Any) -> None:
+def _by_newton(feeder: ThreePhaseFeeder, row: Any, rows: Any, solved: Any, weights: Any, out: Any) -> None:
     """Put the derivatives of a row whose sweeps did not settle into ``out``."""
     from dcgrid_env.powerflow.unbalanced.newton_adjoint import derivative  # brings SciPy with it
 
     n = feeder.n_node
-    given = [w[lane] if len(w) else np.zeros(width) for w, width in zip(weights[:3], (n, 2 * n, 2 * n), strict=True)]
-    of_lane = weights[3][:, lane] if weights[3].shape[1] else np.zeros(3)
-    found = derivative(feeder, tuple(a[lane] for a in rows), solved[0][lane], solved[1][lane], (*given, of_lane))
+    given = [w[row] if len(w) else np.zeros(width) for w, width in zip(weights[:3], (n, 2 * n, 2 * n), strict=True)]
+    of_row = weights[3][:, row] if weights[3].shape[1] else np.zeros(3)
+    found = derivative(feeder, tuple(a[row] for a in rows), solved[0][row], solved[1][row], (*given, of_row))
     for derivatives_, of_input in zip(out, found, strict=True):
-        derivatives_[lane] = of_input
+        derivatives_[row] = of_input
 
 
-def _rows(values: Any, n_lanes: int, width: int | None) -> Any:
+def _rows(values: Any, n_row: int, width: int | None) -> Any:
     """(row, width) or (row,), float64, contiguous and writable: the one memory layout of the kernel."""
-    rows = values.reshape((n_lanes,) if width is None else (n_lanes, width))
+    rows = values.reshape((n_row,) if width is None else (n_row, width))
     good = rows.dtype == np.float64 and rows.flags.c_contiguous and rows.flags.writeable
     return rows if good else np.array(rows, np.float64, order="C")

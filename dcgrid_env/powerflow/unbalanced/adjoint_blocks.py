@@ -1,4 +1,4 @@
-"""The parts of the derivative of a block of lanes: the legs' derivatives, the weights, and what is handed over."""
+"""The parts of the derivative of a block of rows: the legs' derivatives, the weights, and what is handed over."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
-from dcgrid_env.powerflow.unbalanced.lane_blocks import PER_KVA
 from dcgrid_env.powerflow.unbalanced.plan import REGULATOR
+from dcgrid_env.powerflow.unbalanced.row_blocks import PER_KVA
 from dcgrid_env.powerflow.unbalanced.sweep_kernels import U2, U3, U4, leg_admittance
 
 
@@ -89,28 +89,28 @@ def legs_transposed(plan, wide, N, G, Y, X):
 def load_weights(first, count, plan, wide, solved, weights, V, J, G, loss):
     """Put solutions into V and J and the weights of voltages into G; whether anything of currents is weighed."""
     volts, amperes = solved
-    g_magnitude, g_volts, g_amperes, g_lane = weights
+    g_magnitude, g_volts, g_amperes, g_row = weights
     W, n_node = np.uint64(len(wide)), plan.up.shape[0]
     for k in range(G.shape[0]):
         G[k] = 0.0
     for n in range(n_node):
         o = np.uint64(n) * U2 * W
         for c in range(len(wide)):
-            lane, b = first + min(c, count - 1), np.uint64(c)
-            re, im = volts[lane, n], volts[lane, n_node + n]
+            row, b = first + min(c, count - 1), np.uint64(c)
+            re, im = volts[row, n], volts[row, n_node + n]
             V[o + b], V[o + W + b] = re, im
-            J[o + b], J[o + W + b] = amperes[lane, n] / plan.ampere[n], amperes[lane, n_node + n] / plan.ampere[n]
+            J[o + b], J[o + W + b] = amperes[row, n] / plan.ampere[n], amperes[row, n_node + n] / plan.ampere[n]
             if g_magnitude.shape[0] > 0:
-                to = g_magnitude[lane, n] / np.sqrt(re * re + im * im)
+                to = g_magnitude[row, n] / np.sqrt(re * re + im * im)
                 G[o + b], G[o + W + b] = to * re, to * im
             if g_volts.shape[0] > 0:
-                G[o + b] += g_volts[lane, n]
-                G[o + W + b] += g_volts[lane, n_node + n]
+                G[o + b] += g_volts[row, n]
+                G[o + W + b] += g_volts[row, n_node + n]
     for c in range(len(wide)):
         loss[c] = 0.0
-        if g_lane.shape[1] > 0:
-            lane, b = first + min(c, count - 1), np.uint64(c)
-            loss[c] = g_lane[0, lane] * PHASE_BASE_KVA
+        if g_row.shape[1] > 0:
+            row, b = first + min(c, count - 1), np.uint64(c)
+            loss[c] = g_row[0, row] * PHASE_BASE_KVA
             for k in range(plan.core_g.shape[0]):
                 i, j = plan.core_ends[k, 0] * U2 * W + b, plan.core_ends[k, 1] * U2 * W + b
                 to = 2.0 * loss[c] * plan.core_g[k]
@@ -119,17 +119,17 @@ def load_weights(first, count, plan, wide, solved, weights, V, J, G, loss):
                 G[i + W] += im
                 G[j] -= re
                 G[j + W] -= im
-            p, q = g_lane[1, lane] * PHASE_BASE_KVA, g_lane[2, lane] * PHASE_BASE_KVA
+            p, q = g_row[1, row] * PHASE_BASE_KVA, g_row[2, row] * PHASE_BASE_KVA
             for i in range(U3):
                 o = i * U2 * W + b
                 G[o] += p * J[o] - q * J[o + W]
                 G[o + W] += p * J[o + W] + q * J[o]
-    return g_amperes.shape[0] > 0 or g_lane.shape[1] > 0
+    return g_amperes.shape[0] > 0 or g_row.shape[1] > 0
 
 
 @compiled(inner=True)
 def clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, loss):
-    """Make of lanes without a solution ones that draw nothing and weigh nothing."""
+    """Set loads and weights to zero in rows without a solution."""
     W = np.uint64(len(wide))
     for c in range(len(wide)):
         if converged[first + min(c, count - 1)]:
@@ -148,7 +148,7 @@ def clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, l
 @compiled(inner=True)
 def weights_of_currents(first, count, plan, wide, weights, converged, V, J, ratio, loss, K):
     """Set K to the weights of the branches' currents, taken down the tree: K_m = weight + A K_n."""
-    g_amperes, g_lane = weights[2], weights[3]
+    g_amperes, g_row = weights[2], weights[3]
     W, n_node = np.uint64(len(wide)), plan.up.shape[0]
     for k in range(K.shape[0]):
         K[k] = 0.0
@@ -165,14 +165,14 @@ def weights_of_currents(first, count, plan, wide, weights, converged, V, J, rati
                     K[o + b] += a * tap * K[u + b] + lost * J[c + b]
                     K[o + W + b] += a * tap * K[u + W + b] + lost * J[c + W + b]
             for c in range(len(wide)):
-                lane, b = first + min(c, count - 1), np.uint64(c)
-                if not converged[lane]:
+                row, b = first + min(c, count - 1), np.uint64(c)
+                if not converged[row]:
                     continue
                 if g_amperes.shape[0] > 0:
-                    K[o + b] += g_amperes[lane, n + i] * plan.ampere[n + i]
-                    K[o + W + b] += g_amperes[lane, np.uint64(n_node) + n + i] * plan.ampere[n + i]
-                if k == 0 and g_lane.shape[1] > 0:
-                    p, q = g_lane[1, lane] * PHASE_BASE_KVA, g_lane[2, lane] * PHASE_BASE_KVA
+                    K[o + b] += g_amperes[row, n + i] * plan.ampere[n + i]
+                    K[o + W + b] += g_amperes[row, np.uint64(n_node) + n + i] * plan.ampere[n + i]
+                if k == 0 and g_row.shape[1] > 0:
+                    p, q = g_row[1, row] * PHASE_BASE_KVA, g_row[2, row] * PHASE_BASE_KVA
                     K[o + b] += p * V[o + b] + q * V[o + W + b]
                     K[o + W + b] += p * V[o + W + b] - q * V[o + b]
 
@@ -182,7 +182,7 @@ def hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out):
     """Turn vbar (X) and ibar (Y) into the derivatives by the inputs."""
     d_p, d_q, d_source, d_ratio, d_on = out
     W, n_node, n_leg = np.uint64(len(wide)), np.uint64(plan.up.shape[0]), plan.leg_is_z.shape[0]
-    lanes, begin = np.uint64(count), np.uint64(first)
+    n_row, begin = np.uint64(count), np.uint64(first)
     for k in range(n_leg):
         i, j, leg = plan.leg_ends[k, 0] * U2 * W, plan.leg_ends[k, 1] * U2 * W, plan.leg_order[k]
         if plan.leg_is_z[k]:
@@ -191,48 +191,48 @@ def hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out):
         else:
             leg_admittance(plan.leg_law, k, wide, V, i, j, H)
         scale = plan.leg_law[k, 0]
-        for b in range(lanes):
+        for b in range(n_row):
             re, im = V[i + b] - V[j + b], V[i + W + b] - V[j + W + b]
             to_re, to_im = scale * (Y[i + b] - Y[j + b]), scale * (Y[i + W + b] - Y[j + W + b])
             d_p[begin + b, leg] = H[b] * (to_re * re + to_im * im)
             d_q[begin + b, leg] = H[W + b] * (to_re * im - to_im * re)
     for n in range(n_node):
         o = n * U2 * W
-        for b in range(lanes):
+        for b in range(n_row):
             re, im = V[o + b], V[o + W + b]
             scale = PER_KVA / (re * re + im * im)
             d_p[begin + b, np.uint64(n_leg) + n] = scale * (Y[o + b] * re + Y[o + W + b] * im)
             d_q[begin + b, np.uint64(n_leg) + n] = scale * (Y[o + b] * im - Y[o + W + b] * re)
-    for b in range(lanes):
-        lane = begin + b
-        d_source[lane] = 0.0
+    for b in range(n_row):
+        row = begin + b
+        d_source[row] = 0.0
         for i in range(3):
             o = np.uint64(i) * U2 * W + b
-            d_source[lane] += X[o] * plan.source[i, 0] + X[o + W] * plan.source[i, 1]
+            d_source[row] += X[o] * plan.source[i, 0] + X[o + W] * plan.source[i, 1]
         for k in range(d_ratio.shape[1]):
-            d_ratio[lane, k] = 0.0
+            d_ratio[row, k] = 0.0
         for k in range(d_on.shape[1]):
-            d_on[lane, k] = 0.0
+            d_on[row, k] = 0.0
         for k in range(plan.capacitor_b.shape[0]):
             i, j = plan.capacitor_ends[k, 0] * U2 * W + b, plan.capacitor_ends[k, 1] * U2 * W + b
             re, im = V[i] - V[j], V[i + W] - V[j + W]
             moved = (Y[i + W] - Y[j + W]) * re - (Y[i] - Y[j]) * im
-            d_on[lane, plan.capacitor_row[k]] += plan.capacitor_b[k] * moved
+            d_on[row, plan.capacitor_row[k]] += plan.capacitor_b[k] * moved
         for k in range(plan.kind.shape[0]):
             if plan.kind[k] == REGULATOR:
-                _by_ratio(k, lane, b, plan, W, V, J, X, Y, ratio, loss, d_ratio)
+                _by_ratio(k, row, b, plan, W, V, J, X, Y, ratio, loss, d_ratio)
 
 
 @compiled(inner=True)
-def _by_ratio(k, lane, b, plan, W, V, J, X, Y, ratio, loss, d_ratio):
+def _by_ratio(k, row, b, plan, W, V, J, X, Y, ratio, loss, d_ratio):
     n, size = plan.first[k], plan.first[k + 1] - plan.first[k]
     for i in range(size):
         o, u = (n + i) * U2 * W + b, plan.up[n + i] * U2 * W + b
-        row = plan.regulator[n + i]
-        r, z_re, z_im = ratio[row * W + b], plan.z_re[k, i * U4], plan.z_im[k, i * U4]
+        ratio_row = plan.regulator[n + i]
+        r, z_re, z_im = ratio[ratio_row * W + b], plan.z_re[k, i * U4], plan.z_im[k, i * U4]
         re, im = J[o], J[o + W]
         to = X[o] * (V[u] - 2.0 * r * (z_re * re - z_im * im)) + X[o + W] * (
             V[u + W] - 2.0 * r * (z_re * im + z_im * re)
         )
         to += Y[u] * re + Y[u + W] * im
-        d_ratio[lane, row] += to + 2.0 * r * z_re * loss[b] * (re * re + im * im)
+        d_ratio[row, ratio_row] += to + 2.0 * r * z_re * loss[b] * (re * re + im * im)

@@ -1,6 +1,6 @@
 """The sweep in array operations: differentiable, on any device, the form for torch where there is no compiled kernel.
 
-It is the sweep of ``sweep_lanes`` by the zones of ``zones``. Lanes that are done, or that have no solution, keep their
+It is the sweep of ``sweep_rows`` by the zones of ``zones``. Rows that are done, or that have no solution, keep their
 last voltages, so that they spoil neither values nor derivatives.
 """
 
@@ -177,7 +177,7 @@ def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tup
 
 
 def _error_sq(xp: Any, change: Array, before: Array, rounding: float) -> Array:
-    """Estimate what is left of the error: see ``sweep_lanes.error_sq``."""
+    """Estimate what is left of the error: see ``sweep_rows.error_sq``."""
     ratio = xp.clip(xp.sqrt(change / before), 0.1, None)
     left = change * (ratio / xp.where(ratio < 1.0, 1.0 - ratio, xp.ones_like(ratio))) ** 2
     return xp.where(change <= rounding, change, xp.where(ratio < 1.0, left, xp.inf))

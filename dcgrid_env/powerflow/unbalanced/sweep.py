@@ -63,7 +63,7 @@ def solve_unbalanced(
     control
         Ratios of the regulators and states of the capacitors; the base taps and states where it is None.
     start
-        A solution (or its ``restart``) of a similar power flow of the same shape; a lane of zeros, or one that leads
+        A solution (or its ``restart``) of a similar power flow of the same shape; a row of zeros, or one that leads
         nowhere, is set aside.
     tolerance_pu
         Largest estimated error of a voltage of a converged solution, p.u., the sum over the phases of a bus.
@@ -73,7 +73,7 @@ def solve_unbalanced(
     Returns
     -------
     ThreePhaseSolution
-        With ``converged`` per lane; loads without a solution are reported there, not raised.
+        With ``converged`` per row; loads without a solution are reported there, not raised.
 
     Raises
     ------

@@ -23,14 +23,14 @@ from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     load_weights,
     weights_of_currents,
 )
-from dcgrid_env.powerflow.unbalanced.lane_blocks import core_currents, load_lane, workspace
+from dcgrid_env.powerflow.unbalanced.row_blocks import core_currents, load_row, workspace
 from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
     add_up,
     capacitor_currents,
     go_down,
     shunt_currents,
 )
-from dcgrid_env.powerflow.unbalanced.sweep_lanes import error_sq
+from dcgrid_env.powerflow.unbalanced.sweep_rows import error_sq
 
 SWEEPS = 400
 TOLERANCE = 1e-9
@@ -75,17 +75,17 @@ def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good
 
 
 @compiled(nogil=True)
-def sweep_adjoint_lanes(plan, wide, given, solved, weights, converged, least, settled, out):
+def sweep_adjoint_rows(plan, wide, given, solved, weights, converged, least, settled, out):
     """Fill ``out`` with derivatives of sum(weights * figures), in blocks of rows of width ``wide``.
 
-    ``given`` is the argument of ``sweep_lanes``; ``solved`` holds volts in p.u. and currents in A (row, 2 node).
+    ``given`` is the argument of ``sweep_rows``; ``solved`` holds volts in p.u. and currents in A (row, 2 node).
     ``weights`` holds those of v_pu (row, node), of volts and currents (row, 2 node) and of loss, source p and q
     (3, row); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (row, leg), source_pu (row,),
     ratio (row, regulator) and state (row, bank). A row without a solution has no derivative and gets 0.
     ``settled`` (row,) marks the rows whose derivative was found. Each block takes ``least`` sweeps or more. Returns
     the most sweeps of a block.
     """
-    width, n_lanes, n_node = len(wide), converged.shape[0], plan.up.shape[0]
+    width, n_row, n_node = len(wide), converged.shape[0], plan.up.shape[0]
     work = workspace(plan, wide, given)
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
     rows = 2 * (n_node + 4) * width
@@ -95,11 +95,11 @@ def sweep_adjoint_lanes(plan, wide, given, solved, weights, converged, least, se
     off_on = np.empty_like(on)
     most = 0
     nodes = np.arange(n_node).astype(np.uint64)
-    for first in range(0, n_lanes, width):
-        count = min(width, n_lanes - first)
+    for first in range(0, n_row, width):
+        count = min(width, n_row - first)
         for b in range(width):
-            lane = first + min(b, count - 1)
-            load_lane(b, lane, plan, wide, given, nodes, n_node, work)
+            row = first + min(b, count - 1)
+            load_row(b, row, plan, wide, given, nodes, n_node, work)
         for k in range(on.shape[0]):
             off_on[k] = -on[k]
         has_currents = load_weights(first, count, plan, wide, solved, weights, V, J, G, loss)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.threads import over_lanes
+from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of
-from dcgrid_env.powerflow.unbalanced.sweep_lanes import FEW, ONE, WIDE, sweep_blocks, sweep_lanes
+from dcgrid_env.powerflow.unbalanced.sweep_rows import FEW, ONE, WIDE, sweep_blocks, sweep_rows
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 _NO_ROWS = np.empty((0, 0))
@@ -19,27 +19,27 @@ _NO_ROWS = np.empty((0, 0))
 def solve_batch(
     feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
-    """Run the sweeps over all lanes, on several threads where there are many.
+    """Run the sweeps over all rows, on several threads where there are many.
 
     ``given`` holds p_kw, q_kvar (..., n_leg), source_pu (...), ratios (..., n_regulator), states (..., n_capacitor).
     """
     shape, dtype, n = given[0].shape[:-1], given[0].dtype, feeder.n_node
-    n_lanes = given[2].size
-    rows = tuple(_rows(a, (n_lanes,) if k == 2 else (n_lanes, a.shape[-1])) for k, a in enumerate(given))
-    start = _NO_ROWS if start is None else _rows(start, (n_lanes, 2 * n))
+    n_row = given[2].size
+    rows = tuple(_rows(a, (n_row,) if k == 2 else (n_row, a.shape[-1])) for k, a in enumerate(given))
+    start = _NO_ROWS if start is None else _rows(start, (n_row, 2 * n))
     out = (
-        np.empty((n_lanes, n)),
-        np.empty((n_lanes, 2 * n)),
-        np.empty((n_lanes, 2 * n)),
-        np.empty((4, n_lanes)),
-        np.empty(n_lanes, np.bool_),
-        np.zeros(n_lanes, np.int64),
+        np.empty((n_row, n)),
+        np.empty((n_row, 2 * n)),
+        np.empty((n_row, 2 * n)),
+        np.empty((4, n_row)),
+        np.empty(n_row, np.bool_),
+        np.zeros(n_row, np.int64),
     )
     plan, failed = plan_of(feeder), 0
-    if n_lanes == 1:
-        failed = sweep_lanes(plan, ONE, rows, start, tolerance_pu, max_sweeps, out)
-    elif n_lanes:
-        failed = over_lanes(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_lanes)
+    if n_row == 1:
+        failed = sweep_rows(plan, ONE, rows, start, tolerance_pu, max_sweeps, out)
+    elif n_row:
+        failed = over_rows(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_row)
     if failed:
         _solve_by_newton(feeder, rows, tolerance_pu, out)
     return _solution(out, shape, dtype, n)
@@ -50,48 +50,48 @@ def _solve_by_newton(feeder: ThreePhaseFeeder, rows: Any, tolerance_pu: float, o
     from dcgrid_env.powerflow.unbalanced.newton import high_voltage_solution  # brings SciPy with it
 
     plan = plan_of(feeder)
-    for lane in np.flatnonzero(~out[4]):
-        one = slice(lane, lane + 1)
-        if not (np.isfinite(rows[0][lane]).all() and np.isfinite(rows[1][lane]).all()):
+    for row in np.flatnonzero(~out[4]):
+        one = slice(row, row + 1)
+        if not (np.isfinite(rows[0][row]).all() and np.isfinite(rows[1][row]).all()):
             continue
-        volts = high_voltage_solution(feeder, tuple(a[lane] for a in rows))
+        volts = high_voltage_solution(feeder, tuple(a[row] for a in rows))
         if volts is None:
             continue
         found = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.zeros(1, int))
-        if sweep_lanes(plan, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
-            for figures, of_lane in zip(_cut(out, one), found, strict=True):
-                figures[...] = of_lane
+        if sweep_rows(plan, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
+            for figures, of_row in zip(_cut(out, one), found, strict=True):
+                figures[...] = of_row
 
 
 def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, out: Any, first: int, last: int) -> int:
     cut = slice(first, last)
     part = _cut(out, cut)
-    per_lane = part[3].copy()  # contiguous, as the kernel takes it
-    given, start, figures = tuple(a[cut] for a in rows), start[cut], (*part[:3], per_lane, *part[4:])
+    per_row = part[3].copy()  # contiguous, as the kernel takes it
+    given, start, figures = tuple(a[cut] for a in rows), start[cut], (*part[:3], per_row, *part[4:])
     # Two kernels and not one, so that a single environment does not compile what many need.
     failed = last - first
     if failed > FEW:
         failed = sweep_blocks(plan, WIDE, given, start, tolerance, max_sweeps, figures)
     if failed:
-        failed = sweep_lanes(plan, ONE, given, start, tolerance, max_sweeps, figures)
-    part[3][...] = per_lane
+        failed = sweep_rows(plan, ONE, given, start, tolerance, max_sweeps, figures)
+    part[3][...] = per_row
     return failed
 
 
-def _cut(out: Any, lanes: slice) -> tuple[Any, ...]:
+def _cut(out: Any, rows: slice) -> tuple[Any, ...]:
     """Views of the figures of some rows."""
-    return (*(a[lanes] for a in out[:3]), out[3][:, lanes], *(a[lanes] for a in out[4:]))
+    return (*(a[rows] for a in out[:3]), out[3][:, rows], *(a[rows] for a in out[4:]))
 
 
 def _solution(out: Any, shape: tuple[int, ...], dtype: Any, n: int) -> ThreePhaseSolution:
-    v_pu, volts, amperes, per_lane, converged, iterations = out
+    v_pu, volts, amperes, per_row, converged, iterations = out
     if dtype != np.float64:
-        v_pu, volts, amperes, per_lane = (a.astype(dtype) for a in (v_pu, volts, amperes, per_lane))
+        v_pu, volts, amperes, per_row = (a.astype(dtype) for a in (v_pu, volts, amperes, per_row))
     if len(shape) != 1:
         v_pu, volts, amperes = (a.reshape(*shape, a.shape[-1]) for a in (v_pu, volts, amperes))
-        per_lane = per_lane.reshape(4, *shape)
+        per_row = per_row.reshape(4, *shape)
         converged, iterations = converged.reshape(shape)[()], iterations.reshape(shape)[()]
-    loss, p, q, residual = per_lane
+    loss, p, q, residual = per_row
     return ThreePhaseSolution(
         v_pu,
         volts[..., :n],

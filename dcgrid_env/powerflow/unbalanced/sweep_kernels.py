@@ -1,9 +1,9 @@
-"""The compiled backward and forward sweep over blocks of lanes.
+"""The compiled backward and forward sweep over blocks of rows.
 
-Voltages and currents stand in flat arrays, two rows of a block's lanes for each node, the real and the imaginary part,
-so that the phases of a bus are one stretch of memory and the innermost loops over lanes become vector instructions. The
+Voltages and currents stand in flat arrays, two lines of a block's rows for each node, the real and the imaginary part,
+so that the phases of a bus are one stretch of memory and the innermost loops over rows become vector instructions. The
 block's width is the length of a tuple, ``wide``, a constant to the compiler: of 1 for a single feeder, of ``WIDE`` for
-many. Nothing lets the compiler reorder or fuse floating-point operations, so a lane has the same bits in either.
+many. Nothing lets the compiler reorder or fuse floating-point operations, so a row has the same bits in either.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ def add_up(plan, wide, ratio, J):
 def go_down(plan, wide, sign, ratio, J, V, T, off):
     """Forward: V_m = A V_n - B I_m for each bus; ``sign`` times the reactance, -1 for the conjugate.
 
-    ``off`` is raised to the largest squared change of a bus's voltages, per lane; T has six rows of scratch.
+    ``off`` is raised to the largest squared change of a bus's voltages, per row; T has six rows of scratch.
     """
     W = np.uint64(len(wide))
     for b in range(W):

@@ -52,8 +52,8 @@ class _Sweep(torch.autograd.Function):
             )
         rest_of_backward_on(ctx.torch_threads)
         *given, volts, amperes, converged = (a.detach().numpy() for a in ctx.saved_tensors)
-        of_volts, of_amperes, of_magnitude, *of_lane = (None if w is None else w.numpy() for w in weights[:6])
-        weights = (of_magnitude, of_volts, of_amperes, of_lane)
+        of_volts, of_amperes, of_magnitude, *of_row = (None if w is None else w.numpy() for w in weights[:6])
+        weights = (of_magnitude, of_volts, of_amperes, of_row)
         found = derivatives(ctx.feeder, tuple(given), (volts, amperes), weights, converged)
         dtype = ctx.saved_tensors[0].dtype
         return *(torch.from_numpy(d).to(dtype) for d in found), None, None, None, None

@@ -55,10 +55,10 @@ def control_inputs(feeder: ThreePhaseFeeder, q_kvar: Array, control: Control | N
     lead = tuple(q_kvar.shape[:-1])
     ratios, states = _spread(ratio, q_kvar, lead), _spread(state, q_kvar, lead)
     if control.tap_ratio is not None:
-        ratios = _by_lane(feeder, "tap_ratio", control.tap_ratio, q_kvar, feeder.n_regulator)
+        ratios = _by_row(feeder, "tap_ratio", control.tap_ratio, q_kvar, feeder.n_regulator)
         _check_ratios(feeder, ratios)
     if control.capacitor_on is not None:
-        states = _by_lane(feeder, "capacitor_on", control.capacitor_on, q_kvar, feeder.n_capacitor)
+        states = _by_row(feeder, "capacitor_on", control.capacitor_on, q_kvar, feeder.n_capacitor)
         _check_range(feeder, "capacitor", "capacitor_on", states, 0.0, 1.0)
     return q_kvar, ratios, states
 
@@ -75,11 +75,11 @@ def _spread(values: Any, like: Array, lead: tuple[int, ...]) -> Array:
 
 def _less_shunts(feeder: ThreePhaseFeeder, q_kvar: Array, shunt_kvar: Any) -> Array:
     xp, n_load = namespace(q_kvar), feeder.first_device_leg
-    shunt = _by_lane(feeder, "shunt_kvar", shunt_kvar, q_kvar, feeder.n_node)
+    shunt = _by_row(feeder, "shunt_kvar", shunt_kvar, q_kvar, feeder.n_node)
     return xp.concat((q_kvar[..., :n_load], q_kvar[..., n_load:] - shunt), axis=-1)
 
 
-def _by_lane(feeder: ThreePhaseFeeder, name: str, values: Any, like: Array, width: int) -> Array:
+def _by_row(feeder: ThreePhaseFeeder, name: str, values: Any, like: Array, width: int) -> Array:
     lead = tuple(like.shape[:-1])
     if type(values) is type(like) is np.ndarray and values.dtype == like.dtype and values.shape == (*lead, width):
         return values

@@ -47,7 +47,7 @@ class ThreePhaseSolution(NamedTuple):
     """Estimated largest error of a voltage, p.u., times 1 MVA, kVA, shape (...): what it moves the power of a node by
     that draws 1 MVA at constant current."""
     restart: Array
-    """Where the next, similar power flow may start from, shape (..., 2 n_node); a lane of zeros is no start."""
+    """Where the next, similar power flow may start from, shape (..., 2 n_node); a row of zeros is no start."""
 
     @property
     def v_angle_deg(self) -> Array:

@@ -17,7 +17,7 @@ from dcgrid_env.powerflow.unbalanced.plan import LINE, plan_of
 
 
 class Zone(NamedTuple):
-    """One zone; matrices act on rows, from the left, so that leading dimensions are lanes."""
+    """One zone; matrices act on rows from the left, so the rows are the leading dimensions."""
 
     nodes: Any
     """Its nodes, those of its first bus first, (n,)."""

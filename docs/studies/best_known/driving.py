@@ -34,9 +34,9 @@ class Batch:
         self._over = self._over | terminated | truncated
         return transition.state
 
-    def fork(self, lanes: np.ndarray) -> Batch:
-        """Return a batch whose episode i continues from episode ``lanes[i]``."""
-        return Batch(self._env.fork(lanes), self.cost[lanes], self._over[lanes])
+    def fork(self, env_indices: np.ndarray) -> Batch:
+        """Return a batch whose episode i continues from episode ``env_indices[i]``."""
+        return Batch(self._env.fork(env_indices), self.cost[env_indices], self._over[env_indices])
 
 
 def begun(scenario: Scenario, seeds: Sequence[int]) -> tuple[Batch, Any]:

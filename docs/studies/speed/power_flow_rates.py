@@ -48,7 +48,7 @@ class Case:
         return cls._exact(feeder, scenario.source_voltage_pu, p_kw, q_kvar)
 
     def changed(self) -> Case:
-        """A case with every lane's loads up or down by ``CHANGE``."""
+        """A case with every row's loads up or down by ``CHANGE``."""
         factor = 1.0 + CHANGE * np.random.default_rng(1).choice([-1.0, 1.0], (len(self.p_kw), 1))
         return self._exact(self.feeder, self.v0_pu, self.p_kw * factor, self.q_kvar * factor)
 
@@ -60,11 +60,11 @@ class Case:
         return cls(feeder, v0_pu, p_kw, q_kvar, exact.v_pu)
 
     def error_pu(self, v_pu: Any) -> float:
-        """Worst difference to the exact voltages of the first lanes, as many as given."""
+        """Worst difference to the exact voltages of the first rows, as many as given."""
         return float(np.abs(np.asarray(v_pu) - self.v_pu[: len(v_pu)]).max())
 
     def singles(self) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Loads of some lanes, one after the other."""
+        """Loads of some rows, one after the other."""
         return zip(self.p_kw[:SINGLES], self.q_kvar[:SINGLES], strict=True)
 
 

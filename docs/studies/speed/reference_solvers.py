@@ -44,7 +44,7 @@ class ReferenceSolver:
         From loads p_kw, q_kvar, shape (n_bus,), consumption positive, to voltage magnitudes in p.u., shape (n_bus,), in
         the order of ``feeder.bus_ids``. RuntimeError, or the library's own error, where it finds no solution.
     solve_batch
-        From loads of shape (row, n_bus), a lane for each feeder, to voltages of that shape in one call of the library;
+        From loads of shape (row, n_bus), a row for each feeder, to voltages of that shape in one call of the library;
         None where it has no such call.
     """
 
@@ -190,12 +190,12 @@ def lightsim2grid(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver
         return v_pu
 
     def solve_batch(p_kw: FloatArray, q_kvar: FloatArray) -> FloatArray:
-        sweep.clear()  # it holds on to the first batch's number of lanes
+        sweep.clear()  # it holds on to the first batch's number of rows
         sweep.modify_load_p(p_kw / 1e3)
         sweep.modify_load_q(q_kvar / 1e3)
         sweep.compute(flat, 20, TOLERANCE_PU)
         if not all(sweep.converged_mask()):
-            raise RuntimeError(f"lightsim2grid found no power flow in a lane of feeder {feeder.name!r}")
+            raise RuntimeError(f"lightsim2grid found no power flow in a row of feeder {feeder.name!r}")
         return np.abs(sweep.get_voltages())
 
     return ReferenceSolver("lightsim2grid, Newton", solve, solve_batch)

@@ -25,8 +25,8 @@ from docs.studies.speed.environment_rates import resident_mib
 from docs.studies.speed.measuring import ROOT, rate
 from docs.studies.speed.synthetic_feeders import balanced_feeder, three_phase_feeder
 
-LANES = 64
-MEMORY_LANES = 16
+N_ENV = 64
+MEMORY_ENVS = 16
 
 
 COLUMNS = {
@@ -35,12 +35,12 @@ COLUMNS = {
     "write_s": ("CSV out, s", "{:.2f}"),
     "read_s": ("CSV in, s", "{:.2f}"),
     "one_per_s": ("flows/s, one", "{:,.0f}"),
-    "batch_per_s": (f"flows/s, {LANES} lanes", "{:,.0f}"),
+    "batch_per_s": (f"flows/s, {N_ENV} environments", "{:,.0f}"),
     "ns_per_node": ("ns a flow and node", "{:.0f}"),
     "make_s": ("make and reset, s", "{:.2f}"),
     "steps_per_s": ("steps/s", "{:,.0f}"),
-    "mib_per_lane": ("MiB a lane", "{:.2f}"),
-    "bytes_per_node": ("bytes a lane and node", "{:,.0f}"),
+    "mib_per_env": ("MiB an environment", "{:.2f}"),
+    "bytes_per_node": ("bytes an environment and node", "{:,.0f}"),
 }
 """Figures of a feeder: the heading of each, and how it is written."""
 
@@ -52,7 +52,7 @@ class SpeedSizes(Command):
     The feeders are synthetic, three-phase ones of up to 8,500 nodes. Each is measured in a process of its own: seconds
     to compile the tables into a feeder, to write it as CSV files and to read them; power flows a second from a cold
     start, one at a time and 64 in a batch; an environment of a few agents on it, by its seconds to be made and reset,
-    its steps a second, and the memory that each lane of a batch of 16 adds. The table is printed in Markdown.
+    its steps a second, and the memory that each environment of a batch of 16 adds. The table is printed in Markdown.
     """
 
     buses: tuple[int, ...] = (100, 1_000, 10_000, 50_000, 100_000)
@@ -120,16 +120,16 @@ def size_record(kind: str, n: int, seconds: float) -> dict[str, Any]:
 
 
 def memory_record(kind: str, n: int) -> dict[str, Any]:
-    """What each lane adds to the memory of this process; measure it in a fresh one."""
+    """What each environment adds to the memory of this process; measure it in a fresh one."""
     build = balanced_feeder if kind == "balanced" else three_phase_feeder
     feeder = build(n)
-    kept = [_environment(feeder, 1)]  # what all lanes share is none of a lane's
+    kept = [_environment(feeder, 1)]  # what all environments share counts for none
     gc.collect()
     before = resident_mib()
-    kept.append(_environment(feeder, MEMORY_LANES))
+    kept.append(_environment(feeder, MEMORY_ENVS))
     gc.collect()
-    mib_per_lane = (resident_mib() - before) / MEMORY_LANES
-    return {"mib_per_lane": mib_per_lane, "bytes_per_node": mib_per_lane * 2**20 / feeder.n_node}
+    mib_per_env = (resident_mib() - before) / MEMORY_ENVS
+    return {"mib_per_env": mib_per_env, "bytes_per_node": mib_per_env * 2**20 / feeder.n_node}
 
 
 def _compiled(kind: Any, network: Any) -> Any:
@@ -140,16 +140,16 @@ def _compiled(kind: Any, network: Any) -> Any:
 
 def _flow_rates(feeder: Any, seconds: float) -> dict[str, float]:
     solve = solver_for(feeder, power_flow_of(feeder))
-    share = np.random.default_rng(0).uniform(0.7, 1.0, (LANES, 1))
+    share = np.random.default_rng(0).uniform(0.7, 1.0, (N_ENV, 1))
     loads = feeder.p_load_kw * share, feeder.q_load_kvar * share
     if not solve(feeder, *loads, feeder.v0_pu).converged.all():
         raise ValueError(f"feeder {feeder.name!r} cannot carry its load")
     one_per_s = rate(lambda: solve(feeder, loads[0][0], loads[1][0], feeder.v0_pu), 1, seconds)
-    batch_per_s = rate(lambda: solve(feeder, *loads, feeder.v0_pu), LANES, seconds)
+    batch_per_s = rate(lambda: solve(feeder, *loads, feeder.v0_pu), N_ENV, seconds)
     return {"one_per_s": one_per_s, "batch_per_s": batch_per_s, "ns_per_node": 1e9 / batch_per_s / feeder.n_node}
 
 
-def _environment(feeder: Any, lanes: int) -> Any:
+def _environment(feeder: Any, n_env: int) -> Any:
     """Some agents on the feeder in a batch that has taken two steps; sites stand fixed, at the first load buses."""
     from dcgrid_env import DcgridVectorEnv
 
@@ -157,7 +157,7 @@ def _environment(feeder: Any, lanes: int) -> Any:
     of_three = [i for i in chosen.candidates if isinstance(feeder, Feeder) or len(feeder.bus_phases[i]) == 3]
     sites = tuple(feeder.bus_ids[i] for i in of_three[: chosen.datacenters.count])
     scenario = chosen.replace(datacenters={"buses": sites}, horizon=1000)
-    env = DcgridVectorEnv(lanes, scenario)
+    env = DcgridVectorEnv(n_env, scenario)
     env.reset(seed=0)
     for _ in range(2):
         env.step(np.zeros(env.action_space.shape or (), np.float32))

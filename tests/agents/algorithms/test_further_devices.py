@@ -10,7 +10,7 @@ from dcgrid_env.agents.algorithms import ppo, td3
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.safe import require_plain
 from dcgrid_env.agents.training import sb3
-from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from helpers.riding import ride_through_34
 from helpers.routing import routed
@@ -54,7 +54,7 @@ def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
         joint = env.step(action).observation
 
 
-def lanes_of(scenario, view):
+def vec_env_of(scenario, view):
     joint = view == "centralised"
     vec_env = JointVecEnv(scenario, 4) if joint else AgentVecEnv(scenario, 4, nameplate=True)
     vec_env.end_as_it_arises = True
@@ -67,7 +67,7 @@ def lanes_of(scenario, view):
 def test_sb3_trains_saves_and_acts_alike(tmp_path, algorithm, name, view):
     scenario, chosen = SCENARIOS[name], {"hidden": (8, 8), "view": view, "nameplate": view == "shared"}
     cfg = ppo.Ppo(**chosen) if algorithm is ppo else td3.Td3(**chosen, buffer=1000, batch=8, gradient_steps=1)
-    vec_env = lanes_of(scenario, view)
+    vec_env = vec_env_of(scenario, view)
     model = algorithm.make(cfg, vec_env)
     before = [weight.detach().clone() for weight in model.policy.parameters()]
     sb3._iterate(_Run(), vec_env, model, 0, 1, 1e-2)  # pyright: ignore[reportArgumentType]
@@ -140,7 +140,7 @@ def test_the_surrogate_of_trips_leads_the_channel_of_the_return_and_its_absence_
 
 def test_other_channels_may_begin_elsewhere_than_at_rest(tmp_path):
     scenario = SCENARIOS["riding"]
-    vec_env = lanes_of(scenario, "shared")
+    vec_env = vec_env_of(scenario, "shared")
     model = ppo.make(ppo.Ppo(hidden=(8,), nameplate=True, further_begin=-0.5), vec_env)
     begun = dict(zip(vec_env.channels, model.policy.action_net.bias.tolist(), strict=True))  # pyright: ignore
     assert begun == pytest.approx({"clock": 1.0, "q": 0.0, "return": -0.5}, abs=0.2)

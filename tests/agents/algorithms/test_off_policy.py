@@ -93,8 +93,8 @@ def test_a_horizon_is_no_end_in_the_replay_buffer(tmp_path, name):
     assert not np.array_equal(buffer.next_observations[99], buffer.observations[0])
 
 
-def test_noise_is_drawn_for_all_lanes_at_once():
+def test_noise_is_drawn_for_all_rows_at_once():
     np.random.seed(0)  # noqa: NPY002 (SB3 seeds this one)
-    noise = td3.LaneNoise(0.2, 5000, 2)()
+    noise = td3.BatchedNoise(0.2, 5000, 2)()
     assert noise.shape == (5000, 2)
     assert noise.std() == pytest.approx(0.2, rel=0.05)

@@ -67,7 +67,7 @@ def test_a_run_leaves_what_it_says_and_the_best_policy_is_the_curves(tmp_path):
 
 def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypatch):
     whole = ppo.main(tiny(tmp_path, "whole", steps=2400))
-    learned = ppo.LanePpo.train
+    learned = ppo.BatchedPpo.train
     count = iter(range(99))
 
     def killed(model):
@@ -76,7 +76,7 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
         learned(model)
 
     with monkeypatch.context() as patch:
-        patch.setattr(ppo.LanePpo, "train", killed)
+        patch.setattr(ppo.BatchedPpo, "train", killed)
         with pytest.raises(KeyboardInterrupt):
             ppo.main(tiny(tmp_path, "broken", steps=2400))
     broken = ppo.main(tiny(tmp_path, "broken", steps=2400, resume=True))
@@ -86,7 +86,7 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
 
 
 def test_nan_stops_with_the_step_and_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):
-    learned = ppo.LanePpo.train
+    learned = ppo.BatchedPpo.train
 
     def poisoned(model):
         learned(model)
@@ -94,7 +94,7 @@ def test_nan_stops_with_the_step_and_keeps_the_last_good_checkpoint(tmp_path, mo
             with torch.no_grad():
                 model.policy.action_net.bias[0] = float("nan")
 
-    monkeypatch.setattr(ppo.LanePpo, "train", poisoned)
+    monkeypatch.setattr(ppo.BatchedPpo, "train", poisoned)
     with pytest.raises(TrainingError, match=r"diverged at step 1200: .*checkpoint\.pt is from before"):
         ppo.main(tiny(tmp_path))
     state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
@@ -122,7 +122,7 @@ def test_what_reaches_nothing_has_no_likelihood_and_agents_of_an_environment_sha
     observed = torch.as_tensor(vec_env.reset())
     actions = torch.zeros(6, 2)
     moved = actions.clone()
-    moved[:, 0] = 0.7  # the clock; lanes are (dc_0, inv_0, inv_1) twice
+    moved[:, 0] = 0.7  # the clock; rows are (dc_0, inv_0, inv_1) twice
     with torch.no_grad():
         values, before, _ = policy.evaluate_actions(observed, actions)
         _, after, _ = policy.evaluate_actions(observed, moved)

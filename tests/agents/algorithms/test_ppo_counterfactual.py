@@ -25,11 +25,11 @@ def without_times(folder):
     return [{name: value for name, value in row.items() if name not in times} for row in read_curve(folder)]
 
 
-def stepped(scenario, action, seed=0, lanes=2, steps=3):
+def stepped(scenario, action, seed=0, n_env=2, steps=3):
     """A batch after some steps by an action, and what ``of_step`` takes of the last."""
-    batch = DcgridVectorEnv(lanes, scenario, info="none")
+    batch = DcgridVectorEnv(n_env, scenario, info="none")
     batch.reset(seed=seed)
-    joint = np.broadcast_to(action, (lanes, action_layout(scenario).n))
+    joint = np.broadcast_to(action, (n_env, action_layout(scenario).n))
     before = None
     for _ in range(steps):
         before = batch.save()
@@ -70,7 +70,7 @@ def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario):
 
 def test_by_hand_on_two_voltages():
     scenario = make_scenario("toy6", background={"load_sigma": 0.0}, workload={"window": "start"})
-    batch, before, joint = stepped(scenario, np.zeros(4), lanes=1, steps=1)
+    batch, before, joint = stepped(scenario, np.zeros(4), n_env=1, steps=1)
     mean = joint.copy()
     mean[0, 2] = -0.5  # inverter 0
     found = Counterfactual(scenario).of_step(before, batch.transition.state, joint, mean)
@@ -97,28 +97,28 @@ def test_by_hand_on_two_voltages():
 @pytest.mark.parametrize("scenario", ["ieee33-weak", "mixed", "fault", "ieee34-3ph"])
 def test_the_mean_action_has_no_advantage(scenario):
     scenario = make_scenario(scenario)
-    batch, before, joint = stepped(scenario, 0.3, lanes=3)
+    batch, before, joint = stepped(scenario, 0.3, n_env=3)
     found = Counterfactual(scenario).of_step(before, batch.transition.state, joint, joint)
     np.testing.assert_array_equal(found, 0.0)
 
 
-def test_lanes_with_their_agents_elsewhere_are_judged_each_by_its_own_places():
+def test_rows_with_their_agents_elsewhere_are_judged_each_by_its_own_places():
     scenario = make_scenario("ieee123")
-    batch, before, joint = stepped(scenario, 0.3, lanes=3)
+    batch, before, joint = stepped(scenario, 0.3, n_env=3)
     assert before is not None
     mean = joint - 0.1
     buses = before.episode.buses
     assert not (buses == buses[:1]).all()
     together = Counterfactual(scenario).of_step(before, batch.transition.state, joint, mean)
-    for lane in range(3):
-        alone, before_alone, own = stepped(scenario, 0.3, seed=lane, lanes=1)
+    for env_index in range(3):
+        alone, before_alone, own = stepped(scenario, 0.3, seed=env_index, n_env=1)
         found = Counterfactual(scenario).of_step(before_alone, alone.transition.state, own, own - 0.1)
-        np.testing.assert_allclose(found[0], together[lane], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found[0], together[env_index], rtol=1e-9, atol=1e-12)
 
 
 def test_what_a_fault_has_taken_has_no_advantage_but_for_its_queue():
     scenario = make_scenario("fault", horizon=70)
-    batch, before, joint = stepped(scenario, 0.3, lanes=2, steps=65)
+    batch, before, joint = stepped(scenario, 0.3, n_env=2, steps=65)
     lost = batch.transition.state.q_limit_kvar == 0.0
     assert lost.any()
     found = Counterfactual(scenario).of_step(before, batch.transition.state, joint, joint - 0.2)

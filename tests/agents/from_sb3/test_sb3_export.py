@@ -111,12 +111,12 @@ def test_actions_are_those_of_predict(kind, settings, tmp_path):
 
 
 def test_one_shared_policy_behind_vecnormalize(tmp_path, capsys):
-    lanes = VecNormalize(sb3_vec_env(SCENARIO, 2, "shared", horizon=4), clip_obs=1.5)
-    lanes.seed(0)
-    model = PPO("MlpPolicy", lanes, policy_kwargs=SMALL, batch_size=4, **ON_POLICY).learn(24)
+    vec_env = VecNormalize(sb3_vec_env(SCENARIO, 2, "shared", horizon=4), clip_obs=1.5)
+    vec_env.seed(0)
+    model = PPO("MlpPolicy", vec_env, policy_kwargs=SMALL, batch_size=4, **ON_POLICY).learn(24)
     spread(model).save(tmp_path / "model")
-    lanes.save(str(tmp_path / "lanes.pkl"))
-    file, pkl = str(tmp_path / "model.zip"), str(tmp_path / "lanes.pkl")
+    vec_env.save(str(tmp_path / "rows.pkl"))
+    file, pkl = str(tmp_path / "model.zip"), str(tmp_path / "rows.pkl")
     out = ("--scenario", SCENARIO, "--out", str(tmp_path / "policy"))
     assert "trained behind VecNormalize" in stopped(capsys, "export-sb3", file, *out)
     assert "is pickle" in stopped(capsys, "export-sb3", file, *out, "--normalize", pkl)
@@ -132,7 +132,7 @@ def test_one_shared_policy_behind_vecnormalize(tmp_path, capsys):
     policy.reset(scenario)
     joint = observations()
     plain = sb3_vec_env(SCENARIO, 1, "shared")
-    expected = plain.driven(joint, lambda rows: model.predict(lanes.normalize_obs(rows), deterministic=True)[0])
+    expected = plain.driven(joint, lambda rows: model.predict(vec_env.normalize_obs(rows), deterministic=True)[0])
     np.testing.assert_allclose(policy.act(joint), expected, atol=2e-6)
 
 

@@ -26,8 +26,8 @@ def policy_for(scenario, kind="shared", **settings):
     return Policy(networks, channels=view.further_channels, **settings)
 
 
-def seen(scenario, lanes=3):
-    return TensorEnv(scenario, like=np.empty(0, np.float32)).reset(range(lanes))
+def seen(scenario, n_env=3):
+    return TensorEnv(scenario, like=np.empty(0, np.float32)).reset(range(n_env))
 
 
 def test_a_network_for_each_kind_with_the_channels_of_its_device():

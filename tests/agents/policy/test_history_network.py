@@ -48,17 +48,17 @@ def test_an_episode_begins_where_it_is_reset():
     np.testing.assert_array_equal([policy.act(observation) for observation in seen], first)
 
 
-def test_lanes_do_not_mix():
+def test_environments_do_not_mix():
     policy, seen = remembering(), np.random.default_rng(2).uniform(-1.0, 1.0, (4, 5, 23)).astype(np.float32)
     policy.reset(TOY)
     together = np.array([policy.act(observation) for observation in seen])
-    for lane in range(5):
+    for env_index in range(5):
         policy.reset(TOY)
-        alone = [policy.act(observation[lane]) for observation in seen]
-        np.testing.assert_allclose(alone, together[:, lane], atol=1e-6)
+        alone = [policy.act(observation[env_index]) for observation in seen]
+        np.testing.assert_allclose(alone, together[:, env_index], atol=1e-6)
 
 
-def test_another_number_of_lanes_is_refused_until_a_reset():
+def test_another_number_of_environments_is_refused_until_a_reset():
     policy = remembering()
     policy.reset(TOY)
     policy.act(np.zeros((4, 23), np.float32))

@@ -25,7 +25,7 @@ def double(array):
 
 
 def observed(preset, deviations=(-1.2, -0.4)):
-    """Observations of two lanes somewhere within what voltages, powers and queues are."""
+    """Observations of two environments somewhere within what voltages, powers and queues are."""
     scenario, rng = make_scenario(preset), np.random.default_rng(3)
     between = {"v_deviation": deviations, "p": (0.3, 0.8), "q": (-0.2, 0.9), "p_ref_next": (0.6, 1.0),
                "backlog": (0.5, 2.0)}  # fmt: skip

@@ -28,7 +28,7 @@ def test_networks_that_give_0_are_the_law(preset):
 
 
 def driven(preset, policy, n_steps=8):
-    """Actions of the law and of a policy for the same observations, (step, lane, n_action) each."""
+    """Actions of the law and of a policy for the same observations, (step, row, n_action) each."""
     scenario = make_scenario(preset, horizon=n_steps)
     env, law = DcgridVectorEnv(2, scenario), ModelAided()
     observations, _ = env.reset(seed=0)

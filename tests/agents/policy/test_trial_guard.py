@@ -122,5 +122,5 @@ def test_places_of_another_width_are_refused():
     controller = TriedPolicy(giving(*HARMFUL))
     controller.reset(make_scenario("ieee33-weak", horizon=10))
     for buses in (np.zeros((1, 2), int), np.zeros(7, int)):
-        with pytest.raises(PolicyError, match=r"guard: buses has shape .*; give \(lane, 7\), a place an agent"):
+        with pytest.raises(PolicyError, match=r"guard: buses has shape .*; give \(row, 7\), a place an agent"):
             controller.place(buses)

@@ -178,7 +178,7 @@ def test_what_helpers_ask_of_it(view):
     env.seed(5)
     np.testing.assert_array_equal(env.reset(), first)
     infos = env.step(np.zeros((env.num_envs, *(env.action_space.shape or ())), np.float32))[-1]
-    infos[0]["mine"] = 1  # each lane has a dict of its own
+    infos[0]["mine"] = 1  # each row has a dict of its own
     assert infos[1] == {}
 
 
@@ -195,7 +195,7 @@ def test_images_of_each_environment(view):
     tiled = env.render()
     assert tiled is not None
     assert tiled.size >= 2 * single.render().size
-    with pytest.raises(RuntimeError, match="render_mode is None; make the lanes with 'rgb_array'"):
+    with pytest.raises(RuntimeError, match="render_mode is None; make the rows with 'rgb_array'"):
         sb3_vec_env("toy6", 2, view).get_images()
 
 

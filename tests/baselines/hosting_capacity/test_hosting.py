@@ -176,7 +176,7 @@ def test_the_next_size_breaks_a_limit_and_the_answer_does_not():
     assert breaks.margin < 0.0
 
 
-def test_a_lane_comes_to_the_same_whatever_stands_beside_it():
+def test_an_environment_comes_to_the_same_whatever_stands_beside_it():
     study = Study(scenario=on(load_feeder("ieee33"), source_voltage_pu=1.05), others=False, **SHORT)
     site, controller = AddedSite(study), NoControl()
     many = run_trial(site, controller, 100, np.array([17, 5, 17]), np.array([0, 1, 1]), "none")
@@ -193,7 +193,7 @@ def test_the_devices_of_a_scenario_stay_where_they_are():
     assert scenario.datacenters.buses is not None
     assert of_size.inverters.buses == scenario.inverters.buses
     assert of_size.datacenters.parameters.p_rated_kw[-1] == pytest.approx(1000.0 * site.mw(50))
-    _, options = site.lanes(np.array([6, 7]), np.array([0, 1]))
+    _, options = site.reset_arguments(np.array([6, 7]), np.array([0, 1]))
     at = [scenario.feeder.index(bus) for bus in (*scenario.datacenters.buses, *scenario.inverters.buses)]
     np.testing.assert_array_equal(np.delete(options["buses"], 3, axis=1), [at, at])
     np.testing.assert_array_equal(options["buses"][:, 3], [6, 7])
@@ -201,7 +201,7 @@ def test_the_devices_of_a_scenario_stay_where_they_are():
 
 def test_sites_that_are_drawn_stand_where_their_sample_says():
     site = AddedSite(Study(scenario=make_scenario("ieee123", split="test"), **SHORT))
-    (_, first), (_, again) = (site.lanes(np.array([b, b]), np.array([0, 1])) for b in (4, 9))
+    (_, first), (_, again) = (site.reset_arguments(np.array([b, b]), np.array([0, 1])) for b in (4, 9))
     np.testing.assert_array_equal(np.delete(first["buses"], 5, axis=1), np.delete(again["buses"], 5, axis=1))
     assert first["buses"][0, :5].tolist() != first["buses"][1, :5].tolist()
 

@@ -60,7 +60,7 @@ def test_it_is_worth_something_and_less_than_hindsight():
     assert 0.95 * shaved[0] > hindsight(s, 0).J
 
 
-def test_a_batch_without_lanes_in_step_and_agents_apart_are_driven_alike():
+def test_a_batch_that_is_not_in_step_and_agents_apart_are_driven_alike():
     s = toy6_storage()
     law = PeakShaving(v_hold_pu=1.0)
     law.reset(s)

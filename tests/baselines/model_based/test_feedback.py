@@ -10,7 +10,7 @@ from dcgrid_env.baselines.model_based.linear_model import Estimate, slopes
 
 
 def on_toy6(law, v_pu, p_kw=575.0, p_ref_kw=575.0, p_ref_next_kw=575.0, backlog_kws=0.0, q_kvar=0.0):
-    """One lane's estimate on toy6, whose agents stand at the buses 4, 3 and 5, with slopes around 1 p.u."""
+    """One environment's estimate on toy6, whose agents stand at the buses 4, 3 and 5, with slopes around 1 p.u."""
     scenario = make_scenario("toy6", observe="feeder")
     law.reset(scenario)
     known = slopes(scenario, np.array([[4, 3, 5]]))
@@ -97,8 +97,8 @@ def test_it_beats_the_droop_and_conserves_work(spoiled):
     ours = rollout(scenario, FeedbackOptimisation(), range(6))
     droop = rollout(make_scenario("ieee33-weak", split="validation"), Droop(), range(6)).metrics()
     assert np.mean([m["J"] for m in ours.metrics()]) < np.mean([m["J"] for m in droop]) - 0.1
-    for lane in range(6):
-        series = ours.lane(lane)
+    for env_index in range(6):
+        series = ours.lane(env_index)
         served, arrived = (np.cumsum(x, axis=0) for x in (series.served_kw, series.arrived_kw))
         assert (served <= arrived + 1e-6).all()
         np.testing.assert_allclose((arrived - served) * scenario.dt_s, series.backlog_kws[1:], atol=1e-6)

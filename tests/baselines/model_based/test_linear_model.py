@@ -34,15 +34,15 @@ class Restless(ModelController):
         s, k = self.scenario, len(self.believed)
         self.believed.append(now.v_pu)
         self.arrived.append(now.p_ref_kw)
-        lanes = len(now.v_pu)
+        n_env = len(now.v_pu)
         swing = np.sin(0.7 * k + np.arange(s.n_agents))
-        return np.full((lanes, s.datacenters.count), 700.0 + 500.0 * np.sin(k)), np.tile(
-            swing * self._q_scale, (lanes, 1)
+        return np.full((n_env, s.datacenters.count), 700.0 + 500.0 * np.sin(k)), np.tile(
+            swing * self._q_scale, (n_env, 1)
         )
 
 
-def course(recorder, lanes):
-    return np.stack([recorder.lane(i).v_pu[:, 1:] for i in range(lanes)], axis=1)
+def course(recorder, n_env):
+    return np.stack([recorder.lane(i).v_pu[:, 1:] for i in range(n_env)], axis=1)
 
 
 def test_slopes_by_hand():
@@ -84,7 +84,7 @@ def test_the_believed_impedances_are_used():
     np.testing.assert_allclose(slopes(off, buses).by_q, 1.2 * slopes(true, buses).by_q)
 
 
-def test_lanes_of_one_placement_share_their_slopes():
+def test_environments_of_one_placement_share_their_slopes():
     scenario = make_scenario("ieee33-weak")
     assert len(slopes(scenario, np.array([[17, 32], [17, 32]])).by_p) == 1
     assert len(slopes(scenario, np.array([[17, 32], [17, 31]])).by_p) == 2
@@ -172,5 +172,5 @@ def test_where_agents_stand_must_be_told_where_it_is_drawn(make):
     with pytest.raises(ValueError, match=r"ieee123 draws .* call place\(buses\)"):
         controller.act(observation)
     controller.place(np.zeros((3, 12), np.int64) + np.arange(3)[:, None])
-    with pytest.raises(ValueError, match="placed in 3 lanes and 1 are observed"):
+    with pytest.raises(ValueError, match="placed in 3 environments and 1 are observed"):
         controller.act(observation)

@@ -19,26 +19,26 @@ from dcgrid_env.baselines.model_based.mpc import Mpc
 CONTROLLERS = [FeedbackOptimisation, lambda: Mpc(horizon=1), lambda: Mpc(horizon=5, rounds=40)]
 
 
-def drawn(rng, lanes=3, steps=4, n_bus=20, n_dc=2, n_agent=5):
+def drawn(rng, n_row=3, steps=4, n_bus=20, n_dc=2, n_agent=5):
     """Programs in which all terms and limits matter."""
     n = n_dc + n_agent
-    arrives = rng.uniform(0.2, 0.9, (lanes, steps, n_dc))
-    waits = rng.uniform(0.0, 1.0, (lanes, 1, n_dc))
+    arrives = rng.uniform(0.2, 0.9, (n_row, steps, n_dc))
+    waits = rng.uniform(0.0, 1.0, (n_row, 1, n_dc))
     low = np.full_like(arrives, 0.15)
     high = np.ones_like(arrives)
     high[:, 0] = np.minimum(high[:, 0], (arrives + waits)[:, 0])
     price = np.full((steps, n_dc), 0.1)
     price[-1] += 1.0
-    slopes = rng.uniform(0.0, 0.03, (lanes, n, n_bus))
+    slopes = rng.uniform(0.0, 0.03, (n_row, n, n_bus))
     slopes[:, :n_dc] *= -1.0
     return Program(
-        offset=rng.normal(-0.02, 0.03, (lanes, steps, n_bus)),
+        offset=rng.normal(-0.02, 0.03, (n_row, steps, n_bus)),
         slopes=slopes,
         base=np.full_like(arrives, 0.3),
         low=np.minimum(low, arrives),
         high=high,
         s_rated=np.full_like(arrives, 1.32),
-        q_high=rng.uniform(0.3, 0.5, (lanes, n_agent)),
+        q_high=rng.uniform(0.3, 0.5, (n_row, n_agent)),
         work=waits + np.cumsum(arrives, axis=1),
         price=price,
         voltage=100.0 / n_bus,
@@ -49,7 +49,7 @@ def drawn(rng, lanes=3, steps=4, n_bus=20, n_dc=2, n_agent=5):
 
 
 def cost(program, x):
-    """Objective (lane,) of x, (lane, step, n); work served before it arrives counts when it does."""
+    """Objective (row,) of x, (row, step, n); work served before it arrives counts when it does."""
     p, n_dc = program, program.base.shape[-1]
     served = np.diff(np.minimum(np.cumsum(x[..., :n_dc], axis=1), p.work), axis=1, prepend=0.0)
     q = x[..., n_dc:]
@@ -59,36 +59,36 @@ def cost(program, x):
     return sum(term.sum(axis=(1, 2)) for term in terms)
 
 
-def optimum(program, lane):
-    """HiGHS' optimum of one lane; the circle by 64 tangents a quadrant."""
+def optimum(program, index):
+    """HiGHS' optimum of one row; the circle by 64 tangents a quadrant."""
     p, (steps, n_bus) = program, program.offset.shape[1:]
     n, n_dc = p.slopes.shape[1], p.base.shape[-1]
     n_agent, n_e = n - n_dc, steps * n_bus
     each, ones = sparse.identity(steps), sparse.identity(n_e)
-    voltage = sparse.kron(each, p.slopes[lane].T)
+    voltage = sparse.kron(each, p.slopes[index].T)
     pick = np.eye(n)
     d, q = sparse.kron(each, pick[:n_dc]), sparse.kron(each, pick[n_dc:])
     own = sparse.kron(each, sparse.eye(n_dc, n_agent))
     size = sparse.identity(steps * n_agent)
     summed = sparse.kron(np.tril(np.ones((steps, steps))), sparse.identity(n_dc)) @ d
-    offset, none = p.offset[lane].ravel(), np.zeros(steps * n_agent)
+    offset, none = p.offset[index].ravel(), np.zeros(steps * n_agent)
     rows = [  # over x, |e|, its excess, |q|
         ([voltage, -ones, None, None], -offset),
         ([-voltage, -ones, None, None], offset),
         ([None, ones, -ones, None], np.full(n_e, p.band_pu)),
         ([q, None, None, -size], none),
         ([-q, None, None, -size], none),
-        ([summed, None, None, None], p.work[lane].ravel()),
+        ([summed, None, None, None], p.work[index].ravel()),
     ]
     for theta in 0.5 * np.pi * np.arange(1, 64) / 64:
-        room = p.s_rated[lane] - np.cos(theta) * p.base[lane]
+        room = p.s_rated[index] - np.cos(theta) * p.base[index]
         rows.append(([np.cos(theta) * d, None, None, np.sin(theta) * own], room.ravel()))
     widths = [steps * n, n_e, n_e, steps * n_agent]
     blocks = [
         [sparse.csr_matrix((len(bound), w)) if b is None else b for b, w in zip(row, widths, strict=True)]
         for row, bound in rows
     ]
-    q_high = np.tile(p.q_high[lane], (steps, 1))
+    q_high = np.tile(p.q_high[index], (steps, 1))
     result = linprog(
         np.concatenate(
             (-summed.T @ p.price.ravel(), np.full(n_e, p.voltage), np.full(n_e, p.violation), np.tile(p.effort, steps))
@@ -98,14 +98,14 @@ def optimum(program, lane):
         bounds=np.stack(
             [
                 np.concatenate((np.concatenate(side, axis=1).ravel(), np.full(sum(widths[1:]), rest)))
-                for side, rest in (((p.low[lane], -q_high), 0.0), ((p.high[lane], q_high), np.inf))
+                for side, rest in (((p.low[index], -q_high), 0.0), ((p.high[index], q_high), np.inf))
             ],
             axis=1,
         ),
         method="highs",
     )
     assert result.status == 0
-    return result.fun + (p.price * p.work[lane]).sum()
+    return result.fun + (p.price * p.work[index]).sum()
 
 
 def within(program, x):
@@ -121,7 +121,7 @@ def test_the_solver_against_highs(steps):
     """Within 0.2 % of the optimum after 300 rounds from nothing, and within 0.02 % after 3000, never below it."""
     for seed in range(4):
         program = drawn(np.random.default_rng(seed), steps=steps)
-        best = np.array([optimum(program, lane) for lane in range(3)])
+        best = np.array([optimum(program, row) for row in range(3)])
         for rounds, tolerance in ((300, 2e-3), (3000, 2e-4)):
             found = solve(program, None, rounds)
             assert within(program, found.y) < 1e-9
@@ -137,15 +137,15 @@ def test_the_circle_binds_and_the_nearest_point_on_it_is_found():
     found = solve(program, None, 3000)
     apparent = np.hypot(program.base + found.y[..., :2], found.y[..., 2:4])
     assert np.isclose(apparent, 1.0, atol=1e-9).any()
-    best = np.array([optimum(program, lane) for lane in range(3)])
+    best = np.array([optimum(program, row) for row in range(3)])
     assert np.abs(cost(program, found.y) / best - 1.0).max() < 5e-4
 
 
-def test_a_lane_is_solved_the_same_alone_and_among_others():
-    program = drawn(np.random.default_rng(5), lanes=7)
+def test_a_row_is_solved_the_same_alone_and_among_others():
+    program = drawn(np.random.default_rng(5), n_row=7)
     among = solve(program, None, 50)
-    by_lane = ("offset", "slopes", "base", "low", "high", "s_rated", "q_high", "work")
-    alone = solve(program._replace(**{name: getattr(program, name)[4:5] for name in by_lane}), None, 50)
+    by_row = ("offset", "slopes", "base", "low", "high", "s_rated", "q_high", "work")
+    alone = solve(program._replace(**{name: getattr(program, name)[4:5] for name in by_row}), None, 50)
     for a, b in zip(among, alone, strict=True):
         assert np.array_equal(a[4:5], b)
 
@@ -295,8 +295,8 @@ def test_they_beat_the_droop_and_conserve_work(make, spoiled):
     droop = [m["J"] for m in rollout(plain, Droop(), range(4)).metrics()]
     recorder = rollout(plain.replace(**spoiled), make(), range(4))
     assert np.mean([m["J"] for m in recorder.metrics()]) < np.mean(droop) - 0.1
-    for lane in range(4):
-        series = recorder.lane(lane)
+    for row in range(4):
+        series = recorder.lane(row)
         served, arrived = (np.cumsum(x, axis=0) for x in (series.served_kw, series.arrived_kw))
         assert (served <= arrived + 1e-6).all()
         assert series.backlog_kws[-1].sum() < 10.0 * 3000.0

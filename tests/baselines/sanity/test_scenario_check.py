@@ -1,4 +1,4 @@
-"""A check of scenarios whose answer is known, and the search in lanes behind it."""
+"""A check of scenarios whose answer is known, and the batch search behind it."""
 
 import time
 
@@ -8,7 +8,7 @@ import pytest
 from dcgrid_env import make_scenario
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
-from dcgrid_env.baselines.sanity.lane_search import fitted
+from dcgrid_env.baselines.sanity.batch_search import fitted
 from dcgrid_env.baselines.sanity.scenario_check import check_scenario
 from dcgrid_env.baselines.sanity.verdicts import BARE, CONSTANT, DROOP, HINDSIGHT, NONE, PAPER, PINNED
 from dcgrid_env.baselines.tuning.search import tune
@@ -18,7 +18,7 @@ SHORT = {"split": "validation", "horizon": 20}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["droop", "constant-q"])
-def test_the_search_in_lanes_comes_close_to_the_finer_one(law):
+def test_the_batch_search_comes_close_to_the_finer_one(law):
     scenario = make_scenario("toy6", **SHORT)
     found = fitted(law, scenario, range(2), time.monotonic() + 60.0)
     assert pytest.approx(rollout(scenario, found.controller, range(2)).costs().mean(), rel=1e-6) == found.J

@@ -206,7 +206,7 @@ def test_what_fails_is_reported_and_the_rest_goes_on(tmp_path, own, capsys, monk
     results = benchmark(tmp_path / "out", ",".join(specs), episodes=3)
     told = {f["controller"]: f["failure"] for f in results["failures"]}
     assert list(told) == specs[:4]
-    assert re.match(r"failed in act: action of dc_0: clock is nan in lane 0", told[specs[0]])
+    assert re.match(r"failed in act: action of dc_0: clock is nan in environment 0", told[specs[0]])
     assert re.match(r"failed in act: the action has shape \(2, 3\); it must be \(2, 4\)", told[specs[1]])
     assert told[specs[2]] == "failed in act, own.py line 23: RuntimeError: out of <b>ideas</b>"
     assert told[specs[3]] == "does not apply: toy6 is beneath me"

@@ -52,12 +52,12 @@ def keys_of(split: bytes, seeds: Any, episodes: Any) -> np.ndarray:
     return random.keys(np.uint64(zlib.crc32(split)), np.array(seeds, np.uint64), np.array(episodes, np.uint64))
 
 
-def lane_keys(n: int) -> np.ndarray:
+def row_keys(n: int) -> np.ndarray:
     return keys_of(b"test", np.arange(n), np.zeros(n))
 
 
-def draws(n_lane: int, n: int, stream: int = random.LOAD, step: int = 1) -> np.ndarray:
-    return random.standard(lane_keys(n_lane), stream, np.full(n_lane, step), n)
+def draws(n_row: int, n: int, stream: int = random.LOAD, step: int = 1) -> np.ndarray:
+    return random.standard(row_keys(n_row), stream, np.full(n_row, step), n)
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
@@ -115,7 +115,7 @@ def test_no_draw_is_ever_beyond_the_bound():
 
 
 @pytest.mark.parametrize("lag", [1, 2, 7])
-def test_lanes_indices_and_steps_are_independent(lag):
+def test_rows_indices_and_steps_are_independent(lag):
     z = draws(600, 300)
     bound = 5 / np.sqrt(z.size - 300 * lag)
     assert abs(correlation(z[lag:], z[:-lag])) < bound
@@ -149,7 +149,7 @@ def test_seeds_and_episodes_are_not_interchanged():
 
 
 def test_bits_are_even():
-    bits = random.bits(lane_keys(3000), random.TRACE_START, 7)
+    bits = random.bits(row_keys(3000), random.TRACE_START, 7)
     for modulus in (2, 3, 7, 80, 3479):
         share = np.bincount((bits % np.uint64(modulus)).ravel().astype(int), minlength=modulus) / bits.size
         assert np.abs(share - 1 / modulus).max() < 6 * np.sqrt(1 / modulus / bits.size)
@@ -157,8 +157,8 @@ def test_bits_are_even():
         assert ((bits >> np.uint64(bit)) & np.uint64(1)).mean() == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(bits.size))
 
 
-def test_a_lane_does_not_depend_on_its_company():
-    keys, steps = lane_keys(10), np.arange(10)
+def test_a_row_does_not_depend_on_its_company():
+    keys, steps = row_keys(10), np.arange(10)
     together = random.standard(keys, random.LOAD, steps, 4)
     for i in range(10):
         alone = random.standard(keys[i : i + 1], random.LOAD, steps[i : i + 1], 4)
@@ -168,7 +168,7 @@ def test_a_lane_does_not_depend_on_its_company():
 
 
 def load_steps(keys: np.ndarray, first: np.ndarray, count: int, rho: float, n_bus: int = 5, **kw: Any) -> np.ndarray:
-    """(count, lane, bus) of the noise process, from ``first`` on, starting where ``z`` stands."""
+    """(count, row, bus) of the noise process, from ``first`` on, starting where ``z`` stands."""
     base = np.ones(n_bus)
     z = kw.get("z", np.zeros((len(keys), n_bus)))
     course = []
@@ -184,7 +184,7 @@ def load_steps(keys: np.ndarray, first: np.ndarray, count: int, rho: float, n_bu
 
 @pytest.mark.parametrize("rho", [0.0, 0.9, 0.99])
 def test_load_noise_is_stationary_with_the_correlation_asked_for(rho):
-    z = load_steps(lane_keys(2000), np.zeros(2000, np.int64), 60, rho, n_bus=10)
+    z = load_steps(row_keys(2000), np.zeros(2000, np.int64), 60, rho, n_bus=10)
     per_step = z.var(axis=(1, 2))
     # From the first step on: the process does not have to warm up.
     np.testing.assert_allclose(per_step, 1.0, atol=0.06)
@@ -195,7 +195,7 @@ def test_load_noise_is_stationary_with_the_correlation_asked_for(rho):
 
 
 def test_load_noise_worked_by_hand():
-    keys, rho, sigma = lane_keys(2), 0.8, 0.1
+    keys, rho, sigma = row_keys(2), 0.8, 0.1
     steps = np.array([0, 7])
     z = np.array([[9.0, 9.0, 9.0], [0.5, -1.0, 2.0]])
     p_base, q_base, q_fixed = np.array([0.0, 100.0, 40.0]), np.array([0.0, 50.0, -20.0]), np.array([0.0, 0.0, -30.0])
@@ -211,8 +211,8 @@ def test_load_noise_worked_by_hand():
     np.testing.assert_allclose(q_out, course * q_base * (1 + 0.1 * wanted) + q_fixed, rtol=1e-14)
 
 
-def test_load_noise_has_the_same_bits_when_lanes_are_split():
-    keys, steps = lane_keys(7), np.array([0, 0, 3, 4, 0, 9, 2])
+def test_load_noise_has_the_same_bits_when_rows_are_split():
+    keys, steps = row_keys(7), np.array([0, 0, 3, 4, 0, 9, 2])
     z = np.random.default_rng(0).standard_normal((7, 5))
     together = load_steps(keys, steps, 5, 0.9, z=z)
     for cut in (slice(0, 1), slice(1, 4), slice(4, 7)):

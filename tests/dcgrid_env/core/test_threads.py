@@ -1,4 +1,4 @@
-"""Lanes over threads: how many, which lanes, and in a child process made by fork."""
+"""Rows over threads: how many, which rows, and in a child process made by fork."""
 
 import itertools
 import multiprocessing
@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from dcgrid_env import distflow, load_feeder
-from dcgrid_env.core.threads import LANES_PER_THREAD, n_threads, over_lanes
+from dcgrid_env.core.threads import ROWS_PER_THREAD, n_threads, over_rows
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "3"])
-@pytest.mark.parametrize("lanes", [0, 1, 63, 64, 127, 128, 200, 1001])
-def test_slices_cover_every_lane_once(monkeypatch, threads, lanes):
+@pytest.mark.parametrize("n_row", [0, 1, 63, 64, 127, 128, 200, 1001])
+def test_slices_cover_every_row_once(monkeypatch, threads, n_row):
     monkeypatch.setenv("DCGRID_NUM_THREADS", threads)
     slices = []
 
@@ -25,11 +25,11 @@ def test_slices_cover_every_lane_once(monkeypatch, threads, lanes):
         slices.append((first, last))
         return last - first
 
-    assert over_lanes(work, lanes) == lanes
+    assert over_rows(work, n_row) == n_row
     slices.sort()
-    assert len(slices) == max(1, min(int(threads), lanes // LANES_PER_THREAD))
+    assert len(slices) == max(1, min(int(threads), n_row // ROWS_PER_THREAD))
     assert slices[0][0] == 0
-    assert slices[-1][1] == lanes
+    assert slices[-1][1] == n_row
     assert all(a[1] == b[0] for a, b in itertools.pairwise(slices))
 
 
@@ -53,24 +53,24 @@ def test_two_threads_work_at_the_same_time(monkeypatch):
         meet.wait()  # passed by two at once or by none
         return threading.current_thread() is not threading.main_thread()
 
-    assert over_lanes(work, 200) == 1  # the caller's thread is one of the two
+    assert over_rows(work, 200) == 1  # the caller's thread is one of the two
 
 
-def test_few_lanes_and_one_thread_stay_on_the_callers_thread(monkeypatch):
+def test_few_rows_and_one_thread_stay_on_the_callers_thread(monkeypatch):
     caller = threading.current_thread()
-    assert over_lanes(lambda first, last: threading.current_thread() is caller, 2 * LANES_PER_THREAD - 1)
+    assert over_rows(lambda first, last: threading.current_thread() is caller, 2 * ROWS_PER_THREAD - 1)
     monkeypatch.setenv("DCGRID_NUM_THREADS", "1")
-    assert over_lanes(lambda first, last: threading.current_thread() is caller, 10000)
+    assert over_rows(lambda first, last: threading.current_thread() is caller, 10000)
 
 
 def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
     monkeypatch.setenv("DCGRID_NUM_THREADS", "2")
 
     def work(first, last):
-        raise RuntimeError("in a lane")
+        raise RuntimeError("in a row")
 
-    with pytest.raises(RuntimeError, match="in a lane"):
-        over_lanes(work, 200)
+    with pytest.raises(RuntimeError, match="in a row"):
+        over_rows(work, 200)
     ended = []
 
     def last_fails(first, last):
@@ -81,7 +81,7 @@ def test_an_error_in_a_thread_reaches_the_caller(monkeypatch):
         return 0
 
     with pytest.raises(RuntimeError, match="in the caller's"):
-        over_lanes(last_fails, 200)
+        over_rows(last_fails, 200)
     assert ended == [0]  # nothing goes on behind the caller's back
 
 

@@ -26,7 +26,7 @@ class BatteryParameters(NamedTuple):
 
 
 class BatteryState(NamedTuple):
-    """State after a step, each (lane, slot)."""
+    """State after a step, each (row, slot)."""
 
     stored_kwh: Array
     charged_kw: Array

@@ -10,10 +10,10 @@ from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.engine.simulation import Simulation
 
 
-def played(scenario, lanes, seed=0):
+def played(scenario, n_env, seed=0):
     """A batch driven at random clocks and reactive setpoints; the recorder of its episodes."""
     rng = np.random.default_rng(seed)
-    env = DcgridVectorEnv(lanes, scenario)
+    env = DcgridVectorEnv(n_env, scenario)
     env.reset(seed=0)
     recorder = Recorder(scenario, env.transition)
     while not recorder.over:
@@ -29,8 +29,8 @@ def test_a_lost_inverter_is_gone_for_good():
     at = scenario.agents.index("inv_2")
     recorder = played(scenario, 8)
     begins = set()
-    for lane in range(8):
-        p, q = recorder.lane(lane).p_kw[:, at], recorder.lane(lane).q_kvar[:, at]
+    for env_index in range(8):
+        p, q = recorder.lane(env_index).p_kw[:, at], recorder.lane(env_index).q_kvar[:, at]
         first = int(np.flatnonzero(p == 0.0)[0])
         assert 10 <= first <= 20
         assert (p[:first] < 0.0).all()
@@ -45,8 +45,8 @@ def test_a_tripped_data_centre_goes_on_with_its_work_and_returns():
     scenario = make_scenario("ieee33-weak", faults=(fault,), horizon=40)
     recorder, calm = played(scenario, 6), played(scenario.replace(faults=()), 6)
     struck = set()
-    for lane in range(6):
-        with_fault, without = recorder.lane(lane), calm.lane(lane)
+    for env_index in range(6):
+        with_fault, without = recorder.lane(env_index), calm.lane(env_index)
         away = with_fault.p_kw[:, :3] == 0.0
         assert (away.any(axis=0)).sum() == 1
         site = int(np.argmax(away.any(axis=0)))

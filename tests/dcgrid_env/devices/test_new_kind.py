@@ -86,8 +86,8 @@ def test_energy_is_conserved_and_the_grid_feels_the_draw():
             charging, discharging = env.transition.state.v_pu
             assert charging[2] < discharging[2] - 1e-3
             np.testing.assert_allclose(env.transition.state.p_kw[:, 1], [500.0, -500.0])
-    for lane, sign in ((0, 1.0), (1, -1.0)):
-        series = recorder.lane(lane)
+    for env_index, sign in ((0, 1.0), (1, -1.0)):
+        series = recorder.lane(env_index)
         gained = np.where(series.charged_kw > 0, 0.95 * series.charged_kw, series.charged_kw / 0.95)
         np.testing.assert_allclose(2.5 + np.cumsum(gained, axis=0) / 3600.0, series.stored_kwh[1:], atol=1e-9)
         assert series.stored_kwh.min() >= 0.0

@@ -1,4 +1,4 @@
-"""Episodes on random feeders: the same ones in every environment, alone or beside lanes on other feeders."""
+"""Episodes on random feeders: the same ones in every environment, alone or beside environments on other feeders."""
 
 import subprocess
 import sys
@@ -35,10 +35,10 @@ SCENARIO = make_scenario("ieee33", name="on-random-feeders", **SETTINGS)
 STEPS = 14
 
 
-def course(env, lanes, seed):
-    """Observations and rewards of lanes, each of which begins its next episode where one is over."""
+def course(env, n_env, seed):
+    """Observations and rewards of environments, each of which begins its next episode where one is over."""
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.0, 1.0, (STEPS, lanes, env.single_action_space.shape[0])).astype(np.float32)
+    actions = rng.uniform(-1.0, 1.0, (STEPS, n_env, env.single_action_space.shape[0])).astype(np.float32)
     observations, rewards = [env.reset(seed=seed)[0]], []
     for action in actions:
         observation, reward, *_ = env.step(action)
@@ -48,21 +48,21 @@ def course(env, lanes, seed):
 
 
 @pytest.mark.parametrize(("split", "seed"), [("train", 2), ("test", 62), ("ood", 0)])
-def test_an_episode_is_the_same_alone_and_in_any_lane(split, seed):
+def test_an_episode_is_the_same_alone_and_in_any_environment(split, seed):
     scenario = SCENARIO.replace(split=split)
     env = DcgridVectorEnv(4, scenario)
     actions, observations, rewards = course(env, 4, seed)
     one = DcgridEnv(scenario)
     assert one.observation_space == env.single_observation_space
-    for lane in (0, 3):
-        observation, _ = one.reset(seed=seed + lane)
-        np.testing.assert_array_equal(observation, observations[0, lane])
+    for env_index in (0, 3):
+        observation, _ = one.reset(seed=seed + env_index)
+        np.testing.assert_array_equal(observation, observations[0, env_index])
         for k in range(STEPS):
-            observation, reward, terminated, truncated, _ = one.step(actions[k, lane])
-            assert reward == rewards[k, lane]
+            observation, reward, terminated, truncated, _ = one.step(actions[k, env_index])
+            assert reward == rewards[k, env_index]
             if terminated or truncated:
                 observation, _ = one.reset()
-            np.testing.assert_array_equal(observation, observations[k + 1, lane])
+            np.testing.assert_array_equal(observation, observations[k + 1, env_index])
             assert one.observation_space.contains(observation)
 
 
@@ -87,7 +87,7 @@ def test_the_parallel_and_the_tensor_environment_have_the_same_episode():
             np.testing.assert_allclose(stepped.observation[0], observation, atol=1e-5)
 
 
-def test_a_snapshot_goes_on_as_it_was_with_lanes_on_several_feeders():
+def test_a_snapshot_goes_on_as_it_was_with_environments_on_several_feeders():
     env = DcgridVectorEnv(3, SCENARIO, split="validation", autoreset_mode="next_step")
     actions, *_ = course(env, 3, 7)
     saved = env.save()
@@ -114,7 +114,7 @@ def test_a_forecast_is_that_of_the_member():
     np.testing.assert_array_equal(forecast(test, 3).p_load_kw, forecast(test.member(3), 3).p_load_kw)
     assert test.member(3).family is test
     assert test.member(3) is test.member(67)
-    assert [lanes.tolist() for _, lanes in test.members([0, 64, 1])] in ([[0, 1], [2]], [[2], [0, 1]])
+    assert [env_indices.tolist() for _, env_indices in test.members([0, 64, 1])] in ([[0, 1], [2]], [[2], [0, 1]])
 
 
 def test_gymnasium_makes_it_and_draws_its_feeder():

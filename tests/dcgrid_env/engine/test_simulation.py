@@ -1,4 +1,4 @@
-"""A batch of lanes: its seeds, resets of some lanes, measurements, a collapse at the reset, and going back."""
+"""A batch of environments: its seeds, partial resets, measurements, a collapse at the reset, and going back."""
 
 from typing import Any
 
@@ -20,13 +20,13 @@ def assert_same(one: Any, other: Any) -> None:
             assert_same(a, b)
 
 
-def lane_of(value: Any, lane: int) -> Any:
-    """One lane of a tuple of arrays over lanes."""
+def of_env(value: Any, env_index: int) -> Any:
+    """One environment of a tuple of arrays."""
     if isinstance(value, np.ndarray):
-        return value[lane]
+        return value[env_index]
     if value is None:
         return None
-    parts = [lane_of(part, lane) for part in value]
+    parts = [of_env(part, env_index) for part in value]
     return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
 
 
@@ -39,7 +39,7 @@ def test_seeds_count_modulo_2_to_the_64(seed, like):
     assert_same(found.now[1:], wanted.now[1:])
 
 
-def test_a_reset_of_some_lanes_leaves_the_others_and_begins_anew_in_its_own():
+def test_a_reset_of_some_environments_leaves_the_others_and_begins_anew_in_its_own():
     scenario = make_scenario("ieee33-weak", horizon=8, sensing={"noise_pu": 0.002, "delay_steps": 1})
     rng = np.random.default_rng(0)
     batch = Simulation(scenario, 3)
@@ -53,9 +53,9 @@ def test_a_reset_of_some_lanes_leaves_the_others_and_begins_anew_in_its_own():
     fields = ("seeds", "numbers", "step", "noise", "p_ref_next_kw", "state", "measured")
     for name in fields:
         after = getattr(batch.now, name)
-        for lane in (0, 2):
-            assert_same(lane_of(after, lane), lane_of(getattr(before, name), lane))
-        assert_same(lane_of(after, 1), lane_of(getattr(fresh.now, name), 0))
+        for env_index in (0, 2):
+            assert_same(of_env(after, env_index), of_env(getattr(before, name), env_index))
+        assert_same(of_env(after, 1), of_env(getattr(fresh.now, name), 0))
     for name in ("observation", "reward", "terminated", "truncated", "cost_j", "trace_start"):
         assert_same(getattr(begun, name)[1], getattr(first, name)[0])
         assert_same(getattr(begun, name)[[0, 2]], getattr(before.transition, name)[[0, 2]])
@@ -121,10 +121,10 @@ def test_what_cannot_be_restored_or_stepped_is_refused():
     with pytest.raises(ValueError, match="restore takes what save"):
         simulation.restore({})  # pyright: ignore[reportArgumentType]
     for other, message in (
-        (Simulation(make_scenario("toy6"), 3), "the snapshot has 3 lanes, this environment 2"),
+        (Simulation(make_scenario("toy6"), 3), "the snapshot has 3 environments, this one 2"),
         (Simulation(make_scenario("toy6", horizon=9), 2), "a scenario with another horizon"),
     ):
-        other.reset([0] * other.lanes)
+        other.reset([0] * other.n_env)
         with pytest.raises(ValueError, match=message):
             simulation.restore(other.now)
     assert simulation.now is saved

@@ -17,13 +17,13 @@ from dcgrid_env.powerflow import Control, nema_unbalance, sensitivity, solver_fo
 from helpers.three_phase import SCENARIOS, ieee13, ieee123
 
 
-def play(scenario, lanes=3, steps=None, seed=0, action=None) -> Any:
+def play(scenario, n_env=3, steps=None, seed=0, action=None) -> Any:
     """A batch under random or given actions, its transitions from the reset on."""
-    simulation = Simulation(scenario, lanes)
-    transitions = [simulation.reset(list(range(lanes)))]
+    simulation = Simulation(scenario, n_env)
+    transitions = [simulation.reset(list(range(n_env)))]
     rng, n = np.random.default_rng(seed), action_layout(scenario).n
     for _ in range(scenario.horizon if steps is None else steps):
-        given = rng.uniform(-1.0, 1.0, (lanes, n)) if action is None else np.tile(action, (lanes, 1))
+        given = rng.uniform(-1.0, 1.0, (n_env, n)) if action is None else np.tile(action, (n_env, 1))
         transitions.append(simulation.step(given))
     return simulation, transitions
 
@@ -35,12 +35,12 @@ def test_loads_and_devices_enter_the_power_flow_where_they_stand(name):
     now, state = simulation.now, transitions[-1].state
     outside, _ = episode.exogenous(scenario, now.episode, now.step, now.noise, now.p_ref_next_kw)
     p, q = outside.p_load_kw.copy(), outside.q_load_kvar.copy()
-    for lane in range(len(p)):
-        for agent, bus in enumerate(now.episode.buses[lane]):
+    for env_index in range(len(p)):
+        for agent, bus in enumerate(now.episode.buses[env_index]):
             nodes = feeder.nodes_at(bus)
             legs = feeder.first_device_leg + np.array(nodes)
-            p[lane, legs] += state.p_kw[lane, agent] / len(nodes)
-            q[lane, legs] -= state.q_kvar[lane, agent] / len(nodes)
+            p[env_index, legs] += state.p_kw[env_index, agent] / len(nodes)
+            q[env_index, legs] -= state.q_kvar[env_index, agent] / len(nodes)
     arrays = outside.p_load_kw, outside.q_load_kvar, outside.legs, state.p_kw, state.q_kvar
     for net in (dynamics.net_loads(*arrays), dynamics.net_loads(*map(torch.tensor, arrays))):
         np.testing.assert_allclose(net, (p, q), rtol=1e-12, atol=1e-9)
@@ -52,11 +52,11 @@ def test_voltages_are_those_of_the_solver_and_agents_see_their_phases(name):
     scenario = SCENARIOS[name]()
     feeder, (simulation, transitions) = scenario.feeder, play(SCENARIOS[name](), steps=3)
     now, state = simulation.now, transitions[-1].state
-    for lane in range(3):
-        for agent, bus in enumerate(now.episode.buses[lane]):
-            v = state.v_pu[lane, list(feeder.nodes_at(bus))]
+    for env_index in range(3):
+        for agent, bus in enumerate(now.episode.buses[env_index]):
+            v = state.v_pu[env_index, list(feeder.nodes_at(bus))]
             seen = (state.v_agent_pu, state.three_phase.v_agent_lowest_pu, state.three_phase.v_agent_highest_pu)
-            assert [field[lane, agent] for field in seen] == pytest.approx([v.mean(), v.min(), v.max()], abs=1e-14)
+            assert [field[env_index, agent] for field in seen] == pytest.approx([v.mean(), v.min(), v.max()], abs=1e-14)
     tensors = (torch.tensor(a) for a in (state.three_phase.v_re_pu, state.three_phase.v_im_pu))
     np.testing.assert_allclose(
         state.three_phase.unbalance, unbalance_factor(three_phase_nodes(feeder), *tensors), rtol=1e-12
@@ -94,9 +94,9 @@ def test_one_phase_by_option(phases):
     assert sorted(set(nodes.tolist())) == expected
     assert len({np.count_nonzero(nodes == n) for n in expected}) == 1
     full = np.zeros(action_layout(scenario).n)
-    _, (_, before) = play(scenario, lanes=1, steps=1, action=full)
+    _, (_, before) = play(scenario, n_env=1, steps=1, action=full)
     full[4] = 1.0  # the first inverter's reactive power, behind the clocks and reactive powers of two sites
-    _, (_, after) = play(scenario, lanes=1, steps=1, action=full)
+    _, (_, after) = play(scenario, n_env=1, steps=1, action=full)
     moved = (after.state.v_pu - before.state.v_pu)[0, list(scenario.feeder.nodes_of("633"))]
     own = ["abc".index(p) for p in phases]
     assert moved[own].min() > 0.001
@@ -227,9 +227,9 @@ def test_past_the_collapse_the_episode_ends_and_nothing_is_nan():
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_lane_is_the_same_alone_and_after_saving(name):
+def test_an_environment_is_the_same_alone_and_after_saving(name):
     scenario = SCENARIOS[name]()
-    _, batch = play(scenario, lanes=4, steps=5)
+    _, batch = play(scenario, n_env=4, steps=5)
     alone = Simulation(scenario, 1)
     alone.reset([2])
     rng = np.random.default_rng(0)
@@ -245,7 +245,7 @@ def test_a_lane_is_the_same_alone_and_after_saving(name):
 
 def test_tensors_step_alike_and_carry_a_derivative():
     scenario = ieee13().replace(horizon=4, weights=CostWeights(unbalance=100.0))
-    _, transitions = play(scenario, lanes=2)
+    _, transitions = play(scenario, n_env=2)
     env = TensorEnv(scenario, like=torch.empty(0, dtype=torch.float64))
     env.reset(range(2))
     rng, total, given = np.random.default_rng(0), torch.zeros(()), []
@@ -266,11 +266,11 @@ def test_tensors_step_alike_and_carry_a_derivative():
         return sum(simulation.step(a).cost_j.sum() for a in actions)
 
     base, h = given[0].detach().numpy(), 1e-4
-    for lane, entry in ((0, 0), (0, 1), (1, 5), (1, 7)):
+    for env_index, entry in ((0, 0), (0, 1), (1, 5), (1, 7)):
         move = np.zeros_like(base)
-        move[lane, entry] = h
+        move[env_index, entry] = h
         slope = (cost(base + move) - cost(base - move)) / (2.0 * h)
-        assert slopes[0, lane, entry].item() == pytest.approx(slope, rel=1e-3, abs=1e-5)
+        assert slopes[0, env_index, entry].item() == pytest.approx(slope, rel=1e-3, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,14 @@ import sys
 import dcgrid_env
 from dcgrid_env.engine.physics import grid_pass
 from dcgrid_env.powerflow.balanced import compiled_blocks, distflow_kernels
-from dcgrid_env.powerflow.unbalanced import sweep_adjoint, sweep_lanes
+from dcgrid_env.powerflow.unbalanced import sweep_adjoint, sweep_rows
 
 env = dcgrid_env.DcgridEnv(sys.argv[1])
 env.reset(seed=0)
 env.step(env.action_space.sample())
 for kernel in (
-    distflow_kernels.distflow_lanes, compiled_blocks.distflow_blocks, grid_pass._few_lanes, grid_pass._many_lanes,
-    sweep_lanes.sweep_lanes, sweep_lanes.sweep_blocks, sweep_adjoint.sweep_adjoint_lanes,
+    distflow_kernels.distflow_rows, compiled_blocks.distflow_blocks, grid_pass._few_rows, grid_pass._many_rows,
+    sweep_rows.sweep_rows, sweep_rows.sweep_blocks, sweep_adjoint.sweep_adjoint_rows,
 ):
     if kernel.signatures:
         print(kernel.__name__, len(kernel.signatures))
@@ -27,8 +27,8 @@ for kernel in (
 @pytest.mark.parametrize(
     ("preset", "compiled"),
     [
-        ("ieee33-weak", {"distflow_lanes": 1, "_few_lanes": 1}),
-        ("ieee34-3ph", {"sweep_lanes": 1, "sweep_adjoint_lanes": 1}),
+        ("ieee33-weak", {"distflow_rows": 1, "_few_rows": 1}),
+        ("ieee34-3ph", {"sweep_rows": 1, "sweep_adjoint_rows": 1}),
     ],
 )
 def test_a_single_environment_compiles_no_kernel_for_batches(preset, compiled):

@@ -24,10 +24,10 @@ def test_agents_stand_where_they_are_told_and_draw_there():
     for each in (given, drawn):
         each.step(full)
     v = given.transition.state.v_pu
-    assert not np.array_equal(v[0], v[1]), "the site of either lane draws at another bus"
+    assert not np.array_equal(v[0], v[1]), "the site of either environment draws at another bus"
 
 
-def test_a_lane_begins_at_its_hour():
+def test_an_environment_begins_at_its_hour():
     given = env(background={"start_hour": "random", "load_sigma": 0.0})
     given.reset(seed=0, options={"begin_h": np.array([4.0, 11.5])})
     low, high = given.transition.state.v_pu.min(axis=1)

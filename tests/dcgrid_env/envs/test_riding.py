@@ -25,7 +25,7 @@ from helpers.riding import at_top_clock, riding
 
 
 def episode(scenario, seeds=(3,), action=None):
-    """Recorder and simulation of an episode in each lane."""
+    """Recorder and simulation of an episode in each environment."""
     simulation = Simulation(scenario, len(seeds))
     recorder = Recorder(scenario, simulation.reset(list(seeds)))
     action = at_top_clock(scenario) if action is None else action

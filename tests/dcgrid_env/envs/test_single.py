@@ -149,7 +149,7 @@ def test_restore_refuses_what_is_none():
         env.step(np.zeros(4))
     batch = DcgridVectorEnv(2, "toy6")
     batch.reset(seed=0)
-    with pytest.raises(ValueError, match="the snapshot has 2 lanes, this environment 1"):
+    with pytest.raises(ValueError, match="the snapshot has 2 environments, this one 1"):
         env.restore(batch.save())
 
 

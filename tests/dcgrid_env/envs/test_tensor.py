@@ -27,24 +27,24 @@ def as_kind(array, like):
     return array.astype(like.dtype) if isinstance(like, np.ndarray) else torch.tensor(array, dtype=like.dtype)
 
 
-def actions(scenario, lanes, seed=0):
+def actions(scenario, n_env, seed=0):
     n = action_layout(scenario).n
-    return np.random.default_rng(seed).uniform(-1.0, 1.0, (scenario.horizon, lanes, n)).astype(np.float32)
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (scenario.horizon, n_env, n)).astype(np.float32)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("form", VARIANTS)
 def test_episodes_are_those_of_the_environment(form, kind):
-    (like, seen_off, cost_off), scenario, lanes = KINDS[kind], variant_of(form), 5
-    ours, theirs = TensorEnv(scenario, like=like), DcgridVectorEnv(lanes, scenario)
+    (like, seen_off, cost_off), scenario, n_env = KINDS[kind], variant_of(form), 5
+    ours, theirs = TensorEnv(scenario, like=like), DcgridVectorEnv(n_env, scenario)
     low, high = joint_bounds(scenario)
 
     def assert_seen(found, expected):
         assert found.dtype == like.dtype
         np.testing.assert_allclose(np.clip(np.asarray(found), low, high), expected, rtol=1e-6, atol=seen_off)
 
-    assert_seen(ours.reset(range(7, 7 + lanes)), theirs.reset(seed=7)[0])
-    for k, action in enumerate(actions(scenario, lanes)):
+    assert_seen(ours.reset(range(7, 7 + n_env)), theirs.reset(seed=7)[0])
+    for k, action in enumerate(actions(scenario, n_env)):
         found = ours.step(as_kind(action, like))
         seen, rewards, _, truncated, infos = theirs.step(action)
         assert truncated.all() == ours.over == (k == scenario.horizon - 1)
@@ -59,7 +59,7 @@ def test_episodes_are_those_of_the_environment(form, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_collapse_is_charged_once_and_spoils_nothing(kind):
-    # The site's full load, from t = 20 s on, is more than the feeder carries; only lane 1 asks for it.
+    # The site's full load, from t = 20 s on, is more than the feeder carries; only environment 1 asks for it.
     like, _, _ = KINDS[kind]
     scenario = make_scenario("toy6", datacenters={"p_rated_kw": 25_000.0}, horizon=24)
     ours, theirs = TensorEnv(scenario, like=like), DcgridVectorEnv(3, scenario)
@@ -219,7 +219,7 @@ def test_an_action_that_is_not_finite_is_named_and_the_episode_goes_on(kind):
     good = np.zeros((2, 4))
     bad = good.copy()
     bad[1, 3] = np.nan
-    with pytest.raises(ValueError, match="the action of lane 1 is nan at 3; give finite numbers"):
+    with pytest.raises(ValueError, match="the action of environment 1 is nan at 3; give finite numbers"):
         env.step(as_kind(bad, like))
     first = env.step(as_kind(good, like))
     env.reset([0, 1])

@@ -19,9 +19,9 @@ CLASSES = WORK_CLASSES | {"workload.site_correlation": 0.5}
 
 @pytest.mark.parametrize("extra", [{}, CLASSES], ids=["linear", "work_classes"])
 @pytest.mark.parametrize("scenario", each_preset())
-def test_lanes_are_the_single_environments_bit_for_bit(scenario, extra):
-    lanes, horizon = 70, 6  # more lanes than two threads' share, and three episodes each
-    batch = DcgridVectorEnv(lanes, scenario, horizon=horizon, **extra)
+def test_a_batch_has_the_bits_of_single_environments(scenario, extra):
+    n_env, horizon = 70, 6  # more environments than two threads' share, and three episodes each
+    batch = DcgridVectorEnv(n_env, scenario, horizon=horizon, **extra)
     singles = {i: DcgridEnv(scenario, horizon=horizon, **extra) for i in (0, 1, 33, 69)}
     seen, _ = batch.reset(seed=100)
     for i, single in singles.items():
@@ -45,7 +45,7 @@ def test_lanes_are_the_single_environments_bit_for_bit(scenario, extra):
 
 
 def collapsing():
-    """Episodes that end at 12 steps, or before in a voltage collapse, each lane's at its own time."""
+    """Episodes that end at 12 steps, or before in a voltage collapse, each environment's at its own time."""
     times = np.arange(3000.0)
     jumps = np.random.default_rng(0).random(3000) < 0.08
     trace = PowerTrace(times, np.where(jumps, 1.0, 0.2), name="jumps")
@@ -74,7 +74,7 @@ def assert_alike(mine, theirs):
 
 
 def assert_same_steps(ours, theirs, steps, *, mask_resets=()):
-    """Both step by step, with resets of random lanes before some steps; the steps at which lanes of ours ended."""
+    """Compare both step by step, with random resets before some steps; return where episodes of ours ended."""
     ours.action_space.seed(0)
     rng, ended = np.random.default_rng(1), []
     mode = theirs.autoreset_mode
@@ -95,7 +95,7 @@ def assert_same_steps(ours, theirs, steps, *, mask_resets=()):
             assert mine.dtype == other.dtype
         assert_alike(a[4], b[4])
         done = a[2] | a[3]
-        ended += [(t, lane) for lane in np.flatnonzero(done)]
+        ended += [(t, env_index) for env_index in np.flatnonzero(done)]
     return ended
 
 
@@ -111,13 +111,13 @@ def test_every_mode_is_gymnasiums_own(mode, info):
     assert ours.action_space == theirs.action_space
     ended = assert_same_steps(ours, theirs, 60, mask_resets=(7, 20, 33))
     assert len({t for t, _ in ended}) > 8  # at times of their own
-    assert {lane for _, lane in ended} == set(range(5))
+    assert {env_index for _, env_index in ended} == set(range(5))
     together = [t for t in range(60) if [s for s, _ in ended].count(t) > 1]
     assert len(together) > 0
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_lanes_that_all_end_at_once(mode):
+def test_environments_that_all_end_at_once(mode):
     ours = DcgridVectorEnv(3, "ieee123", autoreset_mode=mode, horizon=2)
     theirs = SyncVectorEnv([lambda: DcgridEnv("ieee123", horizon=2)] * 3, autoreset_mode=mode)
     assert len(assert_same_steps(ours, theirs, 9)) in (3 * 3, 4 * 3)
@@ -132,7 +132,7 @@ def test_the_mode_is_each_batchs_own():
             DcgridVectorEnv(1, "toy6", autoreset_mode=mode)  # pyright: ignore[reportArgumentType]
 
 
-def test_a_step_of_lanes_that_are_over_is_refused_where_none_begins_by_itself():
+def test_a_step_of_environments_that_are_over_is_refused_where_none_begins_by_itself():
     env = DcgridVectorEnv(3, "toy6", autoreset_mode="disabled", horizon=2)
     env.reset(seed=0)
     env.step(np.zeros((3, 4)))
@@ -140,13 +140,13 @@ def test_a_step_of_lanes_that_are_over_is_refused_where_none_begins_by_itself():
     *_, truncated, _ = env.step(np.zeros((3, 4)))
     assert truncated.tolist() == [True, False, True]
     before = env.save()
-    with pytest.raises(RuntimeError, match=r"lanes \[0, 2\] are over; reset them with options={'reset_mask'"):
+    with pytest.raises(RuntimeError, match=r"environments \[0, 2\] are over; reset them with options={'reset_mask'"):
         env.step(np.zeros((3, 4)))
     assert env.save() is before
     # So is that of a batch that begins anew in the same step, given a snapshot of one that does not.
     other = DcgridVectorEnv(3, "toy6", horizon=2)
     other.restore(before)
-    with pytest.raises(RuntimeError, match=r"lanes \[0, 2\] are over"):
+    with pytest.raises(RuntimeError, match=r"environments \[0, 2\] are over"):
         other.step(np.zeros((3, 4)))
 
 
@@ -165,7 +165,7 @@ def test_save_and_restore_between_an_end_and_the_next_beginning():
             np.testing.assert_array_equal(found, expected)
 
 
-def test_a_lane_that_waits_for_its_next_episode_does_not_run_out_of_load():
+def test_an_environment_that_waits_for_its_next_episode_does_not_run_out_of_load():
     # The recording's training share is one window to the second: there is no load beyond an episode's end.
     load = PowerTrace(np.arange(41.0), np.linspace(0.2, 0.9, 41), name="short")
     extra = {"trace": (load,), "horizon": 22}
@@ -173,7 +173,7 @@ def test_a_lane_that_waits_for_its_next_episode_does_not_run_out_of_load():
     env.reset(seed=0)
     still = np.zeros((2, 4))
     env.step(still)
-    env.reset(options={"reset_mask": np.array([True, False])})  # so that lane 1 ends a step before lane 0
+    env.reset(options={"reset_mask": np.array([True, False])})  # so that environment 1 ends a step before environment 0
     ends = [tuple(env.step(still)[3]) for _ in range(23)]
     assert ends[-3:] == [(False, True), (True, False), (False, False)]
 
@@ -257,7 +257,7 @@ def test_reset_mask_and_seed_lists(extra):
     np.testing.assert_array_equal(after[3], alone.step(np.zeros(17))[0])
 
 
-def test_a_collapsed_lane_begins_anew_and_leaves_the_others_alone():
+def test_a_collapsed_environment_begins_anew_and_leaves_the_others_alone():
     calm = PowerTrace(np.arange(500.0), np.r_[1.0, np.full(499, 0.2)], name="calm")
     peak = PowerTrace(np.arange(500.0), np.where(np.arange(500) % 50 < 25, 0.2, 1.0), name="peak")
     heavy = {
@@ -297,7 +297,7 @@ def test_errors_of_use():
         env.reset(options={"reset_mask": np.array([1, 0])})
     bad = np.zeros((2, 4))
     bad[1, 3] = np.nan
-    with pytest.raises(dcgrid_env.ActionError, match="action of inv_1: q is nan in lane 1"):
+    with pytest.raises(dcgrid_env.ActionError, match="action of inv_1: q is nan in environment 1"):
         env.step(bad)
 
 
@@ -334,7 +334,7 @@ def test_the_transition_is_the_last_steps_or_resets():
     env.reset(seed=1)
     env.step(np.zeros((2, 4)))
     _, rewards, *_ = env.step(np.zeros((2, 4)))
-    assert env.transition.truncated.all()  # the step's, though the lanes have begun anew
+    assert env.transition.truncated.all()  # the step's, though the environments have begun anew
     np.testing.assert_array_equal(env.transition.reward, rewards)
     seen, _ = env.reset(seed=7)
     np.testing.assert_array_equal(env.transition.observation, seen)
@@ -342,7 +342,7 @@ def test_the_transition_is_the_last_steps_or_resets():
 
 def test_first_resets_that_cannot_be():
     env = DcgridVectorEnv(2, "toy6")
-    with pytest.raises(ValueError, match="the first reset must be of all lanes"):
+    with pytest.raises(ValueError, match="the first reset must be of all environments"):
         env.reset(options={"reset_mask": np.array([True, False])})
     with pytest.raises(ValueError, match=r"seed is 1\.5"):
         env.reset(seed=[1.5, 2])  # pyright: ignore[reportArgumentType]
@@ -356,7 +356,7 @@ def test_environments_made_alike_share_what_is_derived():
 
 
 @pytest.mark.parametrize("scenario", ["toy6", "ieee13-3ph", "ride-through"])
-def test_a_fork_goes_on_from_the_lanes_that_it_copies_bit_for_bit(scenario):
+def test_a_fork_goes_on_from_the_environments_that_it_copies_bit_for_bit(scenario):
     batch = DcgridVectorEnv(3, scenario, horizon=6)
     batch.reset(seed=5)
     batch.action_space.seed(0)
@@ -379,9 +379,9 @@ def test_what_cannot_be_forked():
     with pytest.raises(RuntimeError, match="has not been reset"):
         batch.fork([0])
     batch.reset(seed=0)
-    for lanes in ([], [2], [-1], np.array([0.5]), np.array([[0]])):
-        with pytest.raises(ValueError, match=r"lanes is .*; give positions in 0 .. 1, at least one"):
-            batch.fork(lanes)
+    for n_env in ([], [2], [-1], np.array([0.5]), np.array([[0]])):
+        with pytest.raises(ValueError, match=r"env_indices is .*; give positions in 0 .. 1, at least one"):
+            batch.fork(n_env)
     zero_shot = DcgridVectorEnv(2, "zero-shot", horizon=2)
     zero_shot.reset(seed=0)
     with pytest.raises(dcgrid_env.ScenarioError, match="random feeders cannot be copied"):

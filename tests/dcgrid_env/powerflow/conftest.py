@@ -33,21 +33,21 @@ def base(toy6: Feeder) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture
 def random_loads() -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Loads p, q (lane, bus) and substation voltages (lane,) that every named feeder can carry.
+    """Loads p, q (row, bus) and substation voltages (row,) that every named feeder can carry.
 
-    Every third lane also feeds in, a half of the feeder's load at a random bus and negative loads elsewhere, so that
+    Every third row also feeds in, a half of the feeder's load at a random bus and negative loads elsewhere, so that
     power flows back.
     """
 
-    def draw(feeder: Feeder, lanes: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def draw(feeder: Feeder, n_row: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rng = np.random.default_rng(seed)
-        back = np.arange(lanes) % 3 == 2
-        p_kw = feeder.p_load_kw * rng.uniform(0.0, 1.6, (lanes, feeder.n_bus))
-        p_kw = np.where(back[:, None], p_kw - 1.2 * feeder.p_load_kw * rng.random((lanes, feeder.n_bus)), p_kw)
-        q_kvar = feeder.q_load_kvar * rng.uniform(-0.5, 1.6, (lanes, feeder.n_bus))
-        q_kvar = q_kvar - feeder.capacitor_kvar * rng.integers(0, 2, (lanes, 1))
+        back = np.arange(n_row) % 3 == 2
+        p_kw = feeder.p_load_kw * rng.uniform(0.0, 1.6, (n_row, feeder.n_bus))
+        p_kw = np.where(back[:, None], p_kw - 1.2 * feeder.p_load_kw * rng.random((n_row, feeder.n_bus)), p_kw)
+        q_kvar = feeder.q_load_kvar * rng.uniform(-0.5, 1.6, (n_row, feeder.n_bus))
+        q_kvar = q_kvar - feeder.capacitor_kvar * rng.integers(0, 2, (n_row, 1))
         p_kw[back, rng.integers(1, feeder.n_bus, back.sum())] -= 0.5 * feeder.p_load_kw.sum()
-        return p_kw, q_kvar, rng.uniform(0.97, 1.06, lanes)
+        return p_kw, q_kvar, rng.uniform(0.97, 1.06, n_row)
 
     return draw
 

@@ -4,25 +4,25 @@ import numpy as np
 
 from dcgrid_env import distflow
 
-LANES = 9
+N_ROW = 9
 
 
 def test_distflow_agrees_with_newton_in_pandapower(feeder, random_loads, pandapower_net):
-    p_kw, q_kvar, v0_pu = random_loads(feeder, LANES, seed=1)
+    p_kw, q_kvar, v0_pu = random_loads(feeder, N_ROW, seed=1)
     solution = distflow(feeder, p_kw, q_kvar, v0_pu)
     assert solution.converged.all()
     first = feeder.parent == 0
     p_import = solution.p_branch_kw[:, first].sum(axis=-1) + p_kw[:, 0]
     q_import = solution.q_branch_kvar[:, first].sum(axis=-1) + q_kvar[:, 0]
-    assert (solution.p_branch_kw < 0).any(axis=-1).sum() >= LANES // 3  # power does flow back
+    assert (solution.p_branch_kw < 0).any(axis=-1).sum() >= N_ROW // 3  # power does flow back
     net = pandapower_net(feeder)
-    for lane in range(LANES):
-        newton = net.solve(p_kw[lane], q_kvar[lane], v0_pu[lane])
-        assert newton["v_pu"].min() < 0.9999 * v0_pu[lane] or newton["v_pu"].max() > 1.0001 * v0_pu[lane]
-        np.testing.assert_allclose(solution.v_pu[lane], newton["v_pu"], rtol=0.0, atol=1e-7)
-        np.testing.assert_allclose(solution.loss_kw[lane], newton["loss_kw"], rtol=0.0, atol=1e-3)
-        np.testing.assert_allclose(p_import[lane], newton["p_import_kw"], rtol=0.0, atol=1e-2)
-        np.testing.assert_allclose(q_import[lane], newton["q_import_kvar"], rtol=0.0, atol=1e-2)
+    for row in range(N_ROW):
+        newton = net.solve(p_kw[row], q_kvar[row], v0_pu[row])
+        assert newton["v_pu"].min() < 0.9999 * v0_pu[row] or newton["v_pu"].max() > 1.0001 * v0_pu[row]
+        np.testing.assert_allclose(solution.v_pu[row], newton["v_pu"], rtol=0.0, atol=1e-7)
+        np.testing.assert_allclose(solution.loss_kw[row], newton["loss_kw"], rtol=0.0, atol=1e-3)
+        np.testing.assert_allclose(p_import[row], newton["p_import_kw"], rtol=0.0, atol=1e-2)
+        np.testing.assert_allclose(q_import[row], newton["q_import_kvar"], rtol=0.0, atol=1e-2)
 
 
 def test_distflow_agrees_close_to_collapse(feeder, pandapower_net):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from dcgrid_env import Feeder, PowerFlowError, distflow, lindistflow
-from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_rows
 
 BOTH = pytest.mark.parametrize("method", [distflow, lindistflow])
 NAN, INF = float("nan"), float("inf")
@@ -54,11 +54,11 @@ def test_the_bus_is_named_by_its_own_name(method, kind):
 
 
 @BOTH
-@pytest.mark.parametrize("lanes", [1, 20])
+@pytest.mark.parametrize("n_row", [1, 20])
 @pytest.mark.parametrize("value", [NAN, INF])
 @pytest.mark.parametrize("field", ["p_kw", "q_kvar"])
-def test_a_load_at_the_substation_is_checked_as_well(toy6, method, kind, lanes, value, field):
-    loads = {name: np.ones((lanes, 6)) for name in ("p_kw", "q_kvar")}
+def test_a_load_at_the_substation_is_checked_as_well(toy6, method, kind, n_row, value, field):
+    loads = {name: np.ones((n_row, 6)) for name in ("p_kw", "q_kvar")}
     loads[field][0, 0] = value
     with pytest.raises(PowerFlowError, match=f"{field} of bus 0 is {value}"):
         method(toy6, kind(loads["p_kw"]), kind(loads["q_kvar"]))
@@ -131,19 +131,19 @@ def test_a_warm_start_of_another_kind_is_taken(toy6, loads, start):
     ({"tolerance_kva": True}, "tolerance_kva is True"), ({"tolerance_kva": "1"}, "tolerance_kva is '1'"),
     ({"tolerance_kva": 1j}, "tolerance_kva is 1j"), ({"tolerance_kva": [1.0]}, r"tolerance_kva is \[1\.0\]"),
 ])  # fmt: skip
-@pytest.mark.parametrize("lanes", [1, 20])
-def test_sweeps_are_counted_and_the_tolerance_is_a_positive_number(toy6, kind, options, given, lanes):
-    load = kind(np.ones((lanes, 6)))
+@pytest.mark.parametrize("n_row", [1, 20])
+def test_sweeps_are_counted_and_the_tolerance_is_a_positive_number(toy6, kind, options, given, n_row):
+    load = kind(np.ones((n_row, 6)))
     with pytest.raises(PowerFlowError, match=f"{given}.*; give a (whole|positive) number"):
         distflow(toy6, load, load, **options)
 
 
 def test_numbers_of_numpy_end_the_sweeps_as_pythons_do(toy6):
-    load, compiled_for = np.ones(6), len(distflow_lanes.signatures)
+    load, compiled_for = np.ones(6), len(distflow_rows.signatures)
     plain = distflow(toy6, load, load, tolerance_kva=0.5, max_sweeps=7)
     other = distflow(toy6, load, load, tolerance_kva=np.float32(0.5), max_sweeps=np.int32(7))  # pyright: ignore
     assert all(getattr(plain, field).tobytes() == getattr(other, field).tobytes() for field in plain._fields)
-    assert len(distflow_lanes.signatures) == max(compiled_for, 1)  # nothing is compiled anew for it
+    assert len(distflow_rows.signatures) == max(compiled_for, 1)  # nothing is compiled anew for it
 
 
 # --- what holds no real numbers -------------------------------------------------------------------------------------

@@ -33,10 +33,10 @@ def test_solvers_take_the_arguments_of_the_protocol(toy6, method):
 
 @BOTH
 @KINDS
-@pytest.mark.parametrize("by_lane", [True, False])
-def test_switched_shunts_are_injected(feeder, random_loads, method, kind, by_lane):
+@pytest.mark.parametrize("by_row", [True, False])
+def test_switched_shunts_are_injected(feeder, random_loads, method, kind, by_row):
     p_kw, q_kvar, v0_pu = random_loads(feeder, 12, seed=61)
-    shunt_kvar = np.random.default_rng(62).uniform(0.0, 50.0, q_kvar.shape if by_lane else q_kvar.shape[1:])
+    shunt_kvar = np.random.default_rng(62).uniform(0.0, 50.0, q_kvar.shape if by_row else q_kvar.shape[1:])
     found = solver_for(feeder, method)(
         feeder, *map(kind, (p_kw, q_kvar, v0_pu)), control=Control(shunt_kvar=kind(shunt_kvar))
     )

@@ -152,18 +152,18 @@ def test_a_warm_start_from_a_very_different_load_still_converges(feeder):
 
 
 @both_forms
-@pytest.mark.parametrize("lanes", [5, 33])
+@pytest.mark.parametrize("n_row", [5, 33])
 @pytest.mark.parametrize("warm", [False, True])
-def test_a_lane_without_a_solution_leaves_its_neighbours_their_bits(feeder, random_loads, as_torch, lanes, warm):
-    p_kw, q_kvar, v0_pu = as_torch(*random_loads(feeder, lanes, seed=35))
+def test_a_row_without_a_solution_leaves_its_neighbours_their_bits(feeder, random_loads, as_torch, n_row, warm):
+    p_kw, q_kvar, v0_pu = as_torch(*random_loads(feeder, n_row, seed=35))
     start = distflow(feeder, 0.9 * p_kw, q_kvar, v0_pu) if warm else None
     good = distflow(feeder, p_kw, q_kvar, v0_pu, warm=start)
-    for bad in (0, 3, lanes - 1):
+    for bad in (0, 3, n_row - 1):
         worse = p_kw.clone()
         worse[bad] = (40.0 if feeder.name == "toy6" else 6.0) * double(feeder.p_load_kw)
         solution = distflow(feeder, worse, q_kvar, v0_pu, warm=start)
         assert not solution.converged[bad]
-        others = torch.arange(lanes) != bad
+        others = torch.arange(n_row) != bad
         for field in Solution._fields:
             assert torch.equal(getattr(solution, field)[others], getattr(good, field)[others]), field
 
@@ -262,7 +262,7 @@ def test_derivative_at_little_load_is_the_sensitivity(feeder):
 @both_forms
 @pytest.mark.parametrize("scale", [1.0, 5.0, 1e3])
 @pytest.mark.parametrize("warm", [False, True])
-def test_gradients_stay_finite_beside_a_lane_without_a_solution(feeder, scale, warm):
+def test_gradients_stay_finite_beside_a_row_without_a_solution(feeder, scale, warm):
     p_kw, q_kvar = (np.tile(load, (4, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
     good = recorded(p_kw, q_kvar, np.full(4, 1.02))
     start = torch.zeros((4, feeder.n_bus - 1), dtype=torch.float64) if warm else None

@@ -17,7 +17,7 @@ def few(monkeypatch):
 
 def test_intervals_hold_every_peak_and_mean(few):
     scenario = make_scenario("ieee33-weak", split="test", horizon=100)
-    found = Envelope(scenario, lane=1)
+    found = Envelope(scenario, env_index=1)
     recorder = streaming_rollout(scenario, Droop(), [0, 1], [found])
     own = rollout(scenario, Droop(), [0, 1]).lane(1)
     assert found.steps_each == 13

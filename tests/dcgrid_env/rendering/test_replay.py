@@ -72,8 +72,8 @@ def test_phases_taps_storages_and_trips_are_there():
     np.testing.assert_allclose(stored, 100.0 * run.stored_kwh[:, -1] / energy_kwh[-1])
     faulty = make_scenario("fault", split="test")
     lost = rollout(faulty, make_controller("none"), range(8))
-    for lane in range(8):
-        run = lost.lane(lane)
+    for env_index in range(8):
+        run = lost.lane(env_index)
         away = np.array([own["on_grid_pct"] == 0.0 for own in agent_figures(run)]).T
         assert (run.p_kw_from_reset[away] == 0.0).all()
         assert away.any() == bool((run.fault[:, 0] < faulty.n_agents).any())

@@ -186,8 +186,8 @@ def test_a_new_episode_starts_from_an_empty_history():
     assert len(curve(env, "v_pu")) == 1
 
 
-def curve_after_render(env, name, lane=0):
-    env._viewer.draw(lane)
+def curve_after_render(env, name, env_index=0):
+    env._viewer.draw(env_index)
     return curve(env, name)
 
 
@@ -214,7 +214,7 @@ def test_a_restored_environment_is_drawn_from_where_it_went_on():
     assert curve_after_render(env, "v_pu")[:, 0].tolist() == [5, 6, 7]
 
 
-def test_a_batch_gives_an_image_of_each_lane():
+def test_a_batch_gives_an_image_of_each_environment():
     batch: Any = gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=3, render_mode="rgb_array", horizon=9)
     singles = [make(horizon=9) for _ in range(3)]
     batch.reset(seed=0)
@@ -236,21 +236,23 @@ def test_a_batch_gives_an_image_of_each_lane():
     for _ in range(3):
         batch.step(np.zeros((3, 4)))
     np.testing.assert_array_equal(batch.unwrapped._viewer.draw(0), batch.render()[0])
-    assert len(curve_after_render(batch.unwrapped, "v_pu", lane=0)) == 1  # lane 0 has begun its next episode
-    assert len(curve_after_render(batch.unwrapped, "v_pu", lane=1)) == 6
+    assert (
+        len(curve_after_render(batch.unwrapped, "v_pu", env_index=0)) == 1
+    )  # environment 0 has begun its next episode
+    assert len(curve_after_render(batch.unwrapped, "v_pu", env_index=1)) == 6
 
 
-def test_a_lane_that_begins_in_the_next_step_is_drawn_from_there():
+def test_an_environment_that_begins_in_the_next_step_is_drawn_from_there():
     batch = dcgrid_env.DcgridVectorEnv(2, "toy6", render_mode="rgb_array", horizon=2, autoreset_mode="next_step")
     batch.reset(seed=0)
     lengths = []
     for _ in range(4):
         batch.step(np.zeros((2, 4)))
-        lengths.append(len(curve_after_render(batch, "v_pu", lane=1)))
+        lengths.append(len(curve_after_render(batch, "v_pu", env_index=1)))
     assert lengths == [2, 3, 1, 2]
 
 
-def test_a_window_shows_lane_0_of_a_batch(caplog):
+def test_a_window_shows_environment_0_of_a_batch(caplog):
     batch = dcgrid_env.DcgridVectorEnv(3, "toy6", render_mode="human")
     batch.reset(seed=0)
     assert batch.render() is None

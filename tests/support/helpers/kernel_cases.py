@@ -28,17 +28,17 @@ WIDTHS = (1, 40, 130)
 """Environments in a batch: alone, in one block, and in blocks on two threads."""
 
 
-def powers(feeder, lanes) -> Any:
+def powers(feeder, n_row) -> Any:
     """Base loads, and a device at the last leg."""
-    p_kw = np.tile(feeder.p_load_kw, (lanes, 1))
+    p_kw = np.tile(feeder.p_load_kw, (n_row, 1))
     p_kw[:, -1] += 1.0
-    return p_kw, np.tile(feeder.q_load_kvar, (lanes, 1))
+    return p_kw, np.tile(feeder.q_load_kvar, (n_row, 1))
 
 
 def balanced(feeder):
     """Solve, from a start as well, beyond what the feeder can carry, and differentiate; both methods."""
-    for lanes in WIDTHS:
-        p_kw, q_kvar = powers(feeder, lanes)
+    for n_row in WIDTHS:
+        p_kw, q_kvar = powers(feeder, n_row)
         solution = distflow(feeder, p_kw, q_kvar)
         distflow(feeder, p_kw, q_kvar, warm=solution)
         p_kw[0, -1] += 1e7
@@ -50,14 +50,14 @@ def balanced(feeder):
 
 def unbalanced(feeder):
     """Solve, from a start as well, beyond what the feeder can carry, and differentiate by all inputs."""
-    for lanes in WIDTHS:
-        p_kw, q_kvar = powers(feeder, lanes)
-        ratio, state = np.ones((lanes, feeder.n_regulator)), np.ones((lanes, feeder.n_capacitor))
+    for n_row in WIDTHS:
+        p_kw, q_kvar = powers(feeder, n_row)
+        ratio, state = np.ones((n_row, feeder.n_regulator)), np.ones((n_row, feeder.n_capacitor))
         solution = solve_unbalanced(feeder, p_kw, q_kvar, None, Control(tap_ratio=ratio, capacitor_on=state))
         solve_unbalanced(feeder, p_kw, q_kvar, start=solution)
         p_kw[0, -1] += 1e7
         solve_unbalanced(feeder, p_kw, q_kvar, max_sweeps=40)
-        tensors: Any = [torch.tensor(a, requires_grad=True) for a in (*powers(feeder, lanes), ratio, state)]
+        tensors: Any = [torch.tensor(a, requires_grad=True) for a in (*powers(feeder, n_row), ratio, state)]
         solution = solve_unbalanced(
             feeder, tensors[0], tensors[1], None, Control(tap_ratio=tensors[2], capacitor_on=tensors[3])
         )
@@ -88,9 +88,9 @@ def one_bus(feeder):
     return type(feeder).from_network(Network(name="one bus", source=network.source, node=node))
 
 
-def steps(scenario: Scenario, lanes=2):
+def steps(scenario: Scenario, n_row=2):
     """Three steps of environments in a batch under random actions."""
-    env = DcgridVectorEnv(lanes, scenario.replace(horizon=3, split="test"))
+    env = DcgridVectorEnv(n_row, scenario.replace(horizon=3, split="test"))
     env.action_space.seed(0)
     env.reset(seed=0)
     for _ in range(3):

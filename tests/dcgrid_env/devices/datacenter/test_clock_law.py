@@ -34,7 +34,7 @@ def test_work_that_is_not_there_is_not_served():
     assert rate.tolist() == power.tolist() == [384.0, 0.0]
 
 
-def test_the_more_limiting_of_clock_and_work_decides_in_every_lane():
+def test_the_more_limiting_of_clock_and_work_decides_in_every_row():
     f = np.array([[1410.0, 1000.0], [705.0, 500.0], [705.0, 1000.0]])
     work = np.array([[100.0, 300.0], [500.0, 100.0], [385.0, 150.0]])
     rate, _ = LinearDvfs().serve(SITE, f, work)

@@ -63,17 +63,17 @@ def test_a_burst_that_is_throttled_and_then_served():
     assert queue == [(385.0, 385.0), (770.0, 385.0), (385.0, 385.0), (0.0, 385.0), (0.0, 0.0)]
 
 
-def test_sites_and_lanes_do_not_touch_each_other():
+def test_sites_and_rows_do_not_touch_each_other():
     sites = params(1000.0, 500.0)
     backlog = np.array([[0.0, 100.0], [50.0, 0.0], [0.0, 0.0]])
     p_ref = np.array([[1000.0, 500.0], [230.0, 115.0], [400.0, 100.0]])
     f = np.array([[705.0, 1410.0], [1410.0, 210.0], [210.0, 210.0]])
     together = datacenter.step(sites, LinearDvfs(), backlog, p_ref, f, 1.0)
-    for lane in range(3):
+    for row in range(3):
         for site, rated in enumerate((1000.0, 500.0)):
-            at = lane, slice(site, site + 1)
+            at = row, slice(site, site + 1)
             alone = datacenter.step(params(rated), LinearDvfs(), backlog[at], p_ref[at], f[at], 1.0)
-            assert [field[lane, site] for field in together] == [field[0] for field in alone]
+            assert [field[row, site] for field in together] == [field[0] for field in alone]
     np.testing.assert_allclose(together.p_kw[0], [615.0, 500.0])
     np.testing.assert_allclose(together.backlog_kws[0], [385.0, 100.0])
 
@@ -169,16 +169,16 @@ def test_laws_of_any_sequence_of_two_classes(dt_s, drawn):
         before = float(backlog.sum())
 
 
-def test_each_lane_of_a_batch_is_stepped_as_it_would_be_alone():
+def test_each_row_of_a_batch_is_stepped_as_it_would_be_alone():
     rng, site = np.random.default_rng(3), params(1000.0, 400.0, 50.0)
     backlog, power = rng.uniform(0.0, 900.0, (5, 3, 2)), rng.uniform(0.2, 1.0, (5, 3)) * site.p_rated_kw
     clock, share = rng.uniform(210.0, 1410.0, (5, 3)), rng.uniform(0.0, 1.0, (5, 3))
     batch = datacenter.step(site, PrefillDecodeDvfs(), backlog, power, clock, 0.5, share)
     assert batch.class_served_kw.shape == batch.class_backlog_kws.shape == (5, 3, 2)
-    for lane in range(5):
-        alone = datacenter.step(site, PrefillDecodeDvfs(), backlog[lane], power[lane], clock[lane], 0.5, share[lane])
+    for row in range(5):
+        alone = datacenter.step(site, PrefillDecodeDvfs(), backlog[row], power[row], clock[row], 0.5, share[row])
         for found, wanted in zip(batch, alone, strict=True):
-            np.testing.assert_array_equal(found[lane], wanted)
+            np.testing.assert_array_equal(found[row], wanted)
 
 
 @pytest.mark.parametrize("law", [LinearDvfs(), PrefillDecodeDvfs()])

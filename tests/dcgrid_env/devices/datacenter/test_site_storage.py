@@ -18,13 +18,13 @@ def scenario(**overrides):
     return make_scenario("ieee33-weak", horizon=STEPS, datacenters={"storage": FIGURES}).replace(**overrides)
 
 
-def history(s, actions, lanes=1):
+def history(s, actions, n_env=1):
     """Draw and reactive limit of the sites, and the storages' states, in each step."""
-    env = DcgridVectorEnv(lanes, s)
+    env = DcgridVectorEnv(n_env, s)
     env.reset(seed=3)
     states = []
     for action in actions:
-        env.step(np.broadcast_to(action, (lanes, len(action))).astype(np.float32))
+        env.step(np.broadcast_to(action, (n_env, len(action))).astype(np.float32))
         states.append(env.transition.state)
     return states
 

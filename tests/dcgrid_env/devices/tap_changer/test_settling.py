@@ -1,4 +1,4 @@
-"""Settled taps: OpenDSS's static control to the tap, one tap a round, lanes by themselves, cycles."""
+"""Settled taps: OpenDSS's static control to the tap, one tap a round, rows by themselves, cycles."""
 
 from typing import Any
 
@@ -15,8 +15,8 @@ from helpers.opendss_points import published_point, rows
 from helpers.places import SHARED_THREE_PHASE, require
 
 
-def nominal(feeder, lanes=1, multiplier=1.0) -> Any:
-    return tuple(np.tile(multiplier * load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
+def nominal(feeder, n_row=1, multiplier=1.0) -> Any:
+    return tuple(np.tile(multiplier * load, (n_row, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
 
 
 def opendss_move(feeder):
@@ -61,15 +61,15 @@ def test_all_come_to_rest_in_band_or_at_an_end(name, multiplier):
     assert (direction(relay_settings(feeder), relays_at(feeder, found.tap, multiplier), found.tap) == 0.0).all()
 
 
-def test_each_lane_settles_by_itself():
+def test_each_row_settles_by_itself():
     feeder = load_feeder("ieee34-3ph")
     multipliers = np.array([0.4, 1.0, 0.7, 1.15])[:, None]
     p, q = multipliers * feeder.p_load_kw, multipliers * feeder.q_load_kvar
     together = settled_taps(feeder, p, q)
     assert len({tuple(tap) for tap in together.tap.tolist()}) == 4
-    for lane in range(4):
-        alone = settled_taps(feeder, p[lane : lane + 1], q[lane : lane + 1])
-        np.testing.assert_array_equal(alone.tap[0], together.tap[lane])
+    for row in range(4):
+        alone = settled_taps(feeder, p[row : row + 1], q[row : row + 1])
+        np.testing.assert_array_equal(alone.tap[0], together.tap[row])
 
 
 def test_who_is_not_controlled_stays_at_the_beginning():
@@ -79,7 +79,7 @@ def test_who_is_not_controlled_stays_at_the_beginning():
     assert (found.tap[0, [0, 2]] > 5.0).all()
 
 
-def test_a_lane_that_goes_in_a_circle_is_stopped():
+def test_a_row_that_goes_in_a_circle_is_stopped():
     """Eight taps at once go beyond the band and back for ever."""
     feeder = load_feeder("ieee13-3ph")
 

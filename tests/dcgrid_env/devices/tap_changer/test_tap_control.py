@@ -1,4 +1,4 @@
-"""The control of regulators over time: delays, the band, the ends, steps of any length, tensors, lanes."""
+"""The control of regulators over time: delays, the band, the ends, steps of any length, tensors, rows."""
 
 from dataclasses import replace
 
@@ -134,22 +134,22 @@ def test_who_is_not_controlled_stays():
     assert (state.tap[0] != 0.0).tolist() == [True, False, True]
 
 
-def random_states(lanes):
+def random_states(n_row):
     rng = np.random.default_rng(0)
-    shape = (lanes, N)
+    shape = (n_row, N)
     tap, volts = rng.integers(-16, 17, shape).astype(float), rng.normal(122.0, 4.0, shape)
     waited = rng.uniform(0.0, 20.0, shape)
     return initial_regulators(tap, volts)._replace(out_of_band_s=waited, in_sequence=(waited < 2.0) * 1.0)
 
 
 @pytest.mark.parametrize("dt_s", [0.1, 1.0, 30.0])
-def test_lanes_and_tensors_have_the_same_bits(dt_s):
+def test_rows_and_tensors_have_the_same_bits(dt_s):
     many = random_states(64)
     together = control_taps(SETTINGS, many, dt_s)
-    for lane in (0, 17, 63):
-        alone = control_taps(SETTINGS, type(many)(*(a[lane : lane + 1] for a in many)), dt_s)
+    for row in (0, 17, 63):
+        alone = control_taps(SETTINGS, type(many)(*(a[row : row + 1] for a in many)), dt_s)
         for one, all_of_them in zip(alone, together, strict=True):
-            np.testing.assert_array_equal(one[0], all_of_them[lane])
+            np.testing.assert_array_equal(one[0], all_of_them[row])
     tensors = type(many)(*map(torch.from_numpy, many))
     on_tensors = control_taps(settings_like(SETTINGS, tensors.tap), tensors, dt_s)
     for of_tensor, of_array in zip(on_tensors, together, strict=True):

@@ -27,7 +27,7 @@ TWO_CLASSES = (*SITE, "p_ref_next_compute", "backlog_compute")
 
 
 def named(scenario: Scenario, joint: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
-    """The joint observation (lane, n_observation) by agent and field, (lane,) each."""
+    """The joint observation (row, n_observation) by agent and field, (row,) each."""
     found: dict[str, dict[str, np.ndarray]] = {}
     at = 0
     for agent, names in field_names(scenario).items():
@@ -37,15 +37,15 @@ def named(scenario: Scenario, joint: np.ndarray) -> dict[str, dict[str, np.ndarr
     return found
 
 
-def play(scenario: Scenario, lanes: int, steps: int, seed: int = 0, first_seed: int = 0) -> tuple[Simulation, Any]:
+def play(scenario: Scenario, n_env: int, steps: int, seed: int = 0, first_seed: int = 0) -> tuple[Simulation, Any]:
     """A simulation and an iterator over its transitions under random actions, the reset's first."""
-    simulation = Simulation(scenario, lanes)
+    simulation = Simulation(scenario, n_env)
     rng = np.random.default_rng(seed)
 
     def transitions() -> Any:
-        yield simulation.reset(range(first_seed, first_seed + lanes))
+        yield simulation.reset(range(first_seed, first_seed + n_env))
         for _ in range(steps):
-            action = rng.uniform(-1, 1, (lanes, 2 * scenario.datacenters.count + scenario.inverters.count))
+            action = rng.uniform(-1, 1, (n_env, 2 * scenario.datacenters.count + scenario.inverters.count))
             yield simulation.step(action)
 
     return simulation, transitions()
@@ -147,7 +147,7 @@ def test_a_feeder_without_resistance_has_a_narrow_range_of_it():
 # --- figures worked by hand ------------------------------------------------------------------------
 
 
-def hand_made(lanes: int = 1) -> dict[str, Any]:
+def hand_made(n_env: int = 1) -> dict[str, Any]:
     """toy6: the site of 2500 kW (q 825) at bus 4, inverters of 1000 kVA at buses 3 and 5."""
     values = {
         "v_pu": [1.0, 0.99, 0.98, 0.97, 1.02, 1.04],
@@ -167,10 +167,10 @@ def hand_made(lanes: int = 1) -> dict[str, Any]:
         "q_kvar": [330.0, -100.0, 500.0],
         "q_limit_kvar": [825.0, 900.0, 1000.0],
     }
-    state = state_of({name: np.array([row] * lanes) for name, row in values.items()})
+    state = state_of({name: np.array([row] * n_env) for name, row in values.items()})
     return {
         "state": state,
-        "given_next": given(np.array([[2000.0]] * lanes)),
+        "given_next": given(np.array([[2000.0]] * n_env)),
         "v_measured_pu": state.v_agent_pu,
         "v_before_pu": state.v_agent_last_pu,
     }
@@ -181,8 +181,8 @@ def given(p_ref_kw: Any, compute_share: Any = None) -> tuple[Work, None]:
     return Work(p_ref_kw, compute_share), None
 
 
-def placed_at(scenario: Scenario, buses: list[int], lanes: int = 1) -> Placement:
-    return connections.placement(scenario, np.array([buses] * lanes))
+def placed_at(scenario: Scenario, buses: list[int], n_env: int = 1) -> Placement:
+    return connections.placement(scenario, np.array([buses] * n_env))
 
 
 def toy6_observed(measured: Any = None, **overrides: Any) -> dict[str, dict[str, float]]:
@@ -309,21 +309,21 @@ def path_to_root(scenario: Scenario, bus: int) -> set[int]:
 @pytest.mark.parametrize("name", FORMS)
 def test_distances_and_neighbours_walked_along_the_feeder(name):
     scenario = make_scenario(name, observe="neighbours")
-    lanes, feeder = 5, scenario.feeder
-    simulation = Simulation(scenario, lanes)
-    simulation.reset(range(lanes))
+    n_env, feeder = 5, scenario.feeder
+    simulation = Simulation(scenario, n_env)
+    simulation.reset(range(n_env))
     drawn = simulation.now.episode
     n, count = scenario.n_agents, min(3, scenario.n_agents - 1)
     # On 1 MVA, p.u. of impedance is p.u. of voltage for a MW.
     r_pu, x_pu = (z / feeder.base_kv**2 for z in (feeder.r_ohm, feeder.x_ohm))
-    assert drawn.placed.nearest.shape == (lanes, n, count)
-    for lane in range(lanes):
-        paths = [path_to_root(scenario, int(bus)) for bus in drawn.buses[lane]]
+    assert drawn.placed.nearest.shape == (n_env, n, count)
+    for env_index in range(n_env):
+        paths = [path_to_root(scenario, int(bus)) for bus in drawn.buses[env_index]]
         own = [[sum(z[k] for k in path) / 0.05 for path in paths] for z in (r_pu, x_pu)]
-        np.testing.assert_allclose((drawn.placed.r[lane], drawn.placed.x[lane]), own, rtol=1e-9)
+        np.testing.assert_allclose((drawn.placed.r[env_index], drawn.placed.x[env_index]), own, rtol=1e-9)
         for i in range(n):
             between = [math.hypot(*(sum(z[k] for k in paths[i] ^ paths[j]) for z in (r_pu, x_pu))) for j in range(n)]
-            seen = drawn.placed.nearest[lane, i] - lane * n
+            seen = drawn.placed.nearest[env_index, i] - env_index * n
             assert i not in seen
             assert len(set(seen.tolist())) == count
             found = [between[j] for j in seen]
@@ -333,11 +333,11 @@ def test_distances_and_neighbours_walked_along_the_feeder(name):
 
 def test_an_agent_at_the_bus_of_another_is_no_neighbour_of_itself():
     scenario = make_scenario("toy6", observe="neighbours")
-    nearest = placed_at(scenario, [3, 3, 5], lanes=2).nearest - 3 * np.arange(2)[:, None, None]
+    nearest = placed_at(scenario, [3, 3, 5], n_env=2).nearest - 3 * np.arange(2)[:, None, None]
     assert nearest.tolist() == [[[1, 2], [0, 2], [0, 1]]] * 2
 
 
-def test_neighbours_are_of_the_own_lane():
+def test_neighbours_are_of_the_own_environment():
     scenario = make_scenario("ieee123", observe="neighbours")
     simulation, transitions = play(scenario, 4, 2)
     *_, last = transitions
@@ -345,16 +345,16 @@ def test_neighbours_are_of_the_own_lane():
     found = named(scenario, last.observation)
     scale_p = np.concatenate((scenario.datacenters.parameters.p_rated_kw, scenario.inverters.parameters.s_rated_kva))
     scale_q = np.concatenate((scenario.datacenters.parameters.q_max_kvar, scenario.inverters.parameters.s_rated_kva))
-    for lane in range(4):
+    for env_index in range(4):
         for i, agent in enumerate(scenario.agents):
             for rank in range(3):
-                j = simulation.now.episode.placed.nearest[lane, i, rank] - lane * n
+                j = simulation.now.episode.placed.nearest[env_index, i, rank] - env_index * n
                 wanted = [
-                    (state.v_agent_pu[lane, j] - 1) / 0.05,
-                    state.p_kw[lane, j] / scale_p[j],
-                    state.q_kvar[lane, j] / scale_q[j],
+                    (state.v_agent_pu[env_index, j] - 1) / 0.05,
+                    state.p_kw[env_index, j] / scale_p[j],
+                    state.q_kvar[env_index, j] / scale_q[j],
                 ]
-                seen = [found[agent][f"neighbour{rank}_{name}"][lane] for name in ("v_deviation", "p", "q")]
+                seen = [found[agent][f"neighbour{rank}_{name}"][env_index] for name in ("v_deviation", "p", "q")]
                 assert seen == pytest.approx(wanted, abs=1e-6)
 
 
@@ -421,8 +421,8 @@ def test_fields_follow_the_episode():
 def test_measurement_noise_has_its_standard_deviation_and_reaches_no_physics():
     sigma = 0.004
     noisy, clean = (make_scenario("ieee33-weak", horizon=30, sensing={"noise_pu": s}) for s in (sigma, 0.0))
-    lanes, errors, changes = 150, [], []
-    for a, b in zip(play(noisy, lanes, 30)[1], play(clean, lanes, 30)[1], strict=True):
+    n_env, errors, changes = 150, [], []
+    for a, b in zip(play(noisy, n_env, 30)[1], play(clean, n_env, 30)[1], strict=True):
         np.testing.assert_array_equal(a.state.v_pu, b.state.v_pu)
         np.testing.assert_array_equal(a.reward, b.reward)
         seen, true = named(noisy, a.observation), named(clean, b.observation)
@@ -431,10 +431,10 @@ def test_measurement_noise_has_its_standard_deviation_and_reaches_no_physics():
         for agent in seen:
             for name in ("p", "q", "q_limit", "r", "x"):
                 np.testing.assert_array_equal(seen[agent][name], true[agent][name])
-    error, change = np.array(errors), np.array(changes)  # (step, agent, lane)
+    error, change = np.array(errors), np.array(changes)  # (step, agent, row)
     assert error.mean() == pytest.approx(0.0, abs=5 * sigma / np.sqrt(error.size))
     assert error.std() == pytest.approx(sigma, rel=0.03)
-    # Drawn anew at each step, for each agent and in each lane.
+    # Drawn anew at each step, for each agent and in each environment.
     for one, other in (
         (error[1:], error[:-1]), (error[:, 1:], error[:, :-1]), (error[..., 1:], error[..., :-1])
     ):  # fmt: skip
@@ -451,7 +451,7 @@ def test_measurement_noise_is_reproducible():
         np.array([t.observation for t in play(scenario, 3, 8)[1]]),
     )
     np.testing.assert_array_equal(one, again)
-    # Lane 2 is seed 2's episode in a batch of one too.
+    # Environment 2 is seed 2's episode in a batch of one too.
     simulation = Simulation(scenario, 1)
     np.testing.assert_array_equal(simulation.reset([2]).observation[0], one[0, 2])
 

@@ -24,7 +24,7 @@ LAST, NOT_LAST = np.array([True]), np.array([False])
 
 
 def hand_made_state(**changes: Any) -> State:
-    """One lane of toy6: a site of 2500 kW (2750 kVA) at bus 4, inverters of 1000 kVA at buses 3 and 5."""
+    """One environment of toy6: a site of 2500 kW (2750 kVA) at bus 4, inverters of 1000 kVA at buses 3 and 5."""
     fields = {
         "v_pu": [1.3, 0.98, 1.0, 1.06, 0.93, 1.02],  # the substation's own does not count
         "v_last_pu": [0.7, 0.97, 1.03, 1.06, 0.95, 1.02],
@@ -56,14 +56,14 @@ def figures(costs: Any) -> dict[str, float]:
     return {name: float(np.asarray(value)[0]) for name, value in costs._asdict().items()}
 
 
-def actions(scenario: Scenario, lanes: int, rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform(-1, 1, (lanes, action_layout(scenario).n))
+def actions(scenario: Scenario, n_env: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(-1, 1, (n_env, action_layout(scenario).n))
 
 
-def play(scenario: Scenario, lanes: int, action: Any, seed: int = 0) -> list[Transition]:
+def play(scenario: Scenario, n_env: int, action: Any, seed: int = 0) -> list[Transition]:
     """Transitions from the reset on; ``action(k)`` gives the k-th joint action."""
-    simulation = Simulation(scenario, lanes)
-    course = [simulation.reset(range(seed, seed + lanes))]
+    simulation = Simulation(scenario, n_env)
+    course = [simulation.reset(range(seed, seed + n_env))]
     course += [simulation.step(action(k)) for k in range(scenario.horizon)]
     return course
 
@@ -124,24 +124,24 @@ def test_every_weight_scales_its_own_term_and_no_other():
             np.testing.assert_allclose(getattr(local, field), factor * getattr(plain, field), err_msg=field)
 
 
-def test_several_sites_and_lanes():
+def test_several_sites_and_environments():
     scenario = make_scenario(
         "ieee33-weak", datacenters={"p_rated_kw": (1000.0, 500.0, 500.0)}, weights=CostWeights(clock=1.0)
     )
-    lanes, n_bus = 2, 33
-    v = np.full((lanes, n_bus), 1.01)
+    n_env, n_bus = 2, 33
+    v = np.full((n_env, n_bus), 1.01)
     v[1] = 0.90
-    agents = np.array([[102.0, 51.0, 0.0, 100.0, 0.0, 0.0, 50.0]] * lanes)  # of 1020, 510, 510, 100 x 4
+    agents = np.array([[102.0, 51.0, 0.0, 100.0, 0.0, 0.0, 50.0]] * n_env)  # of 1020, 510, 510, 100 x 4
     state = with_fields(
         hand_made_state(),
         v_pu=v,
         v_last_pu=v,
         backlog_kws=np.array([[100.0, 200.0, 700.0], [0.0, 0.0, 0.0]]),
-        f_mhz=np.array([[210.0, 1410.0, 810.0]] * lanes),
-        f_last_mhz=np.array([[1410.0, 1410.0, 1410.0]] * lanes),
+        f_mhz=np.array([[210.0, 1410.0, 810.0]] * n_env),
+        f_last_mhz=np.array([[1410.0, 1410.0, 1410.0]] * n_env),
         q_kvar=agents * np.array([[1.0], [-2.0]]),
     )
-    quiet = distflow(scenario.feeder, np.zeros((lanes, n_bus)), np.zeros((lanes, n_bus)))
+    quiet = distflow(scenario.feeder, np.zeros((n_env, n_bus)), np.zeros((n_env, n_bus)))
     costs = team_costs(scenario, state, quiet, np.array([True, False]))
     np.testing.assert_allclose(costs.voltage, [1.0, 10.0])
     np.testing.assert_allclose(costs.violation, [0.0, 50.0], atol=1e-9)
@@ -303,14 +303,14 @@ def test_costs_of_an_episode_add_up_to_the_cost_of_the_definition(name, dt_s):
     rng = np.random.default_rng(0)
     course = play(scenario, 4, lambda k: actions(scenario, 4, rng))[1:]
     horizon = scenario.horizon
-    for lane in range(4):
+    for env_index in range(4):
         c = []
         for t in course:
-            deviation = [abs(v - 1.0) for v in t.state.v_pu[lane, 1:]]
+            deviation = [abs(v - 1.0) for v in t.state.v_pu[env_index, 1:]]
             effort = [
                 abs(q) / s
                 for q, s in zip(
-                    t.state.q_kvar[lane],
+                    t.state.q_kvar[env_index],
                     [*scenario.datacenters.parameters.s_rated_kva, *scenario.inverters.parameters.s_rated_kva],
                     strict=True,
                 )
@@ -318,14 +318,14 @@ def test_costs_of_an_episode_add_up_to_the_cost_of_the_definition(name, dt_s):
             c.append(
                 100 * np.mean(deviation)
                 + 1000 * np.mean([max(d - 0.05, 0.0) for d in deviation])
-                + 0.3 * sum(t.state.backlog_kws[lane]) / sum(scenario.datacenters.parameters.p_rated_kw)
+                + 0.3 * sum(t.state.backlog_kws[env_index]) / sum(scenario.datacenters.parameters.p_rated_kw)
                 + 0.02 * np.mean(effort)
             )
-        left = sum(course[-1].state.backlog_kws[lane]) / sum(scenario.datacenters.parameters.p_rated_kw)
+        left = sum(course[-1].state.backlog_kws[env_index]) / sum(scenario.datacenters.parameters.p_rated_kw)
         j = sum(c) / horizon + 9 * left / horizon
-        assert sum(t.cost_j[lane] for t in course) == pytest.approx(j * horizon)
-        assert sum(t.reward[lane] for t in course) == pytest.approx(-j * horizon)
-        assert sum(float(value[lane]) for t in course for value in t.costs) == pytest.approx(j * horizon)
+        assert sum(t.cost_j[env_index] for t in course) == pytest.approx(j * horizon)
+        assert sum(t.reward[env_index] for t in course) == pytest.approx(-j * horizon)
+        assert sum(float(value[env_index]) for t in course for value in t.costs) == pytest.approx(j * horizon)
     assert course[-1].costs.leftover.max() > 0
     assert all(np.all(t.costs.leftover == 0.0) for t in course[:-1])
     assert [t.truncated.all() for t in course] == [False] * 24 + [True]
@@ -358,15 +358,15 @@ def test_largest_costs_bound_every_step(name, kind):
     scenario = make_scenario(name, cost={"voltage": kind}, weights=weights, horizon=30)
     bound = largest_costs(scenario)
     rng = np.random.default_rng(2)
-    lanes = 12
+    n_env = 12
 
     def adverse(k: int) -> np.ndarray:
-        action = actions(scenario, lanes, rng)
+        action = actions(scenario, n_env, rng)
         action[:4] = np.sign(action[:4])  # from end to end
         action[4:8] = -1.0  # queue everything, absorb everything
         return action
 
-    course = play(scenario, lanes, adverse)[1:]
+    course = play(scenario, n_env, adverse)[1:]
     for t in course:
         assert t.converged.all()
         for field in Costs._fields:
@@ -423,7 +423,7 @@ def test_the_largest_backlog_is_reached():
 
 
 @pytest.mark.parametrize("shape", [(3,), (3, 7)])
-def test_charged_keeps_sound_lanes_and_charges_the_rest_for_all_that_remains(shape):
+def test_charged_keeps_sound_environments_and_charges_the_rest_for_all_that_remains(shape):
     scenario = make_scenario("ieee33-weak", horizon=10, weights=EVERY)
     rng = np.random.default_rng(0)
     costs = Costs(*(rng.random(shape) for _ in Costs._fields))
@@ -448,7 +448,7 @@ def weak_site(**overrides: Any) -> Scenario:
     return make_scenario("toy6", **{"datacenters.p_rated_kw": 25_000.0}, horizon=30).replace(**overrides)
 
 
-def test_a_collapsed_lane_is_terminated_and_charged_once():
+def test_a_collapsed_environment_is_terminated_and_charged_once():
     scenario = weak_site()
     simulation = Simulation(scenario, 2)
     simulation.reset([0, 0])
@@ -484,19 +484,19 @@ def test_collapse_at_the_last_step_terminates_and_does_not_truncate():
 @pytest.mark.parametrize("reward_scope", ["shared", "local"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_ending_early_never_pays(kind, reward_scope):
-    # The same 19 steps, then one lane collapses and the others go on to the end as badly as they can.
+    # The same 19 steps, then one environment collapses and the others go on to the end as badly as they can.
     scenario = weak_site(cost={"voltage": kind}, reward=reward_scope)
-    lanes, rng = 8, np.random.default_rng(3)
-    paid, over = np.zeros((lanes, scenario.n_agents)), np.zeros(lanes, dtype=bool)
-    simulation = Simulation(scenario, lanes)
-    simulation.reset([5] * lanes)
+    n_env, rng = 8, np.random.default_rng(3)
+    paid, over = np.zeros((n_env, scenario.n_agents)), np.zeros(n_env, dtype=bool)
+    simulation = Simulation(scenario, n_env)
+    simulation.reset([5] * n_env)
     ended = []
     for step in range(1, 31):
-        action = np.tile([[-1.0, 0.0, -1.0, -1.0]], (lanes, 1))
+        action = np.tile([[-1.0, 0.0, -1.0, -1.0]], (n_env, 1))
         if step == 20:
             action[0, 0] = 1.0
         if step >= 20:
-            action[1:, 2:] = rng.choice([-1.0, 1.0], (lanes - 1, 2))
+            action[1:, 2:] = rng.choice([-1.0, 1.0], (n_env - 1, 2))
         t = simulation.step(action)
         share = t.reward if reward_scope == "local" else t.reward[:, None]
         paid += np.where(over[:, None], 0.0, share)

@@ -22,9 +22,9 @@ def recording(values: list[float] | np.ndarray, name: str = "recording", dt_s: f
     return PowerTrace(time_s, np.append(values, values[-1]), name)
 
 
-def actions(scenario: Scenario, lanes: int, seed: int = 0) -> np.ndarray:
+def actions(scenario: Scenario, n_env: int, seed: int = 0) -> np.ndarray:
     n = 2 * scenario.datacenters.count + scenario.inverters.count
-    return np.random.default_rng(seed).uniform(-1, 1, (lanes, n))
+    return np.random.default_rng(seed).uniform(-1, 1, (n_env, n))
 
 
 # --- the same seed, the same episode -------------------------------------------------------------
@@ -35,7 +35,7 @@ DAYS = [pytest.param(p, marks=pytest.mark.slow) if p == "ieee123-3ph-day" else p
 
 
 @pytest.mark.parametrize("name", DAYS)
-def test_same_seed_same_episode_in_any_lane(name):
+def test_same_seed_same_episode_in_any_environment(name):
     scenario = make_scenario(name).member(0)
     together = draw(scenario, range(50))
     again = draw(make_scenario(name).member(0), range(50))
@@ -64,40 +64,40 @@ def test_the_noise_of_an_episode_is_its_keys_alone():
     drawn, quiet = draw(scenario, [3, 4, 5]), np.zeros((3, 33))
     step = np.array([0, 4, 9])
     outside, noise = episode.exogenous(scenario, drawn, step, quiet + 1.0, episode.p_ref_kw(scenario, drawn, step))
-    for lane in range(3):
-        alone = draw(scenario, [3 + lane])
-        at = step[lane : lane + 1]
+    for env_index in range(3):
+        alone = draw(scenario, [3 + env_index])
+        at = step[env_index : env_index + 1]
         single, single_noise = episode.exogenous(
             scenario, alone, at, quiet[:1] + 1.0, episode.p_ref_kw(scenario, alone, at)
         )
         for a, b in zip(single[:4], outside[:4], strict=True):
-            np.testing.assert_array_equal(a[0], b[lane])
-        np.testing.assert_array_equal(single_noise[0], noise[lane])
+            np.testing.assert_array_equal(a[0], b[env_index])
+        np.testing.assert_array_equal(single_noise[0], noise[env_index])
 
 
 def test_a_large_batch_spread_over_threads_draws_the_same_noise(monkeypatch):
     monkeypatch.setenv("DCGRID_NUM_THREADS", "2")
-    scenario, lanes = make_scenario("ieee33-weak"), 301
-    drawn, z, step = draw(scenario, range(lanes)), np.ones((lanes, 33)), np.arange(lanes) % 5
+    scenario, n_env = make_scenario("ieee33-weak"), 301
+    drawn, z, step = draw(scenario, range(n_env)), np.ones((n_env, 33)), np.arange(n_env) % 5
     outside, noise = episode.exogenous(scenario, drawn, step, z, episode.p_ref_kw(scenario, drawn, step))
-    for lane in (0, 1, 149, 150, 151, 300):
-        alone, at = draw(scenario, [lane]), step[lane : lane + 1]
+    for env_index in (0, 1, 149, 150, 151, 300):
+        alone, at = draw(scenario, [env_index]), step[env_index : env_index + 1]
         single, single_noise = episode.exogenous(scenario, alone, at, z[:1], episode.p_ref_kw(scenario, alone, at))
-        np.testing.assert_array_equal(single_noise[0], noise[lane])
-        np.testing.assert_array_equal(single.p_load_kw[0], outside.p_load_kw[lane])
-        np.testing.assert_array_equal(single.q_load_kvar[0], outside.q_load_kvar[lane])
+        np.testing.assert_array_equal(single_noise[0], noise[env_index])
+        np.testing.assert_array_equal(single.p_load_kw[0], outside.p_load_kw[env_index])
+        np.testing.assert_array_equal(single.q_load_kvar[0], outside.q_load_kvar[env_index])
 
 
-def test_a_lane_without_a_seed_goes_through_its_seeds_episodes_in_turn():
+def test_an_environment_without_a_seed_goes_through_its_seeds_episodes_in_turn():
     scenario = make_scenario("ieee123", horizon=3)
     simulation = Simulation(scenario, 2)
     simulation.reset([7, 8])
     for number in (0, 1, 2):
         now = simulation.now.episode
-        for lane, seed in enumerate((7, 8)):
+        for env_index, seed in enumerate((7, 8)):
             wanted = draw(scenario, [seed], number)
-            assert now.key[lane] == wanted.key[0]
-            assert now.buses[lane].tolist() == wanted.buses[0].tolist()
+            assert now.key[env_index] == wanted.key[0]
+            assert now.buses[env_index].tolist() == wanted.buses[0].tolist()
         simulation.reset([None, None])
     # Seeded again, it begins with the first.
     simulation.reset([None, 8])
@@ -141,8 +141,8 @@ def test_nodes_are_flat_positions():
     drawn = draw(scenario, range(3))
     assert drawn.placed.nodes.shape == (3, 12, 1)
     flat = np.arange(3 * 123).reshape(3, 123)
-    for lane in range(3):
-        assert drawn.placed.nodes[lane, :, 0].tolist() == flat[lane, drawn.buses[lane]].tolist()
+    for env_index in range(3):
+        assert drawn.placed.nodes[env_index, :, 0].tolist() == flat[env_index, drawn.buses[env_index]].tolist()
 
 
 @pytest.mark.parametrize("n", range(11))
@@ -288,11 +288,11 @@ def test_load_noise_keeps_its_correlation_in_seconds_for_any_dt():
     found = {}
     for dt_s in (1.0, 0.1, 5.0):
         scenario = make_scenario("ieee33-weak", dt_s=dt_s, horizon=20, background={"load_rho": 0.9})
-        lanes = 400
-        drawn, z = draw(scenario, range(lanes)), np.zeros((lanes, 33))
+        n_env = 400
+        drawn, z = draw(scenario, range(n_env)), np.zeros((n_env, 33))
         course = []
         for step in range(5):
-            at = np.full(lanes, step)
+            at = np.full(n_env, step)
             z = episode.exogenous(scenario, drawn, at, z, episode.p_ref_kw(scenario, drawn, at))[1]
             course.append(z)
         found[dt_s] = np.corrcoef(np.ravel(course[1:]), np.ravel(course[:-1]))[0, 1]
@@ -319,16 +319,16 @@ def test_loads_are_the_feeders_own_times_the_noise_less_capacitors():
 
 
 def test_sites_take_the_first_ones_window_as_often_as_asked():
-    lanes = 4000
+    n_env = 4000
     apart, half, together = (
-        draw(make_scenario("ieee123", workload={"site_correlation": c}), range(lanes)).start for c in (0.0, 0.5, 1.0)
+        draw(make_scenario("ieee123", workload={"site_correlation": c}), range(n_env)).start for c in (0.0, 0.5, 1.0)
     )
     np.testing.assert_array_equal(together, np.repeat(apart[:, :1], 5, axis=1))
     follows = half == half[:, :1]
     np.testing.assert_array_equal(half, np.where(follows, apart[:, :1], apart))
-    np.testing.assert_allclose(follows[:, 1:].mean(axis=0), 0.5, atol=5 * 0.5 / np.sqrt(lanes))
+    np.testing.assert_allclose(follows[:, 1:].mean(axis=0), 0.5, atol=5 * 0.5 / np.sqrt(n_env))
     # Each site on its own: 4 of them, as a binomial.
-    counts = np.bincount(follows[:, 1:].sum(axis=1), minlength=5) / lanes
+    counts = np.bincount(follows[:, 1:].sum(axis=1), minlength=5) / n_env
     np.testing.assert_allclose(counts, np.array([1, 4, 6, 4, 1]) / 16, atol=0.03)
     # And each as in any company.
     alone = draw(make_scenario("ieee123", workload={"site_correlation": 0.5}), [17])
@@ -353,9 +353,9 @@ def test_composition_is_the_rows_own():
     row, offset = np.divmod(drawn.start, pool.p_share.shape[1])
     found = episode.compute_share(scenario, drawn, np.array([3, 31]))
     assert found is not None
-    for lane, step in enumerate((3, 31)):
-        wanted = [pool.compute_share[row[lane, i], offset[lane, i] + step] for i in range(3)]
-        assert found[lane].tolist() == wanted
+    for env_index, step in enumerate((3, 31)):
+        wanted = [pool.compute_share[row[env_index, i], offset[env_index, i] + step] for i in range(3)]
+        assert found[env_index].tolist() == wanted
     assert episode.compute_share(make_scenario("ieee33-weak"), drawn, np.array([3, 31])) is None
 
 
@@ -521,8 +521,8 @@ def test_sites_generated_side_by_side_stay_so_together():
     seeds = np.arange(20, dtype=np.uint64)
     drawn = episode.draw(scenario, seeds, np.zeros_like(seeds))
     course = np.array([episode.p_ref_kw(scenario, drawn, np.full(20, k)) for k in range(100)])
-    for lane in range(20):
-        assert np.corrcoef(course[:, lane].T).min() > 0.95
+    for env_index in range(20):
+        assert np.corrcoef(course[:, env_index].T).min() > 0.95
 
 
 def test_the_sun_of_an_episode_begins_anywhere_in_its_row():

@@ -42,7 +42,7 @@ def test_the_number_of_sites_is_kept():
     assert len(trace_pool(scenario).p_share) == 32
     drawn = episode.draw(scenario, np.arange(2, dtype=np.uint64), np.zeros(2, np.uint64))
     rows = drawn.start // trace_pool(scenario).p_share.shape[1]
-    assert all(len(set(lane)) == 32 for lane in rows.tolist())
+    assert all(len(set(env_index)) == 32 for env_index in rows.tolist())
 
 
 @pytest.mark.parametrize("length", [*DAY, {}], ids=str)

@@ -14,22 +14,22 @@ def test_names_are_clock_and_q_of_each_site_then_q_of_each_inverter():
     assert action_layout(TOY6).names == (("dc_0", "clock"), ("dc_0", "q"), ("inv_0", "q"), ("inv_1", "q"))
 
 
-@pytest.mark.parametrize("lanes", [None, 1, 3])
-def test_a_joint_action_comes_back_as_float64_with_its_lanes(lanes):
-    given = np.arange(4.0 * (lanes or 1), dtype=np.float32).reshape(*([] if lanes is None else [lanes]), 4)
-    found = joint_action(TOY6, given, lanes)
+@pytest.mark.parametrize("n_env", [None, 1, 3])
+def test_a_joint_action_comes_back_as_float64_with_its_rows(n_env):
+    given = np.arange(4.0 * (n_env or 1), dtype=np.float32).reshape(*([] if n_env is None else [n_env]), 4)
+    found = joint_action(TOY6, given, n_env)
     assert found.dtype == np.float64
     np.testing.assert_array_equal(found, given.reshape(-1, 4))
-    assert joint_action(TOY6, given.tolist(), lanes).tolist() == found.tolist()
+    assert joint_action(TOY6, given.tolist(), n_env).tolist() == found.tolist()
 
 
 @pytest.mark.parametrize(
-    ("action", "lanes"), [([0.0] * 3, None), ([[0.0] * 4], None), ([0.0] * 4, 1), ([[0.0] * 4], 2)]
+    ("action", "n_env"), [([0.0] * 3, None), ([[0.0] * 4], None), ([0.0] * 4, 1), ([[0.0] * 4], 2)]
 )
-def test_another_shape_is_refused_with_what_belongs_there(action, lanes):
-    want = r"\(4,\)" if lanes is None else rf"\({lanes}, 4\)"
+def test_another_shape_is_refused_with_what_belongs_there(action, n_env):
+    want = r"\(4,\)" if n_env is None else rf"\({n_env}, 4\)"
     with pytest.raises(ActionError, match=rf"must be {want}: dc_0 clock, dc_0 q, inv_0 q, inv_1 q"):
-        joint_action(TOY6, action, lanes)
+        joint_action(TOY6, action, n_env)
 
 
 @pytest.mark.parametrize("action", [
@@ -47,7 +47,7 @@ def test_what_is_not_finite_is_named(value):
         joint_action(TOY6, [0.0, 0.0, value, 0.0])
     action = np.zeros((3, 4))
     action[1, 0] = value
-    with pytest.raises(ActionError, match=f"action of dc_0: clock is {value} in lane 1; give"):
+    with pytest.raises(ActionError, match=f"action of dc_0: clock is {value} in environment 1; give"):
         joint_action(TOY6, action, 3)
 
 

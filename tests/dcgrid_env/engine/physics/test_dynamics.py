@@ -29,12 +29,12 @@ class Outside(NamedTuple):
     buses: np.ndarray
 
 
-def outside(scenario: Scenario, lanes: int, steps: int, *, full: bool = False, seed: int = 0) -> Outside:
+def outside(scenario: Scenario, n_env: int, steps: int, *, full: bool = False, seed: int = 0) -> Outside:
     """``full``: every site is asked for 60 % of its rating or more, so that the clocks matter, of either work class."""
-    drawn = episode.draw(scenario, np.arange(lanes, dtype=np.uint64) + np.uint64(seed), np.zeros(lanes, np.uint64))
-    rng, noise, found = np.random.default_rng(seed), np.zeros((lanes, scenario.feeder.n_bus)), []
+    drawn = episode.draw(scenario, np.arange(n_env, dtype=np.uint64) + np.uint64(seed), np.zeros(n_env, np.uint64))
+    rng, noise, found = np.random.default_rng(seed), np.zeros((n_env, scenario.feeder.n_bus)), []
     for k in range(steps + 1):
-        step = np.full(lanes, k)
+        step = np.full(n_env, k)
         p_ref = episode.p_ref_kw(scenario, drawn, step)
         if full:
             p_ref = (
@@ -48,9 +48,9 @@ def outside(scenario: Scenario, lanes: int, steps: int, *, full: bool = False, s
     return Outside(found, drawn.buses)
 
 
-def random_actions(scenario: Scenario, lanes: int, steps: int, seed: int = 0) -> np.ndarray:
+def random_actions(scenario: Scenario, n_env: int, steps: int, seed: int = 0) -> np.ndarray:
     n = action_layout(scenario).n
-    return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, lanes, n))
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, (steps, n_env, n))
 
 
 def as_torch(fields: Any) -> Any:
@@ -118,7 +118,7 @@ def test_numpy_and_torch_agree_within_the_default_tolerance(name):
 
 
 def team_cost(scenario: Scenario, given: list[Exogenous], actions: Any, start: State) -> Any:
-    """Sum over lanes and steps of the team's cost, the last step's with what is left over."""
+    """Sum over environments and steps of the team's cost, the last step's with what is left over."""
     state, cost = start, 0.0
     for k, (action, exogenous) in enumerate(zip(actions, given, strict=True)):
         state, solution = dynamics.step(scenario, state, action, exogenous)
@@ -164,7 +164,7 @@ def test_gradient_through_three_steps_matches_finite_differences(name, cost, law
     assert (clocks != 0.0).mean() > 0.5  # a site that has nothing to be throttled knows no slope
 
 
-def test_a_lane_without_solution_spoils_no_derivative():
+def test_an_environment_without_solution_spoils_no_derivative():
     scenario = make_scenario("ieee33-weak")
     given = outside(scenario, 3, 2, full=True).steps
     start = as_torch(dynamics.initial_state(scenario, given[0])[0])
@@ -213,18 +213,18 @@ def test_step_writes_to_nothing_that_it_is_given(collapse, law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_lanes_do_not_touch_each_other(law):
+def test_environments_do_not_touch_each_other(law):
     scenario = make_scenario("ieee123", **LAWS[law])
     given = outside(scenario, 5, 3, full=True)
     actions = random_actions(scenario, 5, 3)
     together = run(scenario, given.steps, actions)
     n_bus = scenario.feeder.n_bus
-    for lane in range(5):
-        cut = slice(lane, lane + 1)
+    for env_index in range(5):
+        cut = slice(env_index, env_index + 1)
         alone_given = [
             Exogenous(
                 *(a[cut] for a in e[:4]),  # type: ignore[arg-type]
-                nodes=e.nodes[cut] - lane * n_bus,
+                nodes=e.nodes[cut] - env_index * n_bus,
                 compute_share=None if e.compute_share is None else e.compute_share[cut],
             )
             for e in given.steps
@@ -232,7 +232,7 @@ def test_lanes_do_not_touch_each_other(law):
         alone = run(scenario, alone_given, actions[:, cut])
         for (a, _), (b, _) in zip(alone, together, strict=True):
             for x, y in zip(fields_of(a).values(), fields_of(b).values(), strict=True):
-                np.testing.assert_allclose(x[0], y[lane], rtol=1e-12, atol=1e-12)
+                np.testing.assert_allclose(x[0], y[env_index], rtol=1e-12, atol=1e-12)
 
 
 # --- what reaches the grid -----------------------------------------------------------------------
@@ -269,10 +269,10 @@ def test_power_flow_gets_the_loads_at_the_agents_buses():
     given = outside(scenario, 3, 2, full=True)
     (_, (state, _), _), e = run(scenario, given.steps, random_actions(scenario, 3, 2)), given.steps[1]
     p_net, q_net = e.p_load_kw.copy(), e.q_load_kvar.copy()
-    for lane in range(3):
-        for agent, bus in enumerate(given.buses[lane]):
-            p_net[lane, bus] += state.p_kw[lane, agent]
-            q_net[lane, bus] -= state.q_kvar[lane, agent]  # an injection against a load
+    for env_index in range(3):
+        for agent, bus in enumerate(given.buses[env_index]):
+            p_net[env_index, bus] += state.p_kw[env_index, agent]
+            q_net[env_index, bus] -= state.q_kvar[env_index, agent]  # an injection against a load
     again = distflow(scenario.feeder, p_net, q_net, scenario.source_voltage_pu)
     np.testing.assert_allclose(state.v_pu, again.v_pu, atol=1e-8)
     np.testing.assert_allclose(state.v_agent_pu, np.take_along_axis(state.v_pu, given.buses, 1), rtol=0)
@@ -491,13 +491,13 @@ def test_a_device_at_two_nodes_shares_its_power_and_sees_the_mean(kind):
 @pytest.mark.parametrize("n_node", [1, 2, 3])
 @pytest.mark.parametrize("n_agent", [1, 2, 4])
 def test_any_number_of_agents_at_any_number_of_nodes(n_agent, n_node):
-    lanes, n_bus = 5, 20
+    n_env, n_bus = 5, 20
     rng = np.random.default_rng(0)
-    at = np.array([rng.permutation(n_bus)[: n_agent * n_node] for _ in range(lanes)]).reshape(lanes, n_agent, n_node)
-    nodes = at + n_bus * np.arange(lanes)[:, None, None]
-    power, v_pu = rng.normal(size=(lanes, n_agent)), rng.uniform(0.9, 1.1, (lanes, n_bus))
+    at = np.array([rng.permutation(n_bus)[: n_agent * n_node] for _ in range(n_env)]).reshape(n_env, n_agent, n_node)
+    nodes = at + n_bus * np.arange(n_env)[:, None, None]
+    power, v_pu = rng.normal(size=(n_env, n_agent)), rng.uniform(0.9, 1.1, (n_env, n_bus))
     np.testing.assert_allclose(dynamics._to_nodes(power, nodes), np.repeat(power[..., None] / n_node, n_node, axis=-1))
-    wanted = [[v_pu[lane, at[lane, agent]].mean() for agent in range(n_agent)] for lane in range(lanes)]
+    wanted = [[v_pu[env_index, at[env_index, agent]].mean() for agent in range(n_agent)] for env_index in range(n_env)]
     np.testing.assert_allclose(dynamics.from_nodes(v_pu, nodes), wanted)
 
 
@@ -506,7 +506,7 @@ def test_any_number_of_agents_at_any_number_of_nodes(n_agent, n_node):
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
 @pytest.mark.parametrize("name", FORMS)
-def test_collapse_keeps_the_last_voltages_and_spoils_no_other_lane(name, kind):
+def test_collapse_keeps_the_last_voltages_and_spoils_no_other_environment(name, kind):
     convert: Callable[[Any], Any] = as_torch if kind == "torch" else lambda fields: fields
     scenario = make_scenario(name)
     given = outside(scenario, 3, 3).steps

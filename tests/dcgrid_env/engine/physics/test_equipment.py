@@ -29,18 +29,18 @@ HEAVY = {
 AGENTS = {"grid_control.regulators": "agent", "grid_control.capacitors": "agent"}
 
 
-def play(scenario, lanes=2, steps=None, action=None) -> Any:
+def play(scenario, n_env=2, steps=None, action=None) -> Any:
     """The transitions of a batch from the reset on, under the same joint action in every step."""
-    simulation = Simulation(scenario, lanes)
-    transitions = [simulation.reset(list(range(lanes)))]
+    simulation = Simulation(scenario, n_env)
+    transitions = [simulation.reset(list(range(n_env)))]
     joint = np.zeros(action_layout(scenario).n) if action is None else action
     for _ in range(steps or scenario.horizon):
-        transitions.append(simulation.step(np.tile(joint, (lanes, 1))))
+        transitions.append(simulation.step(np.tile(joint, (n_env, 1))))
     return transitions
 
 
-def taps_of(transitions, lane=0):
-    return np.array([t.state.three_phase.equipment.regulators.tap[lane] for t in transitions])
+def taps_of(transitions, env_index=0):
+    return np.array([t.state.three_phase.equipment.regulators.tap[env_index] for t in transitions])
 
 
 def commanded(scenario, **channels):
@@ -53,16 +53,16 @@ def commanded(scenario, **channels):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_an_episode_begins_in_band_and_every_lane_as_it_would_alone(name):
+def test_an_episode_begins_in_band_and_every_environment_as_it_would_alone(name):
     scenario = SCENARIOS[name]().replace(background={"start_hour": "random"})
     together: Any = Simulation(scenario, 6).reset(list(range(6))).state
     regulators = together.three_phase.equipment.regulators
     assert (direction(relay_settings(scenario.feeder), regulators.relay_v, regulators.tap) == 0.0).all()
-    for lane in (0, 5):
-        alone = Simulation(scenario, 1).reset([lane]).state
+    for env_index in (0, 5):
+        alone = Simulation(scenario, 1).reset([env_index]).state
 
-        def same_bits(one, many, lane=lane):
-            np.testing.assert_array_equal(one[0], many[lane])
+        def same_bits(one, many, env_index=env_index):
+            np.testing.assert_array_equal(one[0], many[env_index])
             return one
 
         over_arrays(same_bits, alone, together)
@@ -70,7 +70,7 @@ def test_an_episode_begins_in_band_and_every_lane_as_it_would_alone(name):
 
 def test_controls_act_on_the_power_flow_of_the_step_before():
     scenario = ieee13().replace(**HEAVY)
-    feeder, transitions = scenario.feeder, play(ieee13().replace(**HEAVY), lanes=1, action=None)
+    feeder, transitions = scenario.feeder, play(ieee13().replace(**HEAVY), n_env=1, action=None)
     taps, settings = taps_of(transitions), relay_settings(feeder)
     out = [
         direction(settings, t.state.three_phase.equipment.regulators.relay_v, taps[k])[0].any()
@@ -151,7 +151,7 @@ def test_one_bank_is_an_agent_and_another_controlled():
     scenario = SCENARIOS["ieee123"]().replace(grid_control={"regulators": {"reg4": "agent", "reg2": "fixed"}})
     names, rows = scenario.feeder.network.regulator.name, scenario.devices[-1].rows
     assert [names[row] for row in rows] == ["creg4a", "creg4b", "creg4c"]
-    transitions = play(scenario, lanes=1, steps=6, action=commanded(scenario, tap=1.0))
+    transitions = play(scenario, n_env=1, steps=6, action=commanded(scenario, tap=1.0))
     risen = dict(zip(names, taps_of(transitions)[-1] - taps_of(transitions)[0], strict=True))
     assert [risen[name] for name in ("creg4a", "creg4b", "creg4c", "creg2a")] == [4.0, 4.0, 4.0, 0.0]
 
@@ -161,13 +161,13 @@ def test_a_controlled_bank_switches_itself_and_a_lost_one_stays_off():
     scenario = ieee13().replace(
         grid_control={"capacitors": {"cap1": "controlled"}, "capacitor_settings": settings}, horizon=10
     )
-    on = [t.state.three_phase.equipment.banks.on[0].tolist() for t in play(scenario, lanes=1)]
+    on = [t.state.three_phase.equipment.banks.on[0].tolist() for t in play(scenario, n_env=1)]
     assert on == [[1.0, 1.0]] * 3 + [[0.0, 1.0]] * 8
     struck = ieee13().replace(
         faults=(Fault(("capacitor",), begin_s=(0.0, 0.0)),), grid_control={"capacitors": "agent"}, horizon=4
     )
     kept = ieee13().replace(grid_control={"capacitors": "agent"}, horizon=4)
-    high, low = (play(s, lanes=1, action=commanded(s, on=1.0))[-1] for s in (kept, struck))
+    high, low = (play(s, n_env=1, action=commanded(s, on=1.0))[-1] for s in (kept, struck))
     assert low.state.three_phase.equipment.banks.on.tolist() == [[1.0, 1.0]]
     assert low.state.v_pu.mean() < high.state.v_pu.mean() - 1e-4
 
@@ -235,15 +235,15 @@ def test_the_gradient_passes_the_rounded_tap():
     assert np.abs(found[1:]).max() < 0.1 * found[0]
 
 
-def test_same_bits_in_any_lane():
+def test_same_bits_in_any_environment():
     scenario = ieee13().replace(**HEAVY | {"background.load_sigma": 0.05}, **{"grid_control.capacitors": "agent"})
     batch: Any = DcgridVectorEnv(5, scenario)
     batch.reset(seed=3)
     one: Any = DcgridVectorEnv(1, scenario)
     one.reset(seed=[3 + 4])
     for _ in range(40):
-        for env, lanes in ((batch, 5), (one, 1)):
-            env.step(np.tile(commanded(scenario, on=1.0), (lanes, 1)))
+        for env, n_env in ((batch, 5), (one, 1)):
+            env.step(np.tile(commanded(scenario, on=1.0), (n_env, 1)))
 
     def same_bits(alone, together):
         np.testing.assert_array_equal(alone[0], together[4])
@@ -279,7 +279,7 @@ def test_the_relay_keeps_its_last_value_where_the_power_flow_has_none():
         workload={"window": "start"},
         horizon=30,
     )
-    *_, before, after = play(scenario, lanes=1, steps=20, action=commanded(scenario))
+    *_, before, after = play(scenario, n_env=1, steps=20, action=commanded(scenario))
     assert not after.converged.any()
     np.testing.assert_array_equal(after.state.relay_v, before.state.relay_v)
 
@@ -290,7 +290,7 @@ def test_tensors_observe_the_relay_and_its_derivative():
     env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=torch.float64))
     env.reset([0])
     seen = env.step(joint).observation
-    ours = play(scenario, lanes=1, steps=1, action=joint.detach().numpy()[0])[-1].observation
+    ours = play(scenario, n_env=1, steps=1, action=joint.detach().numpy()[0])[-1].observation
     np.testing.assert_allclose(seen.detach().numpy(), ours, atol=1e-6)
     names = observation.field_names(scenario)
     at = [name for own in names.values() for name in own].index("relay")

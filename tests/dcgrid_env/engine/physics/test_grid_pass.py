@@ -12,19 +12,19 @@ from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.scenario.presets import make_scenario
 
 
-def begun(lanes, scenario="ieee33-weak", **overrides):
-    simulation = Simulation(make_scenario(scenario, **overrides), lanes)
-    simulation.reset(list(range(lanes)))
+def begun(n_env, scenario="ieee33-weak", **overrides):
+    simulation = Simulation(make_scenario(scenario, **overrides), n_env)
+    simulation.reset(list(range(n_env)))
     return simulation
 
 
-@pytest.mark.parametrize("lanes", [1, 7, 131])
+@pytest.mark.parametrize("n_env", [1, 7, 131])
 @pytest.mark.parametrize("scenario", ["ieee33-weak", "ieee123"])
-def test_bits_of_the_parts(scenario, lanes):
-    simulation = begun(lanes, scenario)
+def test_bits_of_the_parts(scenario, n_env):
+    simulation = begun(n_env, scenario)
     s, rng = simulation.scenario, np.random.default_rng(0)
     for _ in range(3):
-        now, action = simulation.now, rng.uniform(-1.2, 1.2, (lanes, action_layout(simulation.scenario).n))
+        now, action = simulation.now, rng.uniform(-1.2, 1.2, (n_env, action_layout(simulation.scenario).n))
         given = s, now.episode, now.step + 1, now.noise, now.p_ref_next_kw
         drawn, noise = episode.exogenous(*given)
         state, solution = dynamics.step(s, now.state, action, drawn)
@@ -37,7 +37,7 @@ def test_bits_of_the_parts(scenario, lanes):
         assert [a.tobytes() for a in after.transition.voltages] == [a.tobytes() for a in apart]
 
 
-def test_a_lane_without_a_solution_keeps_its_voltages_and_their_figures():
+def test_an_environment_without_a_solution_keeps_its_voltages_and_their_figures():
     simulation = begun(3)
     now = simulation.now
     heavy = now.noise.copy()

@@ -8,10 +8,10 @@ from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 
 
 @settings(deadline=None, max_examples=60)
-@given(n=st.integers(1, 1200), lanes=st.integers(1, 3), first=st.integers(0, 3), seed=st.integers(0, 2**32 - 1))
-def test_bits_of_reductions(n, lanes, first, seed):
+@given(n=st.integers(1, 1200), n_row=st.integers(1, 3), first=st.integers(0, 3), seed=st.integers(0, 2**32 - 1))
+def test_bits_of_reductions(n, n_row, first, seed):
     rng = np.random.default_rng(seed)
-    v = rng.normal(1.0, 0.05, (lanes, first + n)) * 10.0 ** rng.integers(-3, 2, (lanes, first + n))
+    v = rng.normal(1.0, 0.05, (n_row, first + n)) * 10.0 ** rng.integers(-3, 2, (n_row, first + n))
     v[:, :first] = np.nan
     figures = voltage_figures(v, first, 0.05)
     deviation = np.abs(np.ascontiguousarray(v[:, first:]) - 1.0)

@@ -26,9 +26,9 @@ NAMES = {
 }  # fmt: skip
 
 
-def record(scenario: Scenario, lanes: int, action: Any, steps: int | None = None) -> tuple[Recorder, list[Transition]]:
-    simulation = Simulation(scenario, lanes)
-    course = [simulation.reset(range(lanes))]
+def record(scenario: Scenario, n_env: int, action: Any, steps: int | None = None) -> tuple[Recorder, list[Transition]]:
+    simulation = Simulation(scenario, n_env)
+    course = [simulation.reset(range(n_env))]
     recorder = Recorder(scenario, course[0])
     for k in range(scenario.horizon if steps is None else steps):
         course.append(simulation.step(action(k)))
@@ -36,32 +36,32 @@ def record(scenario: Scenario, lanes: int, action: Any, steps: int | None = None
     return recorder, course
 
 
-def random_action(scenario: Scenario, lanes: int, seed: int = 0) -> Any:
+def random_action(scenario: Scenario, n_env: int, seed: int = 0) -> Any:
     rng = np.random.default_rng(seed)
-    return lambda k: rng.uniform(-1, 1, (lanes, 2 * scenario.datacenters.count + scenario.inverters.count))
+    return lambda k: rng.uniform(-1, 1, (n_env, 2 * scenario.datacenters.count + scenario.inverters.count))
 
 
-def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[str, float]:
+def reckoned(scenario: Scenario, course: list[Transition], env_index: int) -> dict[str, float]:
     """The module's table, one figure after another, in plain Python."""
     steps = course[1:]
-    v = [[float(x) for x in t.state.v_pu[lane][1:]] for t in course]
+    v = [[float(x) for x in t.state.v_pu[env_index][1:]] for t in course]
     deviation = [abs(x - 1.0) for row in v[1:] for x in row]
     n, n_bus = len(deviation), scenario.feeder.n_bus - 1
     mean = sum(deviation) / n
     ever = sum(any(abs(row[bus] - 1.0) > scenario.cost.band_pu for row in v[1:]) for bus in range(n_bus))
     moves = [abs(b - a) for before, after in pairwise(v) for a, b in zip(before, after, strict=True)]
     ratings = [*scenario.datacenters.parameters.s_rated_kva, *scenario.inverters.parameters.s_rated_kva]
-    effort = [abs(q) / s for t in steps for q, s in zip(t.state.q_kvar[lane], ratings, strict=True)]
-    clocks = [f / scenario.datacenters.f_max_mhz for t in steps for f in t.state.f_mhz[lane]]
-    loss = [float(t.loss_kw[lane]) for t in steps]
+    effort = [abs(q) / s for t in steps for q, s in zip(t.state.q_kvar[env_index], ratings, strict=True)]
+    clocks = [f / scenario.datacenters.f_max_mhz for t in steps for f in t.state.f_mhz[env_index]]
+    loss = [float(t.loss_kw[env_index]) for t in steps]
     # Work, parcel by parcel, each work class of a site in its own queue.
     waits: list[tuple[float, float]] = []
     unserved = 0.0
     for own in range(scenario.datacenters.count * scenario.work_classes):
         queue: list[list[float]] = []
         for k, t in enumerate(steps):
-            queue.append([k, float(t.state.class_arrived_kw[lane].flat[own]) * scenario.dt_s])
-            budget = float(t.state.class_served_kw[lane].flat[own]) * scenario.dt_s
+            queue.append([k, float(t.state.class_arrived_kw[env_index].flat[own]) * scenario.dt_s])
+            budget = float(t.state.class_served_kw[env_index].flat[own]) * scenario.dt_s
             while queue and budget > 1e-9:
                 taken = min(budget, queue[0][1])
                 waits.append(((k - queue[0][0]) * scenario.dt_s, taken))
@@ -81,9 +81,9 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
         return 0.0
 
     return {
-        "J": sum(float(t.cost_j[lane]) for t in steps) / scenario.horizon,
+        "J": sum(float(t.cost_j[env_index]) for t in steps) / scenario.horizon,
         **{
-            f"cost_{name}": sum(float(getattr(t.costs, name)[lane]) for t in steps) / scenario.horizon
+            f"cost_{name}": sum(float(getattr(t.costs, name)[env_index]) for t in steps) / scenario.horizon
             for name in Costs._fields
         },
         "voltage_deviation_mean_pu": mean,
@@ -97,14 +97,14 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
         "delay_p50_s": percentile(0.50),
         "delay_p95_s": percentile(0.95),
         "delay_p99_s": percentile(0.99),
-        "arrived_kws": sum(float(x) for t in steps for x in t.state.arrived_kw[lane]) * scenario.dt_s,
+        "arrived_kws": sum(float(x) for t in steps for x in t.state.arrived_kw[env_index]) * scenario.dt_s,
         "unserved_kws": unserved,
         "loss_mean_kw": sum(loss) / len(loss),
         "loss_energy_kwh": sum(loss) * scenario.dt_s / 3600,
         "q_effort_pct": 100 * sum(effort) / len(effort),
         "clock_mean_pct": 100 * sum(clocks) / len(clocks) if clocks else 100.0,
         "steps": len(steps),
-        "power_flow_converged": float(steps[-1].converged[lane]),
+        "power_flow_converged": float(steps[-1].converged[env_index]),
     }
 
 
@@ -115,18 +115,18 @@ def reckoned(scenario: Scenario, course: list[Transition], lane: int) -> dict[st
 @pytest.mark.parametrize("name", FORMS)
 def test_metrics_of_a_short_episode(name, dt_s, extra):
     scenario = make_scenario(name, horizon=45, dt_s=dt_s, **extra)
-    lanes = 3
-    recorder, course = record(scenario, lanes, random_action(scenario, lanes))
+    n_env = 3
+    recorder, course = record(scenario, n_env, random_action(scenario, n_env))
     found = recorder.metrics()
-    assert len(found) == lanes
-    for lane in range(lanes):
-        assert set(found[lane]) == NAMES
-        assert all(type(value) is float and math.isfinite(value) for value in found[lane].values())
-        assert found[lane] == pytest.approx(reckoned(scenario, course, lane), rel=1e-6, abs=1e-7)
-        terms = sum(found[lane][f"cost_{term}"] for term in Costs._fields)
-        assert terms == pytest.approx(found[lane]["J"])
+    assert len(found) == n_env
+    for env_index in range(n_env):
+        assert set(found[env_index]) == NAMES
+        assert all(type(value) is float and math.isfinite(value) for value in found[env_index].values())
+        assert found[env_index] == pytest.approx(reckoned(scenario, course, env_index), rel=1e-6, abs=1e-7)
+        terms = sum(found[env_index][f"cost_{term}"] for term in Costs._fields)
+        assert terms == pytest.approx(found[env_index]["J"])
     # The episodes differ, and something happened in them.
-    assert len({m["J"] for m in found}) == lanes
+    assert len({m["J"] for m in found}) == n_env
     assert all(m["steps"] == 45.0 and m["power_flow_converged"] == 1.0 for m in found)
 
 
@@ -151,8 +151,8 @@ def test_a_voltage_at_the_edge_of_the_band_is_within_it():
 def test_no_datacenter_has_neither_work_nor_clock():
     scenario = make_scenario("toy6", n_datacenters=0, datacenters={"buses": ()}, horizon=5)
     recorder, course = record(scenario, 2, random_action(scenario, 2))
-    for lane, found in enumerate(recorder.metrics()):
-        assert found == pytest.approx(reckoned(scenario, course, lane))
+    for env_index, found in enumerate(recorder.metrics()):
+        assert found == pytest.approx(reckoned(scenario, course, env_index))
         assert found["clock_mean_pct"] == 100.0
         assert found["delay_mean_s"] == found["arrived_kws"] == found["unserved_kws"] == 0.0
 
@@ -160,20 +160,20 @@ def test_no_datacenter_has_neither_work_nor_clock():
 def test_series_has_the_reset_as_its_first_row():
     scenario = make_scenario("ieee33-weak", horizon=7)
     recorder, course = record(scenario, 2, random_action(scenario, 2))
-    for lane in range(2):
-        series = recorder.lane(lane)
+    for env_index in range(2):
+        series = recorder.lane(env_index)
         assert series.v_pu.shape == (8, 33)
         assert series.backlog_kws.shape == (8, 3)
         for k, t in enumerate(course):
-            np.testing.assert_array_equal(series.v_pu[k], t.state.v_pu[lane])
-            np.testing.assert_array_equal(series.backlog_kws[k], t.state.backlog_kws[lane])
+            np.testing.assert_array_equal(series.v_pu[k], t.state.v_pu[env_index])
+            np.testing.assert_array_equal(series.backlog_kws[k], t.state.backlog_kws[env_index])
         for k, t in enumerate(course[1:]):
             for field in ("f_mhz", "p_kw", "q_kvar", "arrived_kw", "served_kw", "class_arrived_kw", "class_served_kw"):
-                np.testing.assert_array_equal(getattr(series, field)[k], getattr(t.state, field)[lane])
-            assert series.loss_kw[k] == t.loss_kw[lane]
-            assert series.cost_j[k] == t.cost_j[lane]
+                np.testing.assert_array_equal(getattr(series, field)[k], getattr(t.state, field)[env_index])
+            assert series.loss_kw[k] == t.loss_kw[env_index]
+            assert series.cost_j[k] == t.cost_j[env_index]
             assert {name: values[k] for name, values in series.costs.items()} == {
-                name: values[lane] for name, values in t.costs._asdict().items()
+                name: values[env_index] for name, values in t.costs._asdict().items()
             }
         assert series.f_mhz.shape == (7, 3)
         assert series.p_kw.shape == series.q_kvar.shape == (7, 7)
@@ -183,8 +183,8 @@ def test_series_has_the_reset_as_its_first_row():
 def test_work_is_conserved_in_an_episode():
     scenario = make_scenario("ieee33-weak", horizon=40)
     recorder, _ = record(scenario, 4, random_action(scenario, 4))
-    for lane, found in enumerate(recorder.metrics()):
-        series = recorder.lane(lane)
+    for env_index, found in enumerate(recorder.metrics()):
+        series = recorder.lane(env_index)
         assert found["unserved_kws"] == pytest.approx(series.backlog_kws[-1].sum(), rel=1e-9, abs=1e-6)
         served = series.served_kw.sum() * scenario.dt_s
         assert found["arrived_kws"] == pytest.approx(served + found["unserved_kws"], rel=1e-9)
@@ -226,9 +226,9 @@ def in_episode(pool: TraceRows, start: np.ndarray, steps: int) -> RequestTimes:
 def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
     scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
     recorder, course = record(scenario, 3, lambda k: np.ones((3, 10)))
-    for lane, found in enumerate(recorder.metrics()):
+    for env_index, found in enumerate(recorder.metrics()):
         assert set(found) == NAMES | set(RequestDelays._fields)
-        taken = in_episode(pool, course[0].trace_start[lane], 30)
+        taken = in_episode(pool, course[0].trace_start[env_index], 30)
         assert found["requests_sampled"] == len(taken.arrival_s) > 500
         assert found["requests_unfinished_pct"] == 0.0
         assert found["ttft_mean_s"] == pytest.approx(taken.first_token_s.mean(), rel=1e-12)
@@ -242,8 +242,8 @@ def test_requests_at_the_top_clock_wait_for_nothing(pool, dvfs):
 def test_requests_of_a_throttled_site_wait(pool, dvfs):
     scenario = make_scenario("ieee33-weak", horizon=30, **dvfs)
     recorder, course = record(scenario, 3, lambda k: np.tile([-0.5, 0.0] * 3 + [0.0] * 4, (3, 1)))
-    for lane, found in enumerate(recorder.metrics()):
-        taken = in_episode(pool, course[0].trace_start[lane], 30)
+    for env_index, found in enumerate(recorder.metrics()):
+        taken = in_episode(pool, course[0].trace_start[env_index], 30)
         assert found["requests_sampled"] == len(taken.arrival_s)
         assert found["requests_unfinished_pct"] > 5.0
         assert found["ttft_mean_s"] > taken.first_token_s.mean() + 0.3
@@ -253,7 +253,7 @@ def test_requests_of_a_throttled_site_wait(pool, dvfs):
         assert all(math.isfinite(value) for value in found.values())
 
 
-def test_requests_of_a_lane_that_was_reset_are_its_new_episodes(pool):
+def test_requests_of_an_environment_that_was_reset_are_its_new_episodes(pool):
     scenario = make_scenario("ieee33-weak", horizon=10)
     simulation = Simulation(scenario, 2)
     simulation.reset([0, 1])
@@ -271,27 +271,27 @@ def test_no_site_has_no_requests(pool):
 
 
 def collapse() -> tuple[Scenario, Any]:
-    """The site's full load, from t = 20 s on, is more than the feeder carries; only lane 1 asks for it."""
+    """The site's full load, from t = 20 s on, is more than the feeder carries; only environment 1 asks for it."""
     scenario = make_scenario("toy6", datacenters={"p_rated_kw": 25_000.0}, horizon=30)
     return scenario, lambda k: np.array([[-1.0, 0, 0, 0], [1.0, 0, 0, 0], [-1.0, 0, 0, 0]])
 
 
-def test_a_collapsed_lane_counts_its_own_steps_alone():
+def test_a_collapsed_environment_counts_its_own_steps_alone():
     scenario, action = collapse()
     recorder, course = record(scenario, 3, action)
     found = recorder.metrics()
     assert [m["steps"] for m in found] == [30.0, 20.0, 30.0]
     assert [m["power_flow_converged"] for m in found] == [1.0, 0.0, 1.0]
-    for lane, last in enumerate((31, 21, 31)):
-        assert found[lane] == pytest.approx(reckoned(scenario, course[:last], lane), rel=1e-6, abs=1e-7)
+    for env_index, last in enumerate((31, 21, 31)):
+        assert found[env_index] == pytest.approx(reckoned(scenario, course[:last], env_index), rel=1e-6, abs=1e-7)
     assert all(math.isfinite(value) for m in found for value in m.values())
     assert recorder.lane(1).v_pu.shape == (21, 6)
     assert recorder.lane(1).converged is False
-    # The charge for what would have followed is in J, which is over the horizon and dearer than any other lane's.
+    # The charge for what would have followed is in J, which is over the horizon and dearer than any other one's.
     assert found[1]["J"] > max(found[0]["J"], found[2]["J"])
 
 
-def test_what_follows_a_lanes_end_is_not_counted():
+def test_what_follows_an_environments_end_is_not_counted():
     scenario, action = collapse()
     recorder, course = record(scenario, 3, action)
     before = recorder.metrics()
@@ -303,15 +303,15 @@ def test_what_follows_a_lanes_end_is_not_counted():
 def test_metrics_before_the_end_are_refused():
     scenario, action = collapse()
     recorder, _ = record(scenario, 3, action, steps=29)
-    assert not recorder.over  # lane 1 is, the others are not
-    with pytest.raises(ValueError, match="not ended; step until every lane is over"):
+    assert not recorder.over  # environment 1 is, the others are not
+    with pytest.raises(ValueError, match="not ended; step until every environment is over"):
         recorder.metrics()
     recorder, _ = record(scenario, 3, action, steps=30)
     assert recorder.over
     assert len(recorder.metrics()) == 3
 
 
-def test_series_of_one_lane_is_that_of_a_batch():
+def test_series_of_one_environment_is_that_of_a_batch():
     scenario = make_scenario("ieee123", horizon=5)
     recorder, course = record(scenario, 3, lambda k: np.full((3, 17), 0.3))
     alone, _ = record(scenario, 1, lambda k: np.full((1, 17), 0.3))

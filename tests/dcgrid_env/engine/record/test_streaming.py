@@ -23,14 +23,14 @@ from helpers.storages import toy6_storage
 SHORT = {"horizon": 50, "split": "test"}
 
 
-def both(scenario, lanes=2, part_steps=17, sinks=()):
+def both(scenario, n_env=2, part_steps=17, sinks=()):
     """A recorder of whole courses and one of parts on the same episodes under random actions."""
-    simulation = Simulation(scenario, lanes)
-    begun = simulation.reset(range(3, 3 + lanes))
+    simulation = Simulation(scenario, n_env)
+    begun = simulation.reset(range(3, 3 + n_env))
     whole, parts = Recorder(scenario, begun), StreamingRecorder(scenario, begun, sinks, part_steps)
     rng, n = np.random.default_rng(0), len(action_layout(scenario).names)
     while not whole.over:
-        transition = simulation.step(rng.uniform(-1.0, 1.0, (lanes, n)))
+        transition = simulation.step(rng.uniform(-1.0, 1.0, (n_env, n)))
         whole.add(transition)
         parts.add(transition)
     return whole, parts
@@ -78,7 +78,7 @@ def test_limits_on_ramps_over_several_steps_and_on_changes_of_voltage():
     check_alike(whole, parts)
 
 
-def test_a_lane_that_ends_in_voltage_collapse_counts_to_its_end_alone():
+def test_an_environment_that_ends_in_voltage_collapse_counts_to_its_end_alone():
     jumps = np.random.default_rng(0).random(3000) < 0.08
     trace = PowerTrace(np.arange(3000.0), np.where(jumps, 1.0, 0.2), name="jumps")
     heavy = {
@@ -88,7 +88,7 @@ def test_a_lane_that_ends_in_voltage_collapse_counts_to_its_end_alone():
         "horizon": 12,
         "trace": (trace,),
     }
-    whole, parts = both(make_scenario("ieee33-weak", **heavy), lanes=8, part_steps=4)
+    whole, parts = both(make_scenario("ieee33-weak", **heavy), n_env=8, part_steps=4)
     assert len({figures["steps"] for figures in whole.metrics()}) > 1
     check_alike(whole, parts)
 
@@ -135,7 +135,7 @@ def test_nothing_is_said_of_an_episode_that_goes_on():
         recorder.costs()
 
 
-def test_what_a_course_takes_grows_with_steps_and_lanes_and_a_day_is_too_long():
+def test_what_a_course_takes_grows_with_steps_and_environments_and_a_day_is_too_long():
     scenario = make_scenario("ieee33-weak", split="test")
     one, eight = course_bytes(scenario, [0]), course_bytes(scenario, range(8))
     assert one < eight < 8 * one < WHOLE_COURSE_BYTES

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dcgrid_env import Solution, distflow, lindistflow
-from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_lanes
+from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_rows
 
 SHAPES = {
     "v_pu": 6, "p_branch_kw": 5, "q_branch_kvar": 5, "current_sq_pu": 5,
@@ -33,14 +33,14 @@ def test_leading_dimensions_and_precision_are_those_of_the_loads(toy6, leading, 
     assert np.all(solution.converged)
 
 
-def test_each_lane_is_solved_with_its_own_load_and_substation_voltage(toy6, random_loads):
+def test_each_row_is_solved_with_its_own_load_and_substation_voltage(toy6, random_loads):
     p_kw, q_kvar, v0_pu = (a.reshape(2, 3, *a.shape[1:]) for a in random_loads(toy6, 6, seed=4))
     batch = distflow(toy6, p_kw, q_kvar, v0_pu)
     np.testing.assert_array_equal(batch.v_pu[..., 0], v0_pu)
-    for lane in np.ndindex(2, 3):
-        alone = distflow(toy6, p_kw[lane], q_kvar[lane], v0_pu[lane])
+    for row in np.ndindex(2, 3):
+        alone = distflow(toy6, p_kw[row], q_kvar[row], v0_pu[row])
         for field in Solution._fields:
-            np.testing.assert_array_equal(getattr(batch, field)[lane], getattr(alone, field))
+            np.testing.assert_array_equal(getattr(batch, field)[row], getattr(alone, field))
 
 
 def test_lists_integers_and_mixed_precision_are_solved_in_float64(toy6, base):
@@ -99,16 +99,16 @@ def reversed_memory(array):
 
 
 @pytest.mark.parametrize("layout", [frozen, far_apart, reversed_memory, np.asfortranarray, np.copy])
-@pytest.mark.parametrize("lanes", [1, 20])
-def test_any_memory_layout_is_read_and_never_written(toy6, random_loads, layout, lanes):
-    given = random_loads(toy6, lanes, seed=5)
-    reference = distflow(toy6, *given, warm=np.zeros((lanes, 5)))
+@pytest.mark.parametrize("n_row", [1, 20])
+def test_any_memory_layout_is_read_and_never_written(toy6, random_loads, layout, n_row):
+    given = random_loads(toy6, n_row, seed=5)
+    reference = distflow(toy6, *given, warm=np.zeros((n_row, 5)))
     arrays = [layout(array) for array in (*given, reference.current_sq_pu)]
     before = [array.tobytes() for array in arrays]
-    compiled_for = len(distflow_lanes.signatures)
+    compiled_for = len(distflow_rows.signatures)
     solution = distflow(toy6, *arrays[:3], warm=arrays[3])
     assert [array.tobytes() for array in arrays] == before
-    assert len(distflow_lanes.signatures) == compiled_for  # nothing is compiled anew for it
+    assert len(distflow_rows.signatures) == compiled_for  # nothing is compiled anew for it
     np.testing.assert_allclose(solution.v_pu, reference.v_pu, atol=1e-8, rtol=0.0)
 
 
@@ -156,9 +156,9 @@ def test_float32_is_within_1e_5_of_float64(feeder, random_loads):
     np.testing.assert_allclose(single.loss_kw, double.loss_kw, rtol=1e-3, atol=1e-2)
 
 
-@pytest.mark.parametrize("lanes", [1, 20])
-def test_one_sweep_is_enough_without_load(toy6, lanes):
-    solution = distflow(toy6, np.zeros((lanes, 6)), np.zeros((lanes, 6)), max_sweeps=1)
+@pytest.mark.parametrize("n_row", [1, 20])
+def test_one_sweep_is_enough_without_load(toy6, n_row):
+    solution = distflow(toy6, np.zeros((n_row, 6)), np.zeros((n_row, 6)), max_sweeps=1)
     assert solution.converged.all()
     assert (solution.iterations == 1).all()
 
@@ -169,9 +169,9 @@ def test_a_tolerance_of_its_own_is_kept(toy6, base):
     assert fine.residual_kva <= 1e-9 < loose.residual_kva <= 1.0
 
 
-@pytest.mark.parametrize("lanes", [1, 20])
-def test_too_few_sweeps_are_reported_as_not_converged(toy6, base, lanes):
-    p_kw, q_kvar = (np.tile(load, (lanes, 1)) for load in base)
+@pytest.mark.parametrize("n_row", [1, 20])
+def test_too_few_sweeps_are_reported_as_not_converged(toy6, base, n_row):
+    p_kw, q_kvar = (np.tile(load, (n_row, 1)) for load in base)
     full = distflow(toy6, p_kw, q_kvar)
     short = distflow(toy6, p_kw, q_kvar, max_sweeps=int(full.iterations[0]) - 1)
     assert not short.converged.any()
@@ -185,9 +185,9 @@ def test_too_few_sweeps_are_reported_as_not_converged(toy6, base, lanes):
 # --- warm starts ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("lanes", [1, 40])
-def test_a_warm_start_gives_the_same_answer_in_fewer_sweeps(feeder, random_loads, lanes):
-    p_kw, q_kvar, v0_pu = random_loads(feeder, lanes, seed=8)
+@pytest.mark.parametrize("n_row", [1, 40])
+def test_a_warm_start_gives_the_same_answer_in_fewer_sweeps(feeder, random_loads, n_row):
+    p_kw, q_kvar, v0_pu = random_loads(feeder, n_row, seed=8)
     before = distflow(feeder, 0.999 * p_kw, 0.999 * q_kvar, v0_pu)
     cold = distflow(feeder, p_kw, q_kvar, v0_pu)
     for start in (before, before.restart):
@@ -207,10 +207,10 @@ def test_a_warm_start_from_the_answer_takes_one_or_two_sweeps(feeder, random_loa
     np.testing.assert_allclose(again.v_pu, cold.v_pu, atol=1e-8, rtol=0.0)
 
 
-@pytest.mark.parametrize("lanes", [1, 40])
-def test_a_warm_start_from_a_very_different_load_still_converges(feeder, lanes):
+@pytest.mark.parametrize("n_row", [1, 40])
+def test_a_warm_start_from_a_very_different_load_still_converges(feeder, n_row):
     far = {"toy6": 13.0, "ieee33": 3.3, "das69": 3.0, "ieee123": 2.4, "khodr141": 4.0}[feeder.name]
-    p_kw, q_kvar = (np.tile(load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
+    p_kw, q_kvar = (np.tile(load, (n_row, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
     light, heavy = distflow(feeder, 0.1 * p_kw, 0.1 * q_kvar), distflow(feeder, far * p_kw, far * q_kvar)
     assert heavy.converged.all()
     nonsense = np.full_like(light.restart, 1e6)
@@ -247,18 +247,18 @@ def hopeless(feeder):
     return 40.0 if feeder.name == "toy6" else 6.0
 
 
-@pytest.mark.parametrize("lanes", [5, 33, 200])
+@pytest.mark.parametrize("n_row", [5, 33, 200])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_lane_without_a_solution_leaves_its_neighbours_their_bits(feeder, random_loads, lanes, dtype):
-    p_kw, q_kvar, v0_pu = (a.astype(dtype) for a in random_loads(feeder, lanes, seed=10))
+def test_a_row_without_a_solution_leaves_its_neighbours_their_bits(feeder, random_loads, n_row, dtype):
+    p_kw, q_kvar, v0_pu = (a.astype(dtype) for a in random_loads(feeder, n_row, seed=10))
     good = distflow(feeder, p_kw, q_kvar, v0_pu)
     assert good.converged.all()
-    for bad in (0, 3, lanes - 1):
+    for bad in (0, 3, n_row - 1):
         worse = p_kw.copy()
         worse[bad] = hopeless(feeder) * feeder.p_load_kw
         solution = distflow(feeder, worse, q_kvar, v0_pu)
         assert not solution.converged[bad]
-        others = np.arange(lanes) != bad
+        others = np.arange(n_row) != bad
         for field in Solution._fields:
             assert getattr(solution, field)[others].tobytes() == getattr(good, field)[others].tobytes(), field
 
@@ -267,9 +267,9 @@ def test_a_lane_without_a_solution_leaves_its_neighbours_their_bits(feeder, rand
 def test_figures_without_a_solution_are_finite(feeder, together):
     scale = hopeless(feeder) * np.concatenate([np.logspace(0, 6, 200), -np.logspace(3, 8, 200)])[:, None]
     p_kw, q_kvar = scale * feeder.p_load_kw, scale * feeder.q_load_kvar
-    lanes = [slice(None)] if together else range(len(scale))
-    for lane in lanes:
-        solution = distflow(feeder, p_kw[lane], q_kvar[lane])
+    rows = [slice(None)] if together else range(len(scale))
+    for row in rows:
+        solution = distflow(feeder, p_kw[row], q_kvar[row])
         assert not np.any(solution.converged)
         for field in ("v_pu", "p_branch_kw", "q_branch_kvar", "current_sq_pu", "loss_kw"):
             assert np.isfinite(getattr(solution, field)).all(), field
@@ -287,27 +287,27 @@ def test_the_largest_load_of_two_buses_is_where_the_hand_worked_one_is(two_bus):
         assert solution.converged.tolist() == [True, False]
 
 
-@pytest.mark.parametrize("lanes", [1, 20])
+@pytest.mark.parametrize("n_row", [1, 20])
 @pytest.mark.parametrize("method", [distflow, lindistflow])
 @pytest.mark.parametrize("kind", ["numpy", "arrays"])
 @pytest.mark.parametrize(
     ("v0_pu", "settles"), [(0.01, False), (0.011, True), (99.0, True), (100.0, False), (101.0, False)]
 )
 def test_only_voltages_between_a_hundredth_and_a_hundred_are_operating_points(
-    two_bus, by_arrays, kind, method, lanes, v0_pu, settles
+    two_bus, by_arrays, kind, method, n_row, v0_pu, settles
 ):
-    none = np.zeros((lanes, 2))
+    none = np.zeros((n_row, 2))
     if kind == "arrays":
         by_arrays()
-        none = torch.zeros(lanes, 2, dtype=torch.float64)
+        none = torch.zeros(n_row, 2, dtype=torch.float64)
     solution = method(two_bus(0.04, 0.07), none, none, v0_pu)
-    assert solution.converged.tolist() == [settles] * lanes
+    assert solution.converged.tolist() == [settles] * n_row
 
 
-@pytest.mark.parametrize("lanes", [1, 20])
+@pytest.mark.parametrize("n_row", [1, 20])
 @pytest.mark.parametrize("method", [distflow, lindistflow])
-def test_a_collapsed_feeder_has_no_flow_and_next_to_no_voltage(feeder, method, lanes):
-    p_kw, q_kvar = (1e3 * np.tile(load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
+def test_a_collapsed_feeder_has_no_flow_and_next_to_no_voltage(feeder, method, n_row):
+    p_kw, q_kvar = (1e3 * np.tile(load, (n_row, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
     solution = method(feeder, p_kw, q_kvar, 1.02)
     assert not solution.converged.any()
     assert np.isinf(solution.residual_kva).all()

@@ -89,7 +89,7 @@ def test_two_buses_by_hand(two_bus):
     assert by_q.tolist() == pytest.approx([0.0, expected["q"]], rel=1e-8)
 
 
-def test_the_substation_voltage_of_all_lanes_or_of_each(toy6, random_loads):
+def test_the_substation_voltage_of_all_rows_or_of_each(toy6, random_loads):
     p_kw, q_kvar, _ = random_loads(toy6, 4, seed=51)
     (one,), (each,) = recorded(1.02), recorded(np.full(4, 1.02))
     for v0 in (one, each):
@@ -110,10 +110,10 @@ def test_the_figures_are_those_of_numpy_to_the_bit(feeder, random_loads):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("scale", [1.0, 1e3, 1e9, -1e3, -1e9])
-def test_a_lane_without_a_solution_has_derivative_0(feeder, scale, dtype):
+def test_a_row_without_a_solution_has_derivative_0(feeder, scale, dtype):
     worse = scale * (40.0 if feeder.name == "toy6" else 6.0)
-    lanes = np.array([[1.0], [worse], [1.0]])
-    inputs = recorded(lanes * feeder.p_load_kw, lanes * feeder.q_load_kvar, np.full(3, 1.02), dtype=dtype)
+    factors = np.array([[1.0], [worse], [1.0]])
+    inputs = recorded(factors * feeder.p_load_kw, factors * feeder.q_load_kvar, np.full(3, 1.02), dtype=dtype)
     solution = distflow(feeder, *inputs)
     assert solution.converged.tolist() == [True, False, True]
     assert float(solution.v_pu.detach().min()) >= np.float32(np.sqrt(V_SQ_FLOOR)) * 0.999
@@ -128,9 +128,9 @@ def test_a_lane_without_a_solution_has_derivative_0(feeder, scale, dtype):
 
 @pytest.mark.parametrize("leading", [(), (1,), (2, 3), (0,)])
 def test_derivatives_have_the_shape_of_the_loads(toy6, random_loads, leading):
-    lanes = int(np.prod(leading))
-    flat = recorded(*random_loads(toy6, max(lanes, 1), seed=53))
-    shaped = [one.detach()[:lanes].reshape(leading + one.shape[1:]).requires_grad_() for one in flat]
+    n_row = int(np.prod(leading))
+    flat = recorded(*random_loads(toy6, max(n_row, 1), seed=53))
+    shaped = [one.detach()[:n_row].reshape(leading + one.shape[1:]).requires_grad_() for one in flat]
     for inputs in (flat, shaped):
         solution = distflow(toy6, *inputs)
         (solution.v_pu.sum() + solution.loss_kw.sum()).backward()
@@ -138,7 +138,7 @@ def test_derivatives_have_the_shape_of_the_loads(toy6, random_loads, leading):
         assert one.grad is not None
         assert other.grad is not None
         assert one.grad.shape == one.shape
-        assert torch.equal(one.grad.reshape(other.grad[:lanes].shape), other.grad[:lanes])
+        assert torch.equal(one.grad.reshape(other.grad[:n_row].shape), other.grad[:n_row])
 
 
 def test_float32_is_close_to_float64(feeder, random_loads):
@@ -160,18 +160,18 @@ def test_a_warm_start_leaves_the_derivative(feeder, random_loads):
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
-def test_lanes_do_not_depend_on_their_neighbours_nor_on_threads(toy6, random_loads, monkeypatch, threads):
+def test_rows_do_not_depend_on_their_neighbours_nor_on_threads(toy6, random_loads, monkeypatch, threads):
     monkeypatch.setenv("DCGRID_NUM_THREADS", threads)
     inputs = recorded(*random_loads(toy6, 203, seed=56))
     distflow(toy6, *inputs).v_pu.pow(2).sum().backward()
-    for lane in (0, 31, 32, 100, 202):
-        own = recorded(*(one.detach()[lane].numpy() for one in inputs))
+    for row in (0, 31, 32, 100, 202):
+        own = recorded(*(one.detach()[row].numpy() for one in inputs))
         distflow(toy6, *own).v_pu.pow(2).sum().backward()
         for one, alone in zip(inputs, own, strict=True):
             assert one.grad is not None
             assert alone.grad is not None
-            # A block of lanes sweeps until its last one has settled.
-            np.testing.assert_allclose(one.grad[lane], alone.grad, rtol=1e-7, atol=1e-12)
+            # A block of rows sweeps until its last one has settled.
+            np.testing.assert_allclose(one.grad[row], alone.grad, rtol=1e-7, atol=1e-12)
 
 
 def test_only_what_is_asked_for_is_recorded(toy6, base):

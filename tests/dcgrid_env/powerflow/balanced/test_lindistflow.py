@@ -44,15 +44,15 @@ def test_differs_from_distflow_by_the_square_of_the_load(feeder, random_loads):
     np.testing.assert_allclose(errors[1] / errors[2], 4.0, rtol=0.05)
 
 
-@pytest.mark.parametrize("lanes", [1, 20])
-def test_a_load_that_drives_a_voltage_to_zero_is_not_converged(feeder, lanes):
+@pytest.mark.parametrize("n_row", [1, 20])
+def test_a_load_that_drives_a_voltage_to_zero_is_not_converged(feeder, n_row):
     r, x = sensitivity(feeder)
     drop = 2.0 * (r @ feeder.p_load_kw + x @ feeder.q_load_kvar).max() / 1000.0  # of the squared voltage
-    p_kw, q_kvar = (np.tile(load, (lanes, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
+    p_kw, q_kvar = (np.tile(load, (n_row, 1)) for load in (feeder.p_load_kw, feeder.q_load_kvar))
     p_kw[-1] *= 1.02 / drop
     q_kvar[-1] *= 1.02 / drop
     solution = lindistflow(feeder, p_kw, q_kvar, 1.0)
-    assert solution.converged.tolist() == [True] * (lanes - 1) + [False]
+    assert solution.converged.tolist() == [True] * (n_row - 1) + [False]
     assert np.isfinite(solution.v_pu).all()
     within = lindistflow(feeder, p_kw * 0.95, q_kvar * 0.95, 1.0)
     assert within.converged.all()

@@ -88,13 +88,13 @@ def test_power_that_enters_is_drawn_by_loads_and_shunts_or_lost(shunted, random_
     assert np.abs(w @ shunted.shunt_kw[1:]).min() > 1.0  # there is something to be wrong about
 
 
-def test_a_lane_alone_in_a_block_and_as_arrays_is_one(shunted, random_loads):
+def test_a_row_alone_in_a_block_and_as_arrays_is_one(shunted, random_loads):
     p_kw, q_kvar, v0_pu = random_loads(shunted, 40, seed=61)
     batch = distflow(shunted, p_kw, q_kvar, v0_pu, tolerance_kva=EXACT_KVA)
-    for lane in (0, 11, 39):
-        alone = distflow(shunted, p_kw[lane], q_kvar[lane], v0_pu[lane], tolerance_kva=EXACT_KVA)
+    for row in (0, 11, 39):
+        alone = distflow(shunted, p_kw[row], q_kvar[row], v0_pu[row], tolerance_kva=EXACT_KVA)
         for name in batch._fields:
-            np.testing.assert_array_equal(getattr(alone, name), getattr(batch, name)[lane])
+            np.testing.assert_array_equal(getattr(alone, name), getattr(batch, name)[row])
     arrays = distflow_arrays(
         shunted, *map(torch.tensor, (p_kw, q_kvar, v0_pu)), warm=None, tolerance=1e-3 * EXACT_KVA, max_sweeps=1000
     )
@@ -182,8 +182,8 @@ def test_sensitivities_are_of_the_reported_voltage(shunted):
 def test_a_shunt_of_nothing_and_a_ratio_of_one_change_nothing(toy6, random_loads):
     none, one = np.zeros(6), np.ones(6)
     same = dataclasses.replace(toy6, shunt_kw=none, shunt_kvar=none, voltage_ratio=one)
-    for lanes in (1, 20):
-        loads = random_loads(toy6, lanes, seed=66)
+    for n_row in (1, 20):
+        loads = random_loads(toy6, n_row, seed=66)
         for expected, found in zip(distflow(toy6, *loads), distflow(same, *loads), strict=True):
             np.testing.assert_array_equal(found, expected)
 

@@ -31,16 +31,16 @@ def feeder(request) -> ThreePhaseFeeder:
 def random_inputs():
     """Random loads, injections at some nodes, source voltages, taps and capacitors that every feeder can carry."""
 
-    def draw(feeder: ThreePhaseFeeder, lanes: int, seed: int) -> Inputs:
+    def draw(feeder: ThreePhaseFeeder, n_row: int, seed: int) -> Inputs:
         rng = np.random.default_rng(seed)
-        p_kw = feeder.p_load_kw * rng.uniform(0.2, 1.2, (lanes, feeder.n_leg))
-        q_kvar = feeder.q_load_kvar * rng.uniform(-0.2, 1.2, (lanes, feeder.n_leg))
+        p_kw = feeder.p_load_kw * rng.uniform(0.2, 1.2, (n_row, feeder.n_leg))
+        q_kvar = feeder.q_load_kvar * rng.uniform(-0.2, 1.2, (n_row, feeder.n_leg))
         legs = feeder.first_device_leg + rng.integers(3, feeder.n_node, 8)
-        p_kw[:, legs] += rng.uniform(-20.0, 20.0, (lanes, 8))
-        q_kvar[:, legs] += rng.uniform(-20.0, 20.0, (lanes, 8))
-        ratio = feeder.tap_ratio(rng.integers(-5, 8, (lanes, feeder.n_regulator)))
-        state = rng.integers(0, 2, (lanes, feeder.n_capacitor)).astype(float)
-        return Inputs(p_kw, q_kvar, rng.uniform(0.98, 1.03, lanes), ratio, state)
+        p_kw[:, legs] += rng.uniform(-20.0, 20.0, (n_row, 8))
+        q_kvar[:, legs] += rng.uniform(-20.0, 20.0, (n_row, 8))
+        ratio = feeder.tap_ratio(rng.integers(-5, 8, (n_row, feeder.n_regulator)))
+        state = rng.integers(0, 2, (n_row, feeder.n_capacitor)).astype(float)
+        return Inputs(p_kw, q_kvar, rng.uniform(0.98, 1.03, n_row), ratio, state)
 
     return draw
 

@@ -30,11 +30,11 @@ def points(feeder, seed):
     rng = np.random.default_rng(seed)
     p_kw = feeder.p_load_kw * rng.uniform(0.0, 1.3, (POINTS, feeder.n_leg))
     q_kvar = feeder.q_load_kvar * rng.uniform(-0.3, 1.3, (POINTS, feeder.n_leg))
-    legs, lanes = grounded_legs(feeder), np.arange(POINTS)
+    legs, rows = grounded_legs(feeder), np.arange(POINTS)
     for _ in range(6):
         leg, size = rng.choice(legs, POINTS), rng.uniform(0.0, 60.0, POINTS)
-        p_kw[lanes, leg] += size * rng.uniform(-1.0, 1.0, POINTS)
-        q_kvar[lanes, leg] += size * rng.uniform(-1.0, 1.0, POINTS)
+        p_kw[rows, leg] += size * rng.uniform(-1.0, 1.0, POINTS)
+        q_kvar[rows, leg] += size * rng.uniform(-1.0, 1.0, POINTS)
     table = feeder.network.regulator
     tap = rng.integers(table.tap_min, np.array(table.tap_max) + 1, (POINTS, feeder.n_regulator))
     tap[: POINTS // 2] = np.clip(feeder.base_tap + rng.integers(-3, 4, (POINTS // 2, feeder.n_regulator)), -16, 16)

@@ -89,13 +89,13 @@ def test_tensors_in_single_precision(feeder, random_inputs, solved):
         assert bool(torch.isfinite(gradient).all())
 
 
-def test_a_lane_without_a_solution_has_no_derivative(random_inputs, solved):
+def test_a_row_without_a_solution_has_no_derivative(random_inputs, solved):
     feeder = load_feeder("ieee13-3ph")
     inputs = random_inputs(feeder, 9, 11)
     inputs.p_kw[4, feeder.first_device_leg + 20] = 1e5
     given = tensors(inputs)
     solution = solved(feeder, given)
-    assert solution.converged.tolist() == [lane != 4 for lane in range(9)]
+    assert solution.converged.tolist() == [row != 4 for row in range(9)]
     gradients = torch.autograd.grad(solution.v_pu.sum() + solution.loss_kw.sum(), given)
     for gradient in gradients:
         assert bool(torch.isfinite(gradient).all())

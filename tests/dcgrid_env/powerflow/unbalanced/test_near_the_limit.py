@@ -97,9 +97,9 @@ def test_loads_that_become_impedances_have_no_limit():
 def test_newton_is_the_sweep_where_that_settles_and_is_not_used_there(feeder, random_inputs, solved, monkeypatch):
     inputs = random_inputs(feeder, 6, 60)
     swept = solved(feeder, inputs, tolerance_pu=1e-12)
-    for lane in range(6):
-        volts: Any = high_voltage_solution(feeder, tuple(a[lane] for a in inputs))
-        np.testing.assert_allclose(volts, swept.restart[lane], rtol=0.0, atol=1e-11)
+    for row in range(6):
+        volts: Any = high_voltage_solution(feeder, tuple(a[row] for a in inputs))
+        np.testing.assert_allclose(volts, swept.restart[row], rtol=0.0, atol=1e-11)
     monkeypatch.setattr(newton, "high_voltage_solution", None)
     assert solved(feeder, inputs).converged.all()
 
@@ -112,10 +112,10 @@ def test_each_environment_of_a_batch_that_needs_it_has_the_bits_that_it_has_alon
     assert whole.converged.tolist() == [True, True, True, True, False] * 9
     assert (whole.iterations[1::5] == 1).all()
     assert (whole.residual_kva[1::5] < 5e-6).all()
-    for lane in (0, 1, 3, 4):
-        alone = solved(feeder, points[lane : lane + 1])
-        for figures, of_lane in zip(whole, alone, strict=True):
-            assert figures[lane].tobytes() == of_lane[0].tobytes()
+    for row in (0, 1, 3, 4):
+        alone = solved(feeder, points[row : row + 1])
+        for figures, of_row in zip(whole, alone, strict=True):
+            assert figures[row].tobytes() == of_row[0].tobytes()
     p_kw, q_kvar = (torch.tensor(np.array([point[k] for point in points])) for k in (0, 1))
     tensors: Any = solve_unbalanced(feeder, p_kw, q_kvar)
     np.testing.assert_array_equal(tensors.v_pu.numpy(), whole.v_pu)
@@ -173,6 +173,6 @@ def test_newtons_derivative_is_the_sweeps_where_that_settles(feeder, random_inpu
         return torch.autograd.grad(total, given)
 
     swept = derivatives()
-    monkeypatch.setattr(adjoint_batch, "sweep_adjoint_lanes", lambda *given: given[7].fill(False) or 0)
+    monkeypatch.setattr(adjoint_batch, "sweep_adjoint_rows", lambda *given: given[7].fill(False) or 0)
     for one, two in zip(derivatives(), swept, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-6 * float(two.abs().max()))

@@ -26,21 +26,21 @@ def limited(name: str = "ieee33-weak", **overrides: Any) -> Scenario:
     return make_scenario(name, **{"horizon": 12, **LIMITS}).replace(**overrides)
 
 
-def play(scenario: Scenario, lanes: int = 2, seed: int = 0) -> list[Transition]:
+def play(scenario: Scenario, n_env: int = 2, seed: int = 0) -> list[Transition]:
     rng = np.random.default_rng(seed)
-    simulation = Simulation(scenario, lanes)
-    n = simulation.reset(range(lanes)).state.q_kvar.shape[1] + scenario.datacenters.count
-    return [simulation.transition] + [simulation.step(rng.uniform(-1, 1, (lanes, n))) for _ in range(scenario.horizon)]
+    simulation = Simulation(scenario, n_env)
+    n = simulation.reset(range(n_env)).state.q_kvar.shape[1] + scenario.datacenters.count
+    return [simulation.transition] + [simulation.step(rng.uniform(-1, 1, (n_env, n))) for _ in range(scenario.horizon)]
 
 
-def reckoned(scenario: Scenario, course: list[Transition], step: int, lane: int) -> tuple[float, float]:
+def reckoned(scenario: Scenario, course: list[Transition], step: int, env_index: int) -> tuple[float, float]:
     """Weighted terms of a step, site by site and node by node."""
     window = round((scenario.cost.ramp_window_s or scenario.dt_s) / scenario.dt_s)
-    now, begin = (course[max(at, 0)].state.p_kw[lane] for at in (step, step - window))
+    now, begin = (course[max(at, 0)].state.p_kw[env_index] for at in (step, step - window))
     n = scenario.datacenters.count
     ramps = [abs(now[i] - begin[i]) / (window * scenario.dt_s) for i in range(n)]
     at = scenario.feeder.load_nodes
-    changes = np.abs(course[step].state.v_pu[lane, at] - course[step - 1].state.v_pu[lane, at])
+    changes = np.abs(course[step].state.v_pu[env_index, at] - course[step - 1].state.v_pu[env_index, at])
     ramp_excess = [max(ramp / scenario.cost.ramp_limit_kw_per_s - 1.0, 0.0) for ramp in ramps]
     step_excess = [max(change / scenario.cost.voltage_step_limit_pu - 1.0, 0.0) for change in changes]
     return 2.0 * sum(ramp_excess) / n, 3.0 * sum(step_excess) / len(step_excess)
@@ -54,12 +54,14 @@ def test_what_is_charged_is_the_excess_as_a_share_of_the_limit(name, window_s, d
     scenario = limited(name, cost={"ramp_limit_kw_per_s": 1.0, "ramp_window_s": window_s}, dt_s=dt_s, horizon=horizon)
     course = play(scenario)
     for step in range(1, len(course)):
-        for lane in (0, 1):
-            found = [float(getattr(course[step].costs, term)[lane]) for term in WEIGHTS]
-            assert found == pytest.approx(reckoned(scenario, course, step, lane), rel=1e-9, abs=1e-12)
-            parts = float(course[step].costs.violation[lane]) + sum(found)
-            assert constraint(scenario, course[step].costs)[lane] == pytest.approx(parts)
-            assert course[step].cost_j[lane] == pytest.approx(sum(float(term[lane]) for term in course[step].costs))
+        for env_index in (0, 1):
+            found = [float(getattr(course[step].costs, term)[env_index]) for term in WEIGHTS]
+            assert found == pytest.approx(reckoned(scenario, course, step, env_index), rel=1e-9, abs=1e-12)
+            parts = float(course[step].costs.violation[env_index]) + sum(found)
+            assert constraint(scenario, course[step].costs)[env_index] == pytest.approx(parts)
+            assert course[step].cost_j[env_index] == pytest.approx(
+                sum(float(term[env_index]) for term in course[step].costs)
+            )
     assert all(max(getattr(t.costs, term).max() for t in course) > 0.0 for term in WEIGHTS)
 
 
@@ -173,7 +175,7 @@ def test_all_interfaces_charge_the_same():
     many.close()
 
 
-def test_a_saved_environment_goes_on_with_the_same_ramps_and_a_lane_that_begins_anew_forgets_its_own():
+def test_a_saved_environment_goes_on_with_the_same_ramps_and_a_new_episode_forgets_its_own():
     scenario = limited(horizon=6)
     rng = np.random.default_rng(4)
     actions = rng.uniform(-1, 1, (8, 3, 10))

@@ -9,7 +9,7 @@ from dcgrid_env import Feeder, distflow, load_feeder
 from dcgrid_env.core.install import from_clone
 from docs.studies.speed.reference_solvers import REFERENCE_SOLVERS, ReferenceSolver, missing
 
-LANES = 6
+N_ROW = 6
 # p.u. The closed switches of ieee123 are a reactance of 1e-7 p.u. in lightsim2grid and OpenDSS and drop up to 3e-7. All
 # else is less: OpenDSS's source impedance (1e12 MVA), float32 loads in lightsim2grid's single solve.
 CLOSE = 1e-6
@@ -31,10 +31,10 @@ def solver(request: pytest.FixtureRequest, feeder: Feeder) -> ReferenceSolver:
 
 @pytest.fixture
 def loads(feeder: Feeder) -> tuple[np.ndarray, np.ndarray]:
-    """Random loads (lane, bus) of both signs; the last lane carries none."""
+    """Random loads (row, bus) of both signs; the last row carries none."""
     rng = np.random.default_rng(3)
-    p_kw = feeder.p_load_kw * rng.uniform(-0.5, 1.5, (LANES, feeder.n_bus))
-    q_kvar = feeder.q_load_kvar * rng.uniform(-0.5, 1.5, (LANES, feeder.n_bus)) - feeder.capacitor_kvar
+    p_kw = feeder.p_load_kw * rng.uniform(-0.5, 1.5, (N_ROW, feeder.n_bus))
+    q_kvar = feeder.q_load_kvar * rng.uniform(-0.5, 1.5, (N_ROW, feeder.n_bus)) - feeder.capacitor_kvar
     p_kw[:, -1], q_kvar[:, 0] = 100.0, 50.0  # an end bus that always draws; a load at the substation itself
     p_kw[-1], q_kvar[-1] = 0.0, 0.0
     return p_kw, q_kvar
@@ -45,13 +45,13 @@ def test_solves_agree_with_distflow(solver, feeder, loads):
     ours = distflow(feeder, p_kw, q_kvar, 1.04, tolerance_kva=1e-8)
     assert ours.converged.all()
     assert np.ptp(ours.v_pu[0]) > 1e-3
-    for lane in (0, 3, 5, 0):  # the first again: nothing is left over from the lanes between
-        v_pu = solver.solve(p_kw[lane], q_kvar[lane])
+    for row in (0, 3, 5, 0):  # the first again: nothing is left over from the rows between
+        v_pu = solver.solve(p_kw[row], q_kvar[row])
         assert v_pu.shape == (feeder.n_bus,)
-        np.testing.assert_allclose(v_pu, ours.v_pu[lane], rtol=0.0, atol=CLOSE)
-    for lanes in (LANES, 2) if solver.solve_batch else ():
-        v_pu = solver.solve_batch(p_kw[:lanes], q_kvar[:lanes])
-        np.testing.assert_allclose(v_pu, ours.v_pu[:lanes], rtol=0.0, atol=CLOSE)
+        np.testing.assert_allclose(v_pu, ours.v_pu[row], rtol=0.0, atol=CLOSE)
+    for n_row in (N_ROW, 2) if solver.solve_batch else ():
+        v_pu = solver.solve_batch(p_kw[:n_row], q_kvar[:n_row])
+        np.testing.assert_allclose(v_pu, ours.v_pu[:n_row], rtol=0.0, atol=CLOSE)
 
 
 def test_the_substation_voltage_is_the_feeders_own_unless_given(feeder):

@@ -1,10 +1,10 @@
-"""Lanes of agents of several kinds, and what an episode's end charges spread over the steps."""
+"""Rows of agents of several kinds, and what an episode's end charges spread over the steps."""
 
 import numpy as np
 import pytest
 
 from dcgrid_env import DcgridVectorEnv, end_costs, field_names
-from dcgrid_env.agents.training.agent_lanes import AgentVecEnv
+from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from helpers.riding import ride_through_34
 from helpers.storages import toy6_storage
@@ -12,14 +12,14 @@ from helpers.storages import toy6_storage
 
 @pytest.mark.parametrize("scenario", [toy6_storage(6), ride_through_34(horizon=6)], ids=["storages", "riding"])
 @pytest.mark.parametrize("nameplate", [False, True])
-def test_lanes_of_every_kind_see_their_own_and_act_as_the_joint_action(scenario, nameplate):
-    lanes, native = AgentVecEnv(scenario, 2, nameplate=nameplate), DcgridVectorEnv(2, scenario)
-    lanes.seed(3)
-    rows, (joint, _) = lanes.reset(), native.reset(seed=3)
+def test_rows_of_every_kind_see_their_own_and_act_as_the_joint_action(scenario, nameplate):
+    vec_env, native = AgentVecEnv(scenario, 2, nameplate=nameplate), DcgridVectorEnv(2, scenario)
+    vec_env.seed(3)
+    rows, (joint, _) = vec_env.reset(), native.reset(seed=3)
     rng, names = np.random.default_rng(0), field_names(scenario)
     for _ in range(4):
-        assert all(lanes.observation_space.contains(row) for row in rows)
-        action = rng.uniform(-1.0, 1.0, (lanes.num_envs, len(lanes.channels))).astype(np.float32)
+        assert all(vec_env.observation_space.contains(row) for row in rows)
+        action = rng.uniform(-1.0, 1.0, (vec_env.num_envs, len(vec_env.channels))).astype(np.float32)
         by_agent, own_action = (
             np.asarray(rows).reshape(2, scenario.n_agents, -1),
             action.reshape(2, scenario.n_agents, -1),
@@ -32,23 +32,23 @@ def test_lanes_of_every_kind_see_their_own_and_act_as_the_joint_action(scenario,
             if agent.startswith(device.prefix)
         ):
             n = len(names[agent])
-            np.testing.assert_array_equal(by_agent[:, i, lanes.columns(agent)[:n]], joint[:, at : at + n])
-            given.append(own_action[:, i][:, [lanes.channels.index(channel.name) for channel in device.channels]])
+            np.testing.assert_array_equal(by_agent[:, i, vec_env.columns(agent)[:n]], joint[:, at : at + n])
+            given.append(own_action[:, i][:, [vec_env.channels.index(channel.name) for channel in device.channels]])
             at += n
-        rows, paid, *_ = lanes.step(action)
+        rows, paid, *_ = vec_env.step(action)
         joint, reward, *_ = native.step(np.concatenate(given, axis=1))
         np.testing.assert_array_equal(paid, np.repeat(reward, scenario.n_agents).astype(np.float32))
 
 
 def test_kinds_are_told_apart_and_use_their_own_entries():
-    lanes = AgentVecEnv(toy6_storage(), 1)
-    assert lanes.kinds == ("inverter", "datacenter", "storage")
-    assert lanes.channels == ("clock", "q", "p")
-    assert lanes.used.tolist() == [[0, 1, 0], [1, 1, 0], [0, 0, 1]]
+    vec_env = AgentVecEnv(toy6_storage(), 1)
+    assert vec_env.kinds == ("inverter", "datacenter", "storage")
+    assert vec_env.channels == ("clock", "q", "p")
+    assert vec_env.used.tolist() == [[0, 1, 0], [1, 1, 0], [0, 0, 1]]
     assert AgentVecEnv(toy6_storage(), 1, "q").used.tolist() == [[0, 1, 0], [0, 1, 0], [0, 0, 0]]
-    lanes.seed(0)
-    assert lanes.reset()[:, -2:].tolist() == [[1, 0], [0, 0], [0, 0], [0, 1], [0, 1]]
-    assert lanes.rest.tolist() == [1.0, 0.0, 0.0]
+    vec_env.seed(0)
+    assert vec_env.reset()[:, -2:].tolist() == [[1, 0], [0, 0], [0, 0], [0, 1], [0, 1]]
+    assert vec_env.rest.tolist() == [1.0, 0.0, 0.0]
     assert AgentVecEnv(ride_through_34(), 1).rest.tolist() == [1.0, 0.0, 1.0]
     assert JointVecEnv(toy6_storage(), 1, "q").used.tolist() == [[0, 1, 1, 1, 0, 0]]
 
@@ -57,14 +57,14 @@ def test_what_the_end_charges_is_charged_as_it_arises():
     scenario = toy6_storage(4)
     plain, early = JointVecEnv(scenario, 2), JointVecEnv(scenario, 2)
     early.end_as_it_arises = True
-    for lanes in (plain, early):
-        lanes.seed(0)
-        lanes.reset()
+    for vec_env in (plain, early):
+        vec_env.seed(0)
+        vec_env.reset()
     action = np.tile(np.array([1.0, 0.0, 0.0, 0.0, -1.0, -0.5], np.float32), (2, 1))
     for _ in range(2):  # episodes, the second begun by the step that ends the first
         sums = np.zeros((2, 2))
         for step in range(4):
-            sums += [lanes.step(action)[1] for lanes in (plain, early)]
+            sums += [vec_env.step(action)[1] for vec_env in (plain, early)]
             due = np.sum(list(end_costs(scenario, plain.batch.transition.state).values()), axis=0)
             assert (due > 0.0).all()
             expected = sums[0] - due * (step < 3)  # it has all been charged, now or before

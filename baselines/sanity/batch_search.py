@@ -1,4 +1,4 @@
-"""The best parameters of a law on a few episodes, found roughly and at once: candidates are lanes of one batch.
+"""The best parameters of a law on a few episodes, found roughly: all candidates run in one batch.
 
 The cross-entropy method (R. Y. Rubinstein, 1999): in each generation parameters are drawn around those of the best
 quarter so far. From the best of it on, the method of ``tuning.search`` takes some steps. That module finds the
@@ -20,7 +20,7 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters
 
 
-def lane_costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
+def episode_costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
     """J of an episode for each seed, (n_seed,); a record of many long episodes would not fit in memory."""
     env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
     observations, _ = env.reset(seed=list(seeds))
@@ -37,7 +37,7 @@ def lane_costs(scenario: Scenario, controller: Controller, seeds: Sequence[int])
 CANDIDATES, GENERATIONS, TRIALS = 24, 8, 100
 _FEWEST = 8
 _NODES = 4_000_000
-"""Lanes times nodes at most, for the memory that they take."""
+"""Environments times nodes at most, for the memory that they take."""
 _KEPT, _SPREAD, _ELITE = 0.3, 0.3, 4
 _STARTS = {"droop": (1.0, float(np.log10(0.5)), float(np.log10(0.3)))}
 """Where searches begin: the droop at the paper's gains, others in the middle, where constant shares are 0."""
@@ -104,7 +104,7 @@ def _polished(
         if time.monotonic() > until_s:
             raise _OutOfTime
         x = low + np.clip(share, 0.0, 1.0) * (high - low)
-        j = float(lane_costs(scenario, law.law(**law.parameters(x, [scenario])), seeds).mean())
+        j = float(episode_costs(scenario, law.law(**law.parameters(x, [scenario])), seeds).mean())
         tried.append((x, j))
         return j
 
@@ -126,6 +126,6 @@ def _mean_costs(name: str, scenario: Scenario, x: np.ndarray, seeds: Sequence[in
     controller = law.law()
     for field in each[0]:
         values = np.array([parameters[field] for parameters in each])
-        by_lane = np.repeat(values.reshape(len(x), -1), len(seeds), axis=0)
-        setattr(controller, field, by_lane)  # (lane, 1), or (lane, n_agent), which broadcast
-    return lane_costs(scenario, controller, list(seeds) * len(x)).reshape(len(x), len(seeds)).mean(axis=1)
+        per_env = np.repeat(values.reshape(len(x), -1), len(seeds), axis=0)
+        setattr(controller, field, per_env)  # (row, 1), or (row, n_agent), which broadcast
+    return episode_costs(scenario, controller, list(seeds) * len(x)).reshape(len(x), len(seeds)).mean(axis=1)

@@ -1,4 +1,4 @@
-"""Compiled solution of lanes: blocks of lanes side by side, and one at a time what does not settle there."""
+"""Compiled solution of a batch: blocks of rows side by side, and one row at a time what does not settle there."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.powerflow.solution import V_SQ_FLOOR
-from dcgrid_env.powerflow.unbalanced.lane_blocks import (
+from dcgrid_env.powerflow.unbalanced.row_blocks import (
     active_devices,
     begin,
-    load_lane,
-    start_lane,
-    store_lanes,
+    load_row,
+    start_row,
+    store_rows,
     sweep_block,
     workspace,
 )
 
 ONE = (0,)
 WIDE = (0,) * 32
-"""Lanes innermost, the tuple's length."""
-FEW = 6  # up to this many lanes one at a time beats a mostly empty block
-BLOCK_SWEEPS = 30  # a lane that needs more leaves its block, so that one near collapse does not hold up the rest
-NOT_IN_BLOCKS = -1  # sweeps of a lane that its block left without a solution
+"""Rows innermost, the tuple's length."""
+FEW = 6  # up to this many rows one at a time beats a mostly empty block
+BLOCK_SWEEPS = 30  # a row that needs more leaves its block, so that one near collapse does not hold up the rest
+NOT_IN_BLOCKS = -1  # sweeps of a row that its block left without a solution
 ROUNDING = 1e-28  # a squared change of voltage that is rounding alone
 DIVERGED = 1e8  # a squared change of voltage that no sweep on its way to a solution has
 
@@ -50,13 +50,13 @@ def _clear(plan, work):
 
 @compiled(nogil=True)
 def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
-    """Solve the same rows as ``sweep_lanes`` from their starts, in blocks of width ``wide``.
+    """Solve the rows of ``sweep_rows`` from their starts, in blocks of width ``wide``.
 
     Returns the number of rows that did not settle within BLOCK_SWEEPS; their sweeps are then NOT_IN_BLOCKS.
     """
     p_kw, q_kvar = given[0], given[1]
     tolerance_sq = tolerance_pu * tolerance_pu
-    width, n_lanes, n_leg = len(wide), p_kw.shape[0], plan.leg_order.shape[0]
+    width, n_row, n_leg = len(wide), p_kw.shape[0], plan.leg_order.shape[0]
     work = workspace(plan, wide, given)
     off = work[10]
     nodes = np.empty(plan.up.shape[0], np.uint64)
@@ -66,16 +66,16 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     before = np.empty(width)
     columns = np.empty(width, np.uint64)
     most = min(BLOCK_SWEEPS, max_sweeps)
-    for first in range(0, n_lanes, width):
-        count = min(width, n_lanes - first)
+    for first in range(0, n_row, width):
+        count = min(width, n_row - first)
         n_device = active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes)
         for b in range(width):
-            finite[b] = load_lane(b, first + min(b, count - 1), plan, wide, given, nodes, n_device, work)
+            finite[b] = load_row(b, first + min(b, count - 1), plan, wide, given, nodes, n_device, work)
             done[b] = b >= count
             before[b] = 1.0
         begin(plan, wide, work)
         for b in range(width):
-            start_lane(b, first + min(b, count - 1), plan, wide, start, work)
+            start_row(b, first + min(b, count - 1), plan, wide, start, work)
         left = count
         for sweep in range(1, most + 1):
             sweep_block(plan, wide, nodes, n_device, work)
@@ -96,28 +96,28 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
                 done[b] = True
                 left -= 1
             if settled > 0:
-                store_lanes(columns, settled, np.uint64(first), plan, wide, work, sweep, True, out)
+                store_rows(columns, settled, np.uint64(first), plan, wide, work, sweep, True, out)
             if left == 0:
                 break
     unsettled = 0
-    for lane in range(n_lanes):
-        if out[5][lane] <= 0:  # 0 where the voltages that it settled at cannot be
-            out[5][lane] = NOT_IN_BLOCKS
+    for row in range(n_row):
+        if out[5][row] <= 0:  # 0 where the voltages that it settled at cannot be
+            out[5][row] = NOT_IN_BLOCKS
             unsettled += 1
     return unsettled
 
 
 @compiled(inner=True)
-def _one(lane, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
+def _one(row, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
     """Sweep one row in a block of width 1 to the tolerance; return the number of sweeps and whether it settled."""
     off, finite = work[10], True
     for b in range(len(wide)):  # no literal 0, for which the compiler would make a second version
-        finite = load_lane(b, lane, plan, wide, given, nodes, n_device, work)
+        finite = load_row(b, row, plan, wide, given, nodes, n_device, work)
     off[0] = np.inf
     if not finite:
         return 0, False
     begin(plan, wide, work)
-    start_lane(0, lane, plan, wide, start, work)
+    start_row(0, row, plan, wide, start, work)
     before = 1.0
     for sweep in range(1, max_sweeps + 1):
         sweep_block(plan, wide, nodes, n_device, work)
@@ -133,7 +133,7 @@ def _one(lane, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_devi
 
 
 @compiled(nogil=True)
-def sweep_lanes(plan, wide, given, start, tolerance_pu, max_sweeps, out):
+def sweep_rows(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     """Solve each row of ``given`` into the arrays of ``out``; return the number of rows without a solution.
 
     ``given`` holds p_kw, q_kvar (row, leg), source_pu (row,), the regulators' ratios (row, regulator) and the
@@ -144,7 +144,7 @@ def sweep_lanes(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     its start.
     """
     p_kw, q_kvar = given[0], given[1]
-    n_lanes, n_leg, n_node = p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
+    n_row, n_leg, n_node = p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
     tolerance_sq = tolerance_pu * tolerance_pu
     work = workspace(plan, wide, given)
     nodes = np.empty(n_node, np.uint64)
@@ -152,22 +152,22 @@ def sweep_lanes(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     column = np.zeros(1, np.uint64)
     cold = start[:0]
     failed = 0
-    for lane in range(n_lanes):
-        if out[5][lane] > 0:
+    for row in range(n_row):
+        if out[5][row] > 0:
             continue
-        place = np.uint64(lane)
-        n_device = active_devices(p_kw, q_kvar, lane, 1, n_leg, drawn, nodes)
-        if start.shape[0] > 0 and out[5][lane] != NOT_IN_BLOCKS:
+        place = np.uint64(row)
+        n_device = active_devices(p_kw, q_kvar, row, 1, n_leg, drawn, nodes)
+        if start.shape[0] > 0 and out[5][row] != NOT_IN_BLOCKS:
             most = min(BLOCK_SWEEPS, max_sweeps)
-            sweeps, settled = _one(lane, plan, wide, given, start, tolerance_sq, most, nodes, n_device, work)
-            if settled and store_lanes(column, 1, place, plan, wide, work, sweeps, settled, out) == 0:
+            sweeps, settled = _one(row, plan, wide, given, start, tolerance_sq, most, nodes, n_device, work)
+            if settled and store_rows(column, 1, place, plan, wide, work, sweeps, settled, out) == 0:
                 continue
-        sweeps, settled = _one(lane, plan, wide, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
+        sweeps, settled = _one(row, plan, wide, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
         if work[10][0] == np.inf:
             _clear(plan, work)
         if settled:
-            settled = store_lanes(column, 1, place, plan, wide, work, sweeps, settled, out) == 0
+            settled = store_rows(column, 1, place, plan, wide, work, sweeps, settled, out) == 0
         if not settled:
-            store_lanes(column, 1, place, plan, wide, work, sweeps, settled, out)
+            store_rows(column, 1, place, plan, wide, work, sweeps, settled, out)
             failed += 1
     return failed

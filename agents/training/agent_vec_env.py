@@ -1,6 +1,6 @@
-"""Stable-Baselines3 lanes of single agents, for one policy that drives agents of every kind.
+"""A Stable-Baselines3 vector environment of single agents, for one policy that drives agents of every kind.
 
-``AgentVecEnv`` has a lane for each agent of each environment, environment by environment, for one policy that drives
+``AgentVecEnv`` has a row for each agent of each environment, environment by environment, for one policy that drives
 them all; its observation holds, in this order,
 
     the fields of every kind of agent, each once by name, 0 where an agent has no such field
@@ -8,7 +8,7 @@ them all; its observation holds, in this order,
     kind: 1 for a data centre, 0 for another; then a figure for each kind but inverters, 1 for an agent of it
 
 and its action is (clock, q) and then the other channels of its agents, each once by name; entries that an agent does
-not have, as an inverter's clock, go nowhere. The reward is the team's, for each lane alike.
+not have, as an inverter's clock, go nowhere. The reward is the team's, for each row alike.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dcgrid_env.baselines.equipment_agents import at_rest
 
 
 class AgentVecEnv(JointVecEnv):
-    """One lane for each agent of each environment, (environment, agent) in turn; see the module's head.
+    """One row for each agent of each environment, (environment, agent) in turn; see the module's head.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ class AgentVecEnv(JointVecEnv):
                 "no policy with the others: choose 'joint', or give under_own_control(scenario)"
             )
         view = self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
-        self.fields = tuple(dict.fromkeys(name for own in view.groups.values() for name in own.fields))
+        self.fields = tuple(dict.fromkeys(name for group in view.groups.values() for name in group.fields))
         self._figures = 3 * nameplate
         self.kinds = ("inverter", "datacenter", *(kind for kind in view.groups if kind not in PLAIN_CHANNELS))
         """Kinds of agents, in the order of the rows of ``used``; each but the first has a figure of its own."""
-        self.members = {kind: np.arange(own.agents.start, own.agents.stop) for kind, own in view.groups.items()}
+        self.members = {kind: np.arange(group.agents.start, group.agents.stop) for kind, group in view.groups.items()}
         """Positions of the agents of each kind among all."""
         self._kind = np.zeros((scenario.n_agents, len(self.kinds) - 1), np.float32)
         for i, kind in enumerate(self.kinds[1:]):
@@ -67,16 +67,16 @@ class AgentVecEnv(JointVecEnv):
         super().__init__(scenario, n_envs, act, outputs, gains, render_mode)
 
     @property
-    def lanes_per_env(self) -> int:
-        """Lanes of an environment."""
+    def rows_per_env(self) -> int:
+        """Rows of an environment."""
         return self.scenario.n_agents
 
     @property
     def used(self) -> np.ndarray:
         """1 for each entry of an action that reaches the grid, else 0, float32, (kind, n_action), see ``kinds``."""
-        own = PLAIN_CHANNELS | self._agent_interface.channels
+        channels_of = PLAIN_CHANNELS | self._agent_interface.channels
         return np.array(
-            [[name in own[kind] and in_hand(self.act, name) for name in self.channels] for kind in self.kinds],
+            [[name in channels_of[kind] and in_hand(self.act, name) for name in self.channels] for kind in self.kinds],
             np.float32,
         )
 
@@ -84,23 +84,23 @@ class AgentVecEnv(JointVecEnv):
     def channels(self) -> tuple[str, ...]:
         """Names of the entries of an action."""
         of_kinds = self._agent_interface.channels.values()
-        return tuple(dict.fromkeys(("clock", "q", *(name for own in of_kinds for name in own))))
+        return tuple(dict.fromkeys(("clock", "q", *(name for names in of_kinds for name in names))))
 
     @property
     def rest(self) -> np.ndarray:
         """What an action is at rest as a setpoint, the mean over the agents that have it, float32, (n_action,)."""
         resting, layout = at_rest(self.scenario), action_layout(self.scenario)
-        own = [resting[layout.is_channel(name)] for name in self.channels]
-        return np.array([values.mean() if len(values) else 0.0 for values in own], np.float32)
+        at_rest_values = [resting[layout.is_channel(name)] for name in self.channels]
+        return np.array([values.mean() if len(values) else 0.0 for values in at_rest_values], np.float32)
 
     def entries(self, kind: str) -> list[int]:
-        """Where a lane's action holds the channels of agents of a kind, in their order."""
+        """Where a row's action holds the channels of agents of a kind, in their order."""
         return [self.channels.index(name) for name in self._agent_interface.channels[kind]]
 
     def columns(self, agent: str) -> np.ndarray:
-        """Where a lane's observation holds the agent's own observation, and its nameplate figures if there are any."""
-        own = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
-        return np.array(own + [len(self.fields) + i for i in range(self._figures)])
+        """Where a row's observation holds the agent's own observation, and its nameplate figures if there are any."""
+        field_columns = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
+        return np.array(field_columns + [len(self.fields) + i for i in range(self._figures)])
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
         joint, _ = super()._spaces()
@@ -114,13 +114,13 @@ class AgentVecEnv(JointVecEnv):
 
     def _rows(self, joint: np.ndarray) -> np.ndarray:
         n_agent, n_kind = self._kind.shape
-        lanes = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
-        lanes[..., -n_kind:] = self._kind
-        for kind, own in self._agent_interface.inputs(joint).items():
+        rows = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
+        rows[..., -n_kind:] = self._kind
+        for kind, inputs in self._agent_interface.inputs(joint).items():
             members = self.members[kind]
-            lanes[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = own
-        return lanes.reshape(-1, lanes.shape[-1])
+            rows[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = inputs
+        return rows.reshape(-1, rows.shape[-1])
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
         each = (actions * self.reach).reshape(-1, self.scenario.n_agents, self._n_action)
-        return {kind: each[:, own[:, None], self.entries(kind)] for kind, own in self.members.items()}
+        return {kind: each[:, members[:, None], self.entries(kind)] for kind, members in self.members.items()}

@@ -1,4 +1,4 @@
-"""The same bits in any lane and on any number of threads, starts, and what is refused by name."""
+"""The same bits in any row and on any number of threads, starts, and what is refused by name."""
 
 import re
 
@@ -9,20 +9,20 @@ from dcgrid_env import load_feeder
 from dcgrid_env.core import threads
 from dcgrid_env.powerflow import Control, PowerFlowError, solve_unbalanced, solver_for
 
-LANES = 140
+N_ROW = 140
 
 
-def bits(solution, lane):
-    return [np.asarray(figures[lane]).tobytes() for figures in solution]
+def bits(solution, row):
+    return [np.asarray(figures[row]).tobytes() for figures in solution]
 
 
-def test_same_bits_alone_and_in_any_lane(feeder, random_inputs, solved):
-    inputs = random_inputs(feeder, LANES, 30)
+def test_same_bits_alone_and_in_any_row(feeder, random_inputs, solved):
+    inputs = random_inputs(feeder, N_ROW, 30)
     whole = solved(feeder, inputs)
     assert whole.converged.all()
-    for lane in (0, 31, 32, LANES - 1):
-        alone = solved(feeder, type(inputs)(*(a[lane] for a in inputs)))
-        assert bits(whole, lane) == [np.asarray(figures).tobytes() for figures in alone]
+    for row in (0, 31, 32, N_ROW - 1):
+        alone = solved(feeder, type(inputs)(*(a[row] for a in inputs)))
+        assert bits(whole, row) == [np.asarray(figures).tobytes() for figures in alone]
     shifted = solved(feeder, type(inputs)(*(a[5:77] for a in inputs)))
     assert bits(shifted, 3) == bits(whole, 8)
     deep = type(inputs)(*(a.reshape(10, 14, *a.shape[1:]) for a in inputs))
@@ -100,13 +100,13 @@ def test_what_is_refused_by_name(change, message):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize(("leg", "what"), [(4, "load 634b at bus 634"), (57, "the device leg of phase")])
-@pytest.mark.parametrize("lanes", [1, 40])
-def test_a_power_that_is_not_finite_is_named(value, leg, what, lanes):
+@pytest.mark.parametrize("n_row", [1, 40])
+def test_a_power_that_is_not_finite_is_named(value, leg, what, n_row):
     feeder = load_feeder("ieee13-3ph")
-    p_kw, q_kvar = np.tile(feeder.p_load_kw, (lanes, 1)), np.tile(feeder.q_load_kvar, (lanes, 1))
+    p_kw, q_kvar = np.tile(feeder.p_load_kw, (n_row, 1)), np.tile(feeder.q_load_kvar, (n_row, 1))
     q_kvar[-1, leg] = value
     with pytest.raises(
-        PowerFlowError, match=rf"q_kvar of {what}.* is {re.escape(str(value))} in scenario \({lanes - 1},\)"
+        PowerFlowError, match=rf"q_kvar of {what}.* is {re.escape(str(value))} in scenario \({n_row - 1},\)"
     ):
         solve_unbalanced(feeder, p_kw, q_kvar)
 
@@ -116,6 +116,6 @@ def test_a_balanced_feeder_is_refused():
         solve_unbalanced(load_feeder("toy6"), np.zeros(6), np.zeros(6))  # pyright: ignore[reportArgumentType]
 
 
-def test_no_lanes_at_all(feeder):
+def test_no_rows_at_all(feeder):
     solution = solve_unbalanced(feeder, np.zeros((0, feeder.n_leg)), np.zeros((0, feeder.n_leg)))
     assert solution.v_pu.shape == (0, feeder.n_node)

@@ -1,4 +1,4 @@
-"""A block of lanes: what is loaded into it, its sweep, and what is handed over from it."""
+"""A block of rows: what is loaded into it, its sweep, and what is handed over from it."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def workspace(plan, wide, given):
 
 @compiled(inner=True)
 def active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes):
-    """List the nodes at which any of these lanes has a device that draws; their number. ``drawn`` is scratch."""
+    """List the nodes at which any of these rows has a device that draws; their number. ``drawn`` is scratch."""
     n_node, skip = np.uint64(nodes.shape[0]), np.uint64(n_leg)
     for n in range(n_node):
         drawn[n] = 0.0
-    for lane in range(first, first + count):
+    for row in range(first, first + count):
         for n in range(n_node):
-            drawn[n] += abs(p_kw[lane, skip + n]) + abs(q_kvar[lane, skip + n])
+            drawn[n] += abs(p_kw[row, skip + n]) + abs(q_kvar[row, skip + n])
     found = 0
     for n in range(n_node):
         if drawn[n] != 0.0:
@@ -59,8 +59,8 @@ def active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes):
 
 
 @compiled(inner=True)
-def load_lane(b, lane, plan, wide, given, nodes, n_device, work):
-    """Put a lane's inputs into column b, and the ideal source's voltage; whether all of them are finite."""
+def load_row(b, row, plan, wide, given, nodes, n_device, work):
+    """Put a row's inputs into column b, and the ideal source's voltage; whether all of them are finite."""
     p_kw, q_kvar, source_pu, ratios, states = given
     V, _, P, Q, DP, DQ, _, ratio, on, _, _ = work
     W = np.uint64(len(wide))
@@ -70,37 +70,37 @@ def load_lane(b, lane, plan, wide, given, nodes, n_device, work):
     for k in range(n_leg):
         leg = plan.leg_order[k]
         at = np.uint64(k) * W + b
-        P[at] = p_kw[lane, leg] * plan.leg_law[k, 0]
-        Q[at] = q_kvar[lane, leg] * plan.leg_law[k, 0]
+        P[at] = p_kw[row, leg] * plan.leg_law[k, 0]
+        Q[at] = q_kvar[row, leg] * plan.leg_law[k, 0]
         check += 0.0 * P[at] + 0.0 * Q[at]
     for k in range(n_device):
         at = np.uint64(k) * W + b
-        DP[at] = p_kw[lane, n_leg + nodes[k]] * PER_KVA
-        DQ[at] = q_kvar[lane, n_leg + nodes[k]] * PER_KVA
+        DP[at] = p_kw[row, n_leg + nodes[k]] * PER_KVA
+        DQ[at] = q_kvar[row, n_leg + nodes[k]] * PER_KVA
         check += 0.0 * DP[at] + 0.0 * DQ[at]
     for k in range(ratios.shape[1]):
-        ratio[np.uint64(k) * W + b] = ratios[lane, k]
+        ratio[np.uint64(k) * W + b] = ratios[row, k]
     for k in range(states.shape[1]):
-        on[np.uint64(k) * W + b] = states[lane, k]
+        on[np.uint64(k) * W + b] = states[row, k]
     for k in range(3):
         at = (n_node + U1 + np.uint64(k)) * U2 * W + b
-        V[at] = source_pu[lane] * plan.source[k, 0]
-        V[at + W] = source_pu[lane] * plan.source[k, 1]
+        V[at] = source_pu[row] * plan.source[k, 0]
+        V[at + W] = source_pu[row] * plan.source[k, 1]
     return check == 0.0
 
 
 @compiled(inner=True)
-def start_lane(b, lane, plan, wide, start, work):
-    """Put the voltages to start from into column b, where there are any: a lane of zeros is none."""
+def start_row(b, row, plan, wide, start, work):
+    """Put the voltages to start from into column b, where there are any: a row of zeros is none."""
     V = work[0]
     W = np.uint64(len(wide))
     n_node = plan.up.shape[0]
-    if start.shape[0] == 0 or start[lane, 0] == 0.0:
+    if start.shape[0] == 0 or start[row, 0] == 0.0:
         return
     for n in range(n_node):
         at = np.uint64(n) * U2 * W + np.uint64(b)
-        V[at] = start[lane, n]
-        V[at + W] = start[lane, n_node + n]
+        V[at] = start[row, n]
+        V[at + W] = start[row, n_node + n]
 
 
 @compiled(inner=True)
@@ -172,13 +172,13 @@ def _loss(plan, wide, V, J, ratio, loss):
 
 
 @compiled(inner=True)
-def store_lanes(columns, count, first, plan, wide, work, sweeps, is_good, out):
-    """Hand over the first ``count`` of these columns of a block whose first lane is ``first``.
+def store_rows(columns, count, first, plan, wide, work, sweeps, is_good, out):
+    """Hand over the first ``count`` of these columns of a block whose first row is ``first``.
 
-    A lane whose voltages cannot be is said not to have converged.
+    A row whose voltages cannot be is said not to have converged.
     """
     V, J, _, _, _, _, H, ratio, _, T, off = work
-    v_pu, volts, amperes, per_lane, converged, iterations = out
+    v_pu, volts, amperes, per_row, converged, iterations = out
     W = np.uint64(len(wide))
     n_node = plan.up.shape[0]
     _loss(plan, wide, V, J, ratio, T)
@@ -193,21 +193,21 @@ def store_lanes(columns, count, first, plan, wide, work, sweeps, is_good, out):
             H[W + b] = H[W + b] if H[W + b] > v_sq else v_sq
             T[W + b] = np.sqrt(v_sq)
         for c in range(count):
-            b, lane = columns[c], first + columns[c]
-            v_pu[lane, n] = T[W + b]
-            volts[lane, n], volts[lane, n_node + n] = V[o + b], V[o + W + b]
-            amperes[lane, n], amperes[lane, n_node + n] = J[o + b] * ampere, J[o + W + b] * ampere
+            b, row = columns[c], first + columns[c]
+            v_pu[row, n] = T[W + b]
+            volts[row, n], volts[row, n_node + n] = V[o + b], V[o + W + b]
+            amperes[row, n], amperes[row, n_node + n] = J[o + b] * ampere, J[o + W + b] * ampere
     failed = 0
     for c in range(count):
-        b, lane = columns[c], first + columns[c]
+        b, row = columns[c], first + columns[c]
         p = q = 0.0
         for i in range(U3):
             at = i * U2 * W + b
             p += V[at] * J[at] + V[at + W] * J[at + W]
             q += V[at + W] * J[at] - V[at] * J[at + W]
-        per_lane[0, lane], per_lane[1, lane] = T[b] * PHASE_BASE_KVA, p * PHASE_BASE_KVA
-        per_lane[2, lane], per_lane[3, lane] = q * PHASE_BASE_KVA, np.sqrt(off[b]) * PHASE_BASE_KVA
-        converged[lane] = is_good and H[b] > V_SQ_FLOOR and H[W + b] < V_SQ_CEILING
-        iterations[lane] = sweeps if converged[lane] or not is_good else 0
-        failed += not converged[lane]
+        per_row[0, row], per_row[1, row] = T[b] * PHASE_BASE_KVA, p * PHASE_BASE_KVA
+        per_row[2, row], per_row[3, row] = q * PHASE_BASE_KVA, np.sqrt(off[b]) * PHASE_BASE_KVA
+        converged[row] = is_good and H[b] > V_SQ_FLOOR and H[W + b] < V_SQ_CEILING
+        iterations[row] = sweeps if converged[row] or not is_good else 0
+        failed += not converged[row]
     return failed
