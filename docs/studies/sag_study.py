@@ -214,7 +214,8 @@ def markdown(study: SagStudy, made_by: str, image: str) -> str:
         "the order of events are comparable with this study. The amount is not: a distribution feeder loses hundreds "
         "of kW. The model does not include frequency or the transmission system."
     )
-    before = (wrapped(about), wrapped(_answer(study)), wrapped(method), f"![The recorded sags under each controller]({image})", wrapped(drawn))
+    picture = f"![The recorded sags under each controller]({image})"
+    before = (wrapped(about), wrapped(_answer(study)), wrapped(method), picture, wrapped(drawn))
     after = (wrapped(about_best) if any(one.name == BEST_KNOWN for one in study.driven) else "",)
     limits = f"## Limitations\n\n{wrapped(scale)}"
     return page("Six voltage sags in 82 seconds", made_by, *before, table(study).markdown(), *after, limits)
@@ -228,9 +229,9 @@ def _answer(study: SagStudy) -> str:
     worst, best = ranked[0], ranked[-1]
     trips, lost_kw = 1, 2
     return (
-        f"**Answer.** `{best.name}` costs least. Compared with `{worst.name}`, the mean number of site trips falls from "
-        f"{worst.figures[trips]:.1f} to {best.figures[trips]:.1f}, and the lost load from {worst.figures[lost_kw]:.0f} "
-        f"to {best.figures[lost_kw]:.0f} kW."
+        f"**Answer.** `{best.name}` costs least. Compared with `{worst.name}`, the mean number of site trips falls "
+        f"from {worst.figures[trips]:.1f} to {best.figures[trips]:.1f}, and the lost load from "
+        f"{worst.figures[lost_kw]:.0f} to {best.figures[lost_kw]:.0f} kW."
     )
 
 
