@@ -95,11 +95,11 @@ def table(episodes: int, results: Sequence[LeftOut]) -> Table:
 def markdown(results: Sequence[LeftOut], shown: Table, made_by: str) -> str:
     """The page."""
     about = (
-        "For each scenario, a policy is trained on all scenarios with another feeder and on variants of them with other "
-        "places, ratings and substation voltages. It is selected on their validation splits and then tested, unchanged, "
-        "on the scenario that was left out. It has local observations, which include R and X of the bus. The table "
-        "compares it with the bundled policy for that scenario and with the better of the two rules that measure "
-        "nothing. " + SCORE
+        "For each scenario, a policy is trained on all scenarios with another feeder and on variants of them with "
+        "other places, ratings and substation voltages. It is selected on their validation splits and then tested, "
+        "unchanged, on the scenario that was left out. It has local observations, which include R and X of the bus. "
+        "The table compares it with the bundled policy for that scenario and with the better of the two rules that "
+        "measure nothing. " + SCORE
     )
     each = commands(
         "Commands for the first seed of each run:", ((f"without {one.scenario}", one.command) for one in results)
