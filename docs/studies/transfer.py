@@ -189,7 +189,7 @@ class Transfer(Command):
         at_least(self, episodes=2)
         policies = {name: policies_of(name, scenarios) for name in algorithms}
         if none := next((name for name, own in policies.items() if not own), None):
-            raise ValueError(f"algorithms: no policy of {none!r} is bundled for these scenarios (dcgrid list)")
+            raise ValueError(f"algorithms: no policy of {none!r} ships for these scenarios (dcgrid list)")
         require_published(scenarios, self.episodes, self.split)
         check_folder(self.out)
         console = plain_console()

@@ -45,7 +45,7 @@ def test_the_command(tmp_path, capsys):
     assert "[0.5" in (tmp_path / "transfer.md").read_text()
     for asked, message in (
         (["--episodes", "1"], "episodes is 1; give at least 2"),
-        (["--algorithms", "sac"], "no policy of 'sac' is bundled for these scenarios"),
+        (["--algorithms", "sac"], "no policy of 'sac' ships for these scenarios"),
         (["--scenarios", "toy6", "--episodes", "101"], "not seed 100: give fewer"),
         (["--scenarios", "toy6", "--split", "nosuch"], "split is 'nosuch'"),
     ):
