@@ -21,7 +21,7 @@ Records = dict[str, Any]
 PARTS = ("table_one", "stability", "comparison", "gains", "inverters", "bus_thirteen", "intervals")
 """Parts of the study that depend on the form of the feeder and need no other feeder and no linear power flow."""
 LEFT_OUT = {
-    "linear and nonlinear grid are not qualitatively different": "there is no linear three-phase power flow",
+    "linear and nonlinear grid are not qualitatively different": "the package has no linear three-phase power flow",
     "active power is the stronger lever where r/x is high": "it compares feeders",
     "Fig. 3: without regulation the voltage can float high after a change in compute load": "it uses the "
     "six-bus feeder",

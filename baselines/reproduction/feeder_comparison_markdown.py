@@ -51,7 +51,7 @@ def _head(records: Records) -> str:
         )
     columns = "\n".join(f"- *{form['label']}*: {form['about']}." for form in forms.values())
     parts = ("# The paper's study on the unbalanced feeder", wrapped(purpose), "Made by")
-    parts += (code_block(records["meta"]["command"]), wrapped(_summary(records)))
+    parts += (code_block(records["meta"]["command"]), _summary(records))
     return "\n\n".join((*parts, "## Setting", wrapped(setting), wrapped(sites), columns))
 
 
@@ -69,12 +69,15 @@ def _summary(records: Records) -> str:
         for order in records["orders"]
         if (order["rows"], order["by"]) == ("laws", "J") and records["cases"][order["case"]] is last
     ]
-    rank = f" Kendall's tau of the laws by J is {taus[0]:.2f}." if taus[0] is not None else ""
-    return (
-        f"The gain of the law over inverters only is {gain[0]:.1f} % on the balanced equivalent and {gain[-1]:.1f} % "
-        f"on the unbalanced feeder with regulators.{rank} The verdict differs on {len(changed)} of "
-        f"{len(first['claims'])} claims{': ' if changed else ''}{'; '.join(changed)}."
-    )
+    found = [
+        f"The law's gain over inverters only is {gain[0]:.1f} % on the balanced equivalent and {gain[-1]:.1f} % on the "
+        "unbalanced feeder with regulators.",
+        f"The verdict differs on {len(changed)} of {len(first['claims'])} claims.",
+        *(f"*{claim}* has another verdict." for claim in changed),
+    ]
+    if taus[0] is not None:
+        found.append(f"The ranking of the laws by J has a Kendall tau of {taus[0]:.2f} between the two models.")
+    return "\n".join(wrapped(f"- {line}", "  ") for line in found)
 
 
 def causes_table(records: Records) -> Table:
@@ -130,18 +133,17 @@ def _ranked(values: list[float], how: str) -> list[str]:
 
 
 def _laws(records: Records) -> str:
-    forms = records["cases"]
+    forms = list(records["cases"].values())
+    ends = (forms[0], forms[-1])
     rows = []
-    counts = sorted({r["n_datacenters"] for r in next(iter(forms.values()))["comparison"]})
-    for n in counts:
-        of_form = [[r for r in form["comparison"] if r["n_datacenters"] == n] for form in forms.values()]
-        columns = [_ranked([r["deviation_mean_pu"] for r in own], ".4f") for own in of_form]
-        columns += [_ranked([r["J"] for r in own], ".3f") for own in (of_form[0], of_form[-1])]
+    for n in sorted({r["n_datacenters"] for r in forms[0]["comparison"]}):
+        of_form = [[r for r in form["comparison"] if r["n_datacenters"] == n] for form in ends]
+        columns = [_ranked([r["deviation_mean_pu"] for r in found], ".4f") for found in of_form]
+        columns += [_ranked([r["J"] for r in found], ".3f") for found in of_form]
         laws = [LABELS[r["law"]] for r in of_form[0]]
         rows += [[str(n), law, *row] for law, row in zip(laws, zip(*columns, strict=True), strict=True)]
     head = ["sites", "law (k_p = 1)"]
-    labels = [form["label"] for form in forms.values()]
-    head += [f"deviation (p.u.): {label}" for label in labels] + [f"J: {label}" for label in (labels[0], labels[-1])]
+    head += [f"{what}: {form['label']}" for what in ("deviation (p.u.)", "J") for form in ends]
     return f"""## No control, inverters only, both axes (Fig. 5)
 
 Brackets contain the rank among the laws at that number of sites.
