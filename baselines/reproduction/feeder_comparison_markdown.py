@@ -60,7 +60,7 @@ def _summary(records: Records) -> str:
     first, *_, last = records["cases"].values()
     gain = next(list(row["values"].values()) for row in records["causes"] if row["figure"].startswith("gain"))
     changed = [
-        row["claim"]
+        (row["claim"], row["verdict"], there["verdict"])
         for row, there in zip(first["claims"], last["claims"], strict=True)
         if row["verdict"] != there["verdict"]
     ]
@@ -73,7 +73,7 @@ def _summary(records: Records) -> str:
         f"The law's gain over inverters only is {gain[0]:.1f} % on the balanced equivalent and {gain[-1]:.1f} % on the "
         "unbalanced feeder with regulators.",
         f"The verdict differs on {len(changed)} of {len(first['claims'])} claims.",
-        *(f"*{claim}* has another verdict." for claim in changed),
+        *(f"*{claim}*: *{verdict}* balanced, *{there}* unbalanced." for claim, verdict, there in changed),
     ]
     if taus[0] is not None:
         found.append(f"The ranking of the laws by J has a Kendall tau of {taus[0]:.2f} between the two models.")
