@@ -1,4 +1,4 @@
-"""The IEEE 123 node feeder in the forms that the study is held against: what each of them adds to the one before."""
+"""Forms of the IEEE 123 node feeder that the study compares; each adds one thing to the previous one."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def cases() -> dict[str, Case]:
         "balanced": Case("balanced", f"`{BALANCED}`, the balanced single-phase equivalent", BALANCED, {}),
         "phases": Case(
             "with phases",
-            f"`{TRUE}` with the line regulators at 9, 25 and 160, which the equivalent lacks, held at neutral",
+            f"`{TRUE}` with the line regulators at 9, 25 and 160, which the equivalent lacks, at neutral",
             TRUE,
             fixed | {"feeder": without_line_regulators()},
         ),
-        "fixed": Case("fixed taps", f"`{TRUE}` with all regulators held at their published taps", TRUE, fixed),
-        "acting": Case("acting", f"`{TRUE}` as it is, its regulators acting by their own controls", TRUE, {}),
+        "fixed": Case("fixed taps", f"`{TRUE}` with all regulators fixed at their published taps", TRUE, fixed),
+        "acting": Case("acting", f"`{TRUE}` unchanged, with regulators under their local control", TRUE, {}),
     }
 
 
@@ -52,7 +52,7 @@ def without_line_regulators() -> ThreePhaseFeeder:
 
 
 def common_sites() -> tuple[int, ...]:
-    """Buses of the public code that have all three phases, where a balanced load can stand on either feeder."""
+    """Return the three-phase buses of the public code, where a balanced load is possible on both feeders."""
     feeder = load_feeder(TRUE)
     return tuple(bus for bus in PUBLISHED_BUSES if feeder.bus_phases[feeder.index(bus)] == "abc")
 

@@ -1,4 +1,4 @@
-"""The study on the forms of the IEEE 123 node feeder side by side: what changes, and what it is due to."""
+"""Compare the study on several forms of the IEEE 123 node feeder."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Records = dict[str, Any]
 PARTS = ("table_one", "stability", "comparison", "gains", "inverters", "bus_thirteen", "intervals")
 """Parts of the study that depend on the form of the feeder and need no other feeder and no linear power flow."""
 LEFT_OUT = {
-    "linear and nonlinear grid are not qualitatively different": "the study has no linear power flow of three phases",
-    "active power is the stronger lever where r/x is high": "it compares this feeder with others",
-    "Fig. 3: without regulation the voltage can float high after a change in compute load": "it is about the six-bus "
-    "feeder of that figure",
-    "tap changers are too slow for dips of a second or less": "the page of the balanced study tests it on this feeder",
+    "linear and nonlinear grid are not qualitatively different": "the package has no linear three-phase power flow",
+    "active power is the stronger lever where r/x is high": "it compares feeders",
+    "Fig. 3: without regulation the voltage can float high after a change in compute load": "it uses the "
+    "six-bus feeder",
+    "tap changers are too slow for dips of a second or less": "the reproduction tests it on this feeder",
     "ramps of 10 to 20 % dominate": "it is about the load",
     "Llama 3 405B is not more dynamic than models of middle size": "it is about the load",
 }

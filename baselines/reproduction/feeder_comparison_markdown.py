@@ -1,4 +1,4 @@
-"""The written result of the study on several forms of the feeder: Markdown made of the records alone."""
+"""Render the study on several forms of the feeder as Markdown."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from dcgrid_env.baselines.reproduction.drawing import LABELS
 from dcgrid_env.baselines.reproduction.feeder_comparison import LEFT_OUT
-from dcgrid_env.baselines.reproduction.markdown import load_note, table, where_sites_stand, wrapped
+from dcgrid_env.baselines.reproduction.markdown import load_note, site_placement, table, wrapped
 from dcgrid_env.baselines.reproduction.ranking import ranks
 from dcgrid_env.core.versions import code_block
 
@@ -16,50 +16,74 @@ Records = dict[str, Any]
 Table = tuple[list[str], list[list[str]]]
 """Headings and rows."""
 SWAPS_SHOWN = 12
-"""Swapped pairs that are named; more are counted."""
+"""Number of swapped pairs that are named."""
+ENDS = 2
+"""Forms of the feeder whose J is shown: the first and the last."""
+BALANCED_RESULT = 2
+"""Column of the table of claims that the page leaves out, as it is in the reproduction."""
 _ROWS = {"table_one": "Table I, all rows", "laws": "the laws at each number of sites"}
 
 
 def render_comparison(records: Records) -> str:
-    """Markdown of the records of :func:`compare_feeders`, to which ``meta`` has been added."""
-    parts = (_head, _causes, _table_one, _laws, _orders, _claims, _equipment)
+    """Return the Markdown page for the records of :func:`compare_feeders`, with ``meta`` added to them."""
+    parts = (_head, _causes, _claims, _orders, _table_one, _laws, _equipment)
     return "\n\n".join(part(records) for part in parts) + "\n"
 
 
 def _head(records: Records) -> str:
     s, forms = records["setting"], records["cases"]
+    purpose = (
+        f"This page compares the study of {s['paper']}, on two models of its feeder: the balanced equivalent of "
+        "[the reproduction](reproduction.md) and the unbalanced feeder with phases and regulators. It shows which "
+        "conclusions depend on the balanced model."
+    )
     setting = (
-        f"{s['episodes']} episodes of 120 s for each cell, the same in every column, data centres "
-        f"{where_sites_stand(s)}. Load: **{s['load']}**, {s['load_description']}. "
-        "Deviation is abs(V - 1) over all buses but the substation, or all their phases, and all seconds. k_p is the "
-        "paper's, k_q = 0.5 Mvar/(p.u. s) and alpha = 0.3 /s are the defaults here; nothing is tuned, on neither "
-        f"feeder.{load_note(s)}"
+        f"{s['episodes']} episodes of 120 s for each cell, the same in every column, data centres {site_placement(s)}. "
+        f"Load: **{s['load']}**, {s['load_description']}.{load_note(s)} The deviation is abs(V - 1) over all buses "
+        "except the substation, or all their phases, and all seconds. Gains are those of the reproduction; nothing is "
+        "tuned."
     )
-    sites = (
-        "On the feeder with its phases a data centre stands at a bus that has all three; the equivalent draws among "
-        "its single-phase laterals too. `--placement published` puts both at the same buses. The seven inverters stand "
-        "at the same buses in all columns, four of which have one phase."
-        if s["placement"] == "random"
-        else "The seven inverters stand at the same buses in all columns, four of which have one phase."
-    )
-    columns = "\n".join(f"- *{form['label']}*: {form['about']}." for form in forms.values())
-    return "\n\n".join(
-        (
-            "# The paper's study on the unbalanced feeder",
-            wrapped(f"{s['paper']}. The study on the balanced equivalent alone: [reproduction.md](reproduction.md)."),
-            "Made by",
-            code_block(records["meta"]["command"]),
-            wrapped(setting),
-            wrapped(sites),
-            columns,
+    sites = "The seven inverters are at the same buses in all columns; four of these have one phase."
+    if s["placement"] == "random":
+        sites += (
+            " On the unbalanced feeder data centres are at three-phase buses, while the equivalent also draws among "
+            "single-phase laterals. `--placement published` uses the same buses for both."
         )
-    )
+    columns = "\n".join(f"- *{form['label']}*: {form['about']}." for form in forms.values())
+    parts = ("# The paper's study on the unbalanced feeder", wrapped(purpose), "Made by")
+    parts += (code_block(records["meta"]["command"]), _summary(records))
+    return "\n\n".join((*parts, "## Setting", wrapped(setting), wrapped(sites), columns))
+
+
+def _summary(records: Records) -> str:
+    """Summarise the gain and the verdicts on the first and the last form of the feeder."""
+    first, *_, last = records["cases"].values()
+    gain = next(list(row["values"].values()) for row in records["causes"] if row["figure"].startswith("gain"))
+    changed = [
+        (row["claim"], row["verdict"], there["verdict"])
+        for row, there in zip(first["claims"], last["claims"], strict=True)
+        if row["verdict"] != there["verdict"]
+    ]
+    taus = [
+        order["kendall_tau"]
+        for order in records["orders"]
+        if (order["rows"], order["by"]) == ("laws", "J") and records["cases"][order["case"]] is last
+    ]
+    found = [
+        f"The law's gain over inverters only is {gain[0]:.1f} % on the balanced equivalent and {gain[-1]:.1f} % on the "
+        "unbalanced feeder with regulators.",
+        f"The verdict differs on {len(changed)} of {len(first['claims'])} claims.",
+        *(f"*{claim}*: *{verdict}* balanced, *{there}* unbalanced." for claim, verdict, there in changed),
+    ]
+    if taus[0] is not None:
+        found.append(f"The ranking of the laws by J has a Kendall tau of {taus[0]:.2f} between the two models.")
+    return "\n".join(wrapped(f"- {line}", "  ") for line in found)
 
 
 def causes_table(records: Records) -> Table:
-    """What each form of the feeder adds to some figures."""
+    """Split selected figures into the contributions of each form of the feeder."""
     forms = list(records["cases"].values())
-    head = ["", forms[0]["label"], *(f"+ {form['label']}" for form in forms[1:]), "the true feeder"]
+    head = ["", forms[0]["label"], *(f"+ {form['label']}" for form in forms[1:]), "unbalanced feeder"]
     rows = []
     for row in records["causes"]:
         values, how = list(row["values"].values()), row["format"]
@@ -70,29 +94,28 @@ def causes_table(records: Records) -> Table:
 
 
 def _causes(records: Records) -> str:
-    return f"""## What changes, and what it is due to
+    return f"""## Causes of the differences
 
-Means over 1 to 5 sites unless a row says otherwise, k_p = 1. The first column of figures is the balanced equivalent,
-each further one what that form adds, the last one their sum.
+Means over 1 to 5 sites unless stated otherwise, k_p = 1. The first column of figures is the balanced equivalent, each
+further column the contribution of that form, and the last column the sum.
 
 {table(*causes_table(records))}"""
 
 
 def table_one_table(records: Records) -> Table:
-    """Table I on every form of the feeder: the deviations with their places, then J, delay and spectral radius."""
+    """Table I on every form of the feeder: ranked deviations, then J, delay and spectral radius of the two ends."""
     forms = records["cases"]
     cells = {name: [r for r in form["table_one"] if r["memory"] == "cumulative"] for name, form in forms.items()}
     first = next(iter(cells.values()))
     head, columns = ["sites", "k_p (MW/p.u.)"], []
-    for key, what, how in (("deviation_mean_pu", "deviation (p.u.)", ".4f"), ("J", "J", ".3f")):
-        columns += [_ranked([r[key] for r in rows], how) for rows in cells.values()]
-        head += [f"{what}: {form['label']}" for form in forms.values()]
-    ends = (next(iter(forms)), list(forms)[-1])
-    for name in ends:
+    columns += [_ranked([r["deviation_mean_pu"] for r in rows], ".4f") for rows in cells.values()]
+    head += [f"deviation (p.u.): {form['label']}" for form in forms.values()]
+    for name in (next(iter(forms)), list(forms)[-1]):
+        columns.append(_ranked([r["J"] for r in cells[name]], ".3f"))
         columns.append([f"{r['delay_mean_s']:.2f}" for r in cells[name]])
         radius = {(r["n_datacenters"], r["k_p_mw_per_pu"]): r["spectral_radius"] for r in forms[name]["stability"]}
         columns.append([f"{radius[r['n_datacenters'], r['k_p_mw_per_pu']]:.2f}" for r in cells[name]])
-        head += [f"{what}: {forms[name]['label']}" for what in ("delay (s)", "spectral radius")]
+        head += [f"{what}: {forms[name]['label']}" for what in ("J", "delay (s)", "spectral radius")]
     keys = [[str(r["n_datacenters"]), f"{r['k_p_mw_per_pu']:g}"] for r in first]
     return head, [[*key, *row] for key, row in zip(keys, zip(*columns, strict=True), strict=True)]
 
@@ -100,7 +123,7 @@ def table_one_table(records: Records) -> Table:
 def _table_one(records: Records) -> str:
     return f"""## Table I
 
-With the cumulative backlog; in brackets the place among the rows of the column, 1 the lowest.
+Cumulative backlog. Brackets contain the rank in the column, 1 for the lowest value.
 
 {table(*table_one_table(records))}"""
 
@@ -110,26 +133,26 @@ def _ranked(values: list[float], how: str) -> list[str]:
 
 
 def _laws(records: Records) -> str:
-    forms = records["cases"]
+    forms = list(records["cases"].values())
+    ends = (forms[0], forms[-1])
     rows = []
-    counts = sorted({r["n_datacenters"] for r in next(iter(forms.values()))["comparison"]})
-    for n in counts:
-        of_form = [[r for r in form["comparison"] if r["n_datacenters"] == n] for form in forms.values()]
-        columns = [_ranked([r["deviation_mean_pu"] for r in own], ".4f") for own in of_form]
-        columns += [_ranked([r["J"] for r in own], ".3f") for own in of_form]
+    for n in sorted({r["n_datacenters"] for r in forms[0]["comparison"]}):
+        of_form = [[r for r in form["comparison"] if r["n_datacenters"] == n] for form in ends]
+        columns = [_ranked([r["deviation_mean_pu"] for r in found], ".4f") for found in of_form]
+        columns += [_ranked([r["J"] for r in found], ".3f") for found in of_form]
         laws = [LABELS[r["law"]] for r in of_form[0]]
         rows += [[str(n), law, *row] for law, row in zip(laws, zip(*columns, strict=True), strict=True)]
     head = ["sites", "law (k_p = 1)"]
-    head += [f"{what}: {form['label']}" for what in ("deviation (p.u.)", "J") for form in forms.values()]
-    return f"""## No control, inverters only, both (Fig. 5)
+    head += [f"{what}: {form['label']}" for what in ("deviation (p.u.)", "J") for form in ends]
+    return f"""## No control, inverters only, both axes (Fig. 5)
 
-In brackets the place among the laws at that number of sites.
+Brackets contain the rank among the laws at that number of sites.
 
 {table(head, rows)}"""
 
 
 def orders_table(records: Records) -> Table:
-    """How far each form of the feeder ranks the rows as the balanced one does, and which pairs it does not."""
+    """Compare the ranking of the rows on each form of the feeder with that on the balanced one."""
     rows = []
     for order in records["orders"]:
         certain = [pair for pair in order["swapped"] if pair["certain"]]
@@ -142,15 +165,14 @@ def orders_table(records: Records) -> Table:
                 f"{len(order['swapped'])} of {order['pairs']}",
                 str(len(certain)),
                 _named(certain),
-                _named([pair for pair in order["swapped"] if not pair["certain"]]),
             ]
         )
-    head = ["rows", "ranked by", "balanced against", "Kendall tau", "Spearman rho", "swapped pairs", "certain"]
-    return [*head, "which are certain", "which are not"], rows
+    head = ["rows", "ranked by", "compared with", "Kendall tau", "Spearman rho", "swapped pairs", "certain"]
+    return [*head, "certain pairs"], rows
 
 
 def _named(pairs: list[dict[str, Any]]) -> str:
-    """Swapped pairs by name, those that more than one group has once, with the numbers of sites."""
+    """Name swapped pairs, each once with its numbers of sites."""
     groups: dict[str, list[str]] = {}
     for pair in pairs:
         groups.setdefault(f"{pair['better']} before {pair['worse']}", []).append(pair["group"])
@@ -162,21 +184,22 @@ def _named(pairs: list[dict[str, Any]]) -> str:
 
 
 def _orders(records: Records) -> str:
-    return f"""## Is the equivalent's ranking right?
+    return f"""## Ranking on the balanced equivalent
 
-A pair of rows is swapped where the equivalent says that the first is better and the other feeder the second; it is
-certain where the difference is beyond twice its standard error over episodes, and beyond 0.1 %, on both. Pairs are
-named in the order in which the equivalent has them, rows of Table I as (sites, k_p).
+A pair of rows is swapped if the two feeders rank it differently. It is certain if the difference on both feeders
+exceeds 0.1 % and twice its standard error over episodes. Pairs are in the order of the equivalent, rows of Table I as
+(sites, k_p).
 
 {table(*orders_table(records))}"""
 
 
 def claims_table(records: Records) -> Table:
-    """Each claim on the balanced equivalent and on the true feeder, then the verdicts in between and the reason."""
+    """Return each claim on the balanced equivalent and the unbalanced feeder, with the verdicts on all forms."""
     forms = list(records["cases"].values())
     first, last, between = forms[0], forms[-1], forms[1:-1]
-    head = ["claim", "paper", f"ours: {first['label']}", "verdict", f"ours: {last['label']}", "verdict"]
-    head += [f"verdict: {form['label']}" for form in between] + [f"why: {last['label']}"]
+    head = ["claim", "paper", f"ours: {first['label']}", f"verdict: {first['label']}"]
+    head += [f"ours: {last['label']}", f"verdict: {last['label']}"]
+    head += [f"verdict: {form['label']}" for form in between] + [f"reason: {last['label']}"]
     rows = []
     for i, claim in enumerate(first["claims"]):
         there = last["claims"][i]
@@ -186,14 +209,18 @@ def claims_table(records: Records) -> Table:
 
 
 def _claims(records: Records) -> str:
-    left_out = "\n".join(wrapped(f"- *{claim}*: {why}.") for claim, why in LEFT_OUT.items())
-    note = f"Claims that this page leaves out:\n\n{left_out}"
-    return f"## Claims\n\n{table(*claims_table(records))}\n\n{note}"
+    left_out = "\n".join(wrapped(f"- *{claim}*: {why}.", "  ") for claim, why in LEFT_OUT.items())
+    note = f"Claims that this study does not repeat:\n\n{left_out}"
+    head, rows = claims_table(records)
+    shown = [i for i in range(len(head)) if i != BALANCED_RESULT]
+    text = "Results on the balanced equivalent are in [the reproduction](reproduction.md)."
+    claims = table([head[i] for i in shown], [[row[i] for i in shown] for row in rows])
+    return f"## Claims\n\n{text}\n\n{claims}\n\n{note}"
 
 
 def _equipment(records: Records) -> str:
     columns = {
-        "taps made in an episode": ("tap_moves", ".1f"),
+        "taps per episode": ("tap_moves", ".1f"),
         "unbalance, mean (%)": ("unbalance_mean_pct", ".2f"),
         "unbalance, largest (%)": ("unbalance_max_pct", ".2f"),
         "lowest V (p.u.)": ("voltage_min_pu", ".3f"),

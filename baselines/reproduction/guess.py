@@ -44,10 +44,10 @@ LABELS = {
     "capacitors": "capacitors",
     "site_kw": "rating of a site (kW)",
     "impedance_times": "factor on impedances",
-    "q_max_share": "reactive limit of a site, share of its rating",
+    "q_max_share": "reactive limit of a site (share of its rating)",
     "inverter_kva": "rating of an inverter (kVA)",
     "k_q_mvar_per_pu_s": "k_q (Mvar/(p.u. s))",
-    "k_p_scale": "k_p = 1 is (MW/p.u.)",
+    "k_p_scale": "k_p = 1 equals (MW/p.u.)",
     "alpha_per_s": "alpha (1/s)",
     "memory": "backlog",
 }

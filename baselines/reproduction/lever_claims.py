@@ -15,7 +15,10 @@ def far(records: Records) -> Row:
     share = np.array([r["far_rise_pu_per_mvar"] / r["near_rise_pu_per_mvar"] for r in rows])
     near = np.mean([r["near_site_deviation_pu"] - r["none_site_deviation_pu"] for r in rows])
     far = np.mean([r["far_site_deviation_pu"] - r["none_site_deviation_pu"] for r in rows])
-    weak, absorbs = bool((share < 0.5).all()), "; a far inverter in front, where V > 1, even absorbs" * bool(far > 0.0)
+    weak, absorbs = (
+        bool((share < 0.5).all()),
+        "; a far inverter near the substation, where V > 1, even absorbs" * bool(far > 0.0),
+    )
     strong = "under droop the far one brings no less than the near one" if weak else "for some sites it is over half"
     verdict = decide(weak and bool(near < far), bool((share < 1.0).any()))
     return row(
@@ -25,8 +28,8 @@ def far(records: Records) -> Row:
         f"it does at the nearest; 350 kvar under droop change its deviation by {far:+.4f} p.u. far, {near:+.4f} near",
         verdict,
         {
-            HOLDS: f"only the reactance that both share moves the site (X_ij){absorbs}",
-            PARTLY: f"only the reactance that both share moves the site (X_ij), but {strong}",
+            HOLDS: f"an inverter moves the site only through the shared reactance (X_ij){absorbs}",
+            PARTLY: f"an inverter moves the site only through the shared reactance (X_ij), but {strong}",
             DOES_NOT: "the far one shares as much reactance with every site as the near one",
         }[verdict],
     )
@@ -40,7 +43,7 @@ def active(records: Records) -> Row:
     stronger = ratio[1] > 1.0 > ratio[0]
     verdict = decide(stronger and steep["active_J"] < steep["reactive_J"], stronger or gain[1] > gain[0])
     per_unit = (
-        "per unit of power it is; over two minutes the clock can only move work in time, while reactive power stays"
+        "it is, per unit of power; over two minutes the clock only shifts work in time, while reactive power persists"
     )
     return row(
         "active power is the stronger lever where r/x is high",
@@ -64,20 +67,20 @@ def bus_outside(records: Records) -> Row:
     in_volts = max(b["five_outside_pct"], b["alone_outside_pct"]) > 0.0
     verdict = decide(in_volts, b["base_at_1pu_squared"] < 1.0 - BAND_PU)
     read = (
-        "in the public code's reading, substation at 1.0 p.u. and squared voltage taken for voltage (its "
-        "tripled impedances left aside), "
+        "as the public code computes it (substation at 1.0 p.u., squared voltage, but without its tripled "
+        "impedances), "
         f"{b['base_at_1pu']:.3f} p.u. without a data centre is {b['base_at_1pu_squared']:.3f}"
     )
     return row(
         "bus 13 leaves the band with inverters only",
         "outside the band",
-        f"in volts lowest {b['five_min_pu']:.3f} p.u. with five sites, {b['alone_min_pu']:.3f} with its own alone, "
-        f"{b['five_at_1pu_min_pu']:.3f} with the substation at 1.0 p.u.; squared, with that substation and no data "
-        f"centre, {b['base_at_1pu_squared']:.3f}",
+        f"lowest V {b['five_min_pu']:.3f} p.u. with five sites, {b['alone_min_pu']:.3f} with one at bus 13 alone, "
+        f"{b['five_at_1pu_min_pu']:.3f} with the substation at 1.0 p.u.; V² with that substation and no data "
+        f"centre {b['base_at_1pu_squared']:.3f}",
         verdict,
         {
-            HOLDS: "it leaves the band in volts, with the substation at 1.044 p.u.",
-            PARTLY: f"not in volts, bus 13 is near the substation; {read}, outside",
+            HOLDS: "V leaves the band, with the substation at 1.044 p.u.",
+            PARTLY: f"V stays inside, as bus 13 is near the substation; {read}, outside",
             DOES_NOT: f"bus 13 is near the substation; {read}, inside",
         }[verdict],
     )
@@ -88,26 +91,26 @@ def bus_why(records: Records) -> Row:
     b = records["bus_thirteen"]
     own, others = b["drop_own_pu"], b["drop_neighbours_pu"]
     edge_kw = b["leaves_band_kw"]
-    size = f"even {LARGEST_KW / 1000:g} MW there do not leave the band beside them"
+    size = f"even {LARGEST_KW / 1000:g} MW there do not leave the band with them"
     if edge_kw is not None:
-        size = f"it would take {edge_kw / 1000:.1f} MW there to leave the band beside them"
-    small = "; size does not decide" * (edge_kw is None or edge_kw > OWN_KW)
+        size = f"leaving the band with them would take {edge_kw / 1000:.1f} MW there"
+    small = "; size is not decisive" * (edge_kw is None or edge_kw > OWN_KW)
     verdict = decide(others > own and b["five_outside_pct"] > 0.0, others > own)
     return row(
         "bus 13 is explained by its neighbours and its size",
         "neighbours and size",
-        f"its own {OWN_KW:g} kW take {own:.4f} p.u., the four other sites {others:.4f}; {size}",
+        f"its {OWN_KW:g} kW lower V by {own:.4f} p.u., the four other sites by {others:.4f}; {size}",
         verdict,
         {
-            HOLDS: "the neighbours weigh more than the site itself, and with them it leaves the band",
-            PARTLY: "the neighbours do weigh more than the site itself, through the path they share with it" + small,
-            DOES_NOT: f"the neighbours weigh no more than the site itself{small}",
+            HOLDS: "the neighbours matter more than the site itself, and with them it leaves the band",
+            PARTLY: "the neighbours matter more than the site itself, through the shared path" + small,
+            DOES_NOT: f"the neighbours matter no more than the site itself{small}",
         }[verdict],
     )
 
 
 def interval(records: Records) -> Row:
-    """Acting oftener."""
+    """Acting more often."""
     rows = {(r["k_p_mw_per_pu"], r["interval_s"]): r["late_deviation_pu"] for r in records["intervals"]}
     gains = sorted({k_p for k_p, _ in rows})
     said = [f"k_p = {k_p:g}: {', '.join(f'{rows[k_p, t]:.4f}' for t in (0.1, 1.0, 5.0))}" for k_p in gains]
@@ -123,9 +126,9 @@ def interval(records: Records) -> Row:
         {
             HOLDS: f"at 0.1 s the deviation changes by up to {least} %: the law lags less behind the load"
             if least
-            else "the gains are per second, so the loop is as fast at any interval; a shorter one changes nothing",
+            else "the gains are per second, so the loop is equally fast at any interval; a shorter one changes nothing",
             PARTLY: "at one of the two gains only",
-            DOES_NOT: "acting oftener makes it worse at both gains",
+            DOES_NOT: "acting more often makes it worse at both gains",
         }[verdict],
     )
 
@@ -140,15 +143,15 @@ def change_of_load(records: Records) -> Row:
     return row(
         "Fig. 3: without regulation the voltage can float high after a change in compute load",
         "can float high",
-        f"a load that goes: {goes['before_pu']:.4f} to {goes['after_pu']:.4f} p.u.; a load that comes: "
-        f"{comes['before_pu']:.4f} to {comes['after_pu']:.4f} p.u.; in the end with both axes "
+        f"load drops: {goes['before_pu']:.4f} to {goes['after_pu']:.4f} p.u.; load rises: "
+        f"{comes['before_pu']:.4f} to {comes['after_pu']:.4f} p.u.; at the end with both axes "
         f"{rows['goes', 'both']['end_pu']:.4f} and {rows['comes', 'both']['end_pu']:.4f} p.u.",
         verdict,
         {
-            HOLDS: f"after a drop of the load it lies above the substation's {head:.3f} p.u.",
-            PARTLY: f"the paper does not say whether load comes or goes; after a drop it rises, but not above the "
-            f"substation's {head:.3f} p.u., as nothing injects; counted as an injection the load would give "
+            HOLDS: f"after a drop of the load V is above the substation's {head:.3f} p.u.",
+            PARTLY: f"the paper does not state whether load rises or drops; after a drop V rises, but not above the "
+            f"substation's {head:.3f} p.u., as nothing injects power; as an injection the load would give "
             f"{injected:.4f} p.u.",
-            DOES_NOT: "it does not rise, whether load comes or goes",
+            DOES_NOT: "V does not rise, whether load rises or drops",
         }[verdict],
     )

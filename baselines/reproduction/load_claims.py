@@ -24,7 +24,7 @@ def taps(records: Records) -> Row:
         f"{said} ({DIP_FEEDER}); a site's voltage moves by up to {max(r['largest_change_pu'] for r in dips):.4f} p.u.",
         verdict,
         {
-            HOLDS: "a regulator waits 15 or 30 s before its first tap, and begins anew when the voltage is back",
+            HOLDS: "a regulator waits 15 or 30 s before its first tap, and its timer resets when the voltage recovers",
             PARTLY: "a regulator may tap within a second, but not in the shortest dip",
             DOES_NOT: "a regulator taps even in the shortest dip",
         }[verdict],
@@ -44,8 +44,8 @@ def larger_models(records: Records) -> Row:
         f"standard deviation and 99 % of the 1 s ramps, % of the rating: {listed}",
         verdict,
         {
-            HOLDS: "on this project's generators alone; the four recordings behind Fig. 2 are not published",
-            PARTLY: "against one of the two only, on this project's generators; the recordings are not published",
+            HOLDS: "on this project's generators; the four recordings behind Fig. 2 are not published",
+            PARTLY: "for one of the two only, on this project's generators; the recordings are not published",
             DOES_NOT: "on this project's generators; the recordings are not published",
         }[verdict],
     )
@@ -65,10 +65,10 @@ def ramps(records: Records) -> Row:
         "the 10-20 % range dominates",
         f"of the ramps beyond 5 % of the peak: {'; '.join(said)}",
         verdict,
-        f"of all changes from sample to sample {small:.0f} % are below 5 %; "
+        f"{small:.0f} % of all changes from sample to sample are below 5 %; "
         + {
-            HOLDS: "of the larger ones most are of 10 to 20 %",
-            PARTLY: "which of the larger ones dominate depends on the interval, which the paper does not give",
-            DOES_NOT: "of the larger ones others are more frequent",
+            HOLDS: "most of the larger ones are 10 to 20 %",
+            PARTLY: "which larger ones dominate depends on the interval, which the paper does not state",
+            DOES_NOT: "other larger ones are more frequent",
         }[verdict],
     )

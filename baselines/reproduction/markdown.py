@@ -1,4 +1,4 @@
-"""The written result: Markdown made of the records alone."""
+"""Render the study's records as Markdown."""
 
 from __future__ import annotations
 
@@ -11,62 +11,67 @@ from dcgrid_env.baselines.reproduction.markdown_guesses import render_guesses
 from dcgrid_env.baselines.reproduction.markdown_tables import table, wrapped
 from dcgrid_env.baselines.reproduction.paper import RECORDING, TABLE_ONE
 from dcgrid_env.baselines.reproduction.public_code import render_limits
-from dcgrid_env.baselines.reproduction.verdict import VERDICTS
+from dcgrid_env.baselines.reproduction.verdict import DOES_NOT, VERDICTS
 from dcgrid_env.core.versions import code_block
 
 Records = dict[str, Any]
 
 
 def render(records: Records) -> str:
-    """Markdown of the records of ``reproduce.study``, to which ``meta`` and ``figures`` have been added."""
-    parts = (_head, _table_one, _claims, render_guesses, _limits, render_details)
+    """Return the Markdown page for the records of ``study``, with ``meta`` and ``figures`` added to them."""
+    parts = (_head, _claims, _table_one, _limits, render_guesses, render_details)
     return "\n\n".join(part(records) for part in parts) + "\n"
 
 
-def where_sites_stand(setting: Records) -> str:
-    """Where the data centres of a study's setting stand."""
+def site_placement(setting: Records) -> str:
+    """Describe the buses of the data centres."""
     if setting["placement"] == "published":
         return f"at the first n of the buses {', '.join(map(str, setting['sites']))} of the public code"
-    return "drawn among the load buses, separately in each episode"
+    return "at load buses that are drawn in each episode"
 
 
 def load_note(setting: Records) -> str:
-    """Source of the paper's recording, or how to use it; empty for a load that is unrelated to it."""
+    """Explain how to obtain the paper's recording; empty if the load is unrelated to it."""
     if setting["load"] == "generated":
-        return (
-            f" The paper's own recording is used where `dcgrid traces fetch {RECORDING}` has put it into the cache, or "
-            "`--trace FILE` names it."
-        )
+        return f" To use the paper's recording, run `dcgrid traces fetch {RECORDING}` or pass `--trace FILE`."
     if RECORDING in setting["load_description"]:
-        return f" `dcgrid traces fetch {RECORDING}` puts the recording into the cache."
+        return f" `dcgrid traces fetch {RECORDING}` downloads the recording."
     return ""
 
 
 def _head(records: Records) -> str:
     s = records["setting"]
     verdicts = [row["verdict"] for row in records["claims"]]
-    counted = ", ".join(f"{verdicts.count(verdict)} *{verdict}*" for verdict in VERDICTS)
-    order = (
-        "This page compares the paper's results with ours: Table I first, then each claim, then what cannot be "
-        "reproduced and why; the tables behind them follow. Of the "
-        f"{len(verdicts)} claims: {counted}."
+    holds, partly, does_not = (verdicts.count(verdict) for verdict in VERDICTS)
+    purpose = (
+        f"This page compares the results of {s['paper']}, with results of this project. It is for readers who want to "
+        "know how far the paper can be reproduced."
     )
+    gain = next(row for row in records["claims"] if row["claim"].startswith("average gain"))
+    failed = [row["claim"] for row in records["claims"] if row["verdict"] == DOES_NOT]
+    found = [
+        f"Of the paper's {len(verdicts)} claims, {holds} hold, {partly} hold in part and {does_not} do not.",
+        *(f"*{claim}* does not hold." for claim in failed),
+        f"The gain over inverters only is {gain['ours']} (paper {gain['paper']}). {gain['reason']}.",
+        "Table I cannot be reproduced to the digit, because the paper does not state all of its settings.",
+    ]
+    summary = "\n".join(wrapped(f"- {line}", "  ") for line in found)
     setting = (
-        f"Scenario `ieee123`: {s['episodes']} episodes of 120 s for each cell, data centres {where_sites_stand(s)}. "
-        f"Load: **{s['load']}**, {s['load_description']}. Figures are means over episodes unless they say otherwise. "
-        "Deviation is abs(V - 1) over all buses but the substation and all seconds; its standard deviation is that of "
-        "an episode. k_p is the paper's, in MW/p.u.; k_q = 0.5 Mvar/(p.u. s) and alpha = 0.3 /s are the defaults here. "
-        "Nothing is tuned. Equation (5) is applied with the sign that it has for a load, and work cannot be served "
-        f"before it arrives.{load_note(s)}"
+        f"Scenario `ieee123`: {s['episodes']} episodes of 120 s for each cell, data centres {site_placement(s)}. "
+        f"Load: **{s['load']}**, {s['load_description']}.{load_note(s)} Figures are means over episodes unless stated "
+        "otherwise. The deviation is abs(V - 1) over all buses except the substation and all seconds, and its standard "
+        "deviation is that of an episode. k_p is the paper's, in MW/p.u. Nothing is tuned: k_q = 0.5 Mvar/(p.u. s) and "
+        "alpha = 0.3 /s are the defaults of this project. Equation (5) has the sign for a load, and work cannot be "
+        "served before it arrives. *One-step* is the backlog of equation (6) as printed, which forgets work after a "
+        "step. *Cumulative* keeps work until it is served."
     )
-    beside = (
-        "Here the feeder is a balanced single-phase equivalent. `dcgrid reproduce --scenario ieee123-3ph` repeats "
-        "Table I and the claims on the feeder with its phases and its regulators. "
-        "[reproduction-3ph.md](reproduction-3ph.md) compares both."
+    other = (
+        "The feeder is a balanced single-phase equivalent. [The study on the unbalanced feeder](reproduction-3ph.md) "
+        "repeats Table I and the claims with phases and regulators."
     )
-    title = f"# The paper's study, run again\n\n{s['paper']}.\n\n{wrapped(order)}"
     command = code_block(records["meta"]["command"])
-    return "\n\n".join((title, "Made by", command, wrapped(setting), wrapped(beside)))
+    parts = ("# Reproduction of the paper's study", wrapped(purpose), "Made by", command, summary)
+    return "\n\n".join((*parts, "## Setting", wrapped(setting), wrapped(other)))
 
 
 def _table_one(records: Records) -> str:
@@ -93,32 +98,30 @@ def _table_one(records: Records) -> str:
     error = np.abs(errors).mean(axis=0)
     mean = [f"{error[0]:.4f}", f"{error[1]:.4f}", "", *(f"{e:.2f}" for e in error[2:])]
     rows.append(["mean error", "", "", *mean])
-    head = ["sites", "k_p", "paper: deviation (p.u.)", "ours: volts", "ours: squared voltage"]
-    head += ["paper: delay (s)", "ours: backlog kept", "ours: one-step backlog"]
+    head = ["sites", "k_p", "paper: deviation (p.u.)", "ours: V", "ours: V²"]
+    head += ["paper: delay (s)", "ours: cumulative", "ours: one-step"]
     text = (
-        "The 30 numbers of Table I and their standard deviations, next to ours with the defaults. The paper reports "
-        "the voltage magnitude and its public code computes V². Both are listed: abs(V - 1) and abs(V² - 1). The "
-        "backlog is kept until it is served, or forgotten after a step, as equation (6) prints it. The last row "
-        "is the mean absolute difference from the paper over the 15 cells."
+        "The paper reports the voltage magnitude, but its public code computes V². The columns list both: abs(V - 1) "
+        "and abs(V² - 1). The last row is the mean absolute difference from the paper over the 15 cells."
     )
-    return f"## Table I\n\n{wrapped(text)}\n\n{table(head, rows)}\n\n{wrapped(_reading(errors))}"
+    return f"## Table I\n\n{wrapped(_reading(errors))}\n\n{wrapped(text)}\n\n{table(head, rows)}"
 
 
 def _reading(errors: list[list[float]]) -> str:
-    """What Table I shows, in words."""
+    """Summarise the level of the deviations."""
     volts, squared = np.array(errors).T[:2]
     paper = np.array([cell.deviation_pu for cell in TABLE_ONE.values()])
     shares = [100.0 * float((paper + error).mean() / paper.mean()) for error in (volts, squared)]
     return (
-        f"In volts our deviation is {shares[0]:.0f} % of the paper's on average, in squared voltage {shares[1]:.0f} %. "
-        "The trends over sites and over k_p are in the claims below."
+        f"On average, the deviation of V is {shares[0]:.0f} % of the paper's and that of V² is {shares[1]:.0f} %. The "
+        "claims describe the trends over sites and k_p."
     )
 
 
 def _claims(records: Records) -> str:
     keys = ("claim", "paper", "ours", "verdict", "reason")
     rows = [[row[key] for key in keys] for row in records["claims"]]
-    return "## Claims\n\n" + table(("claim", "paper", "ours", "verdict", "why"), rows)
+    return "## Claims\n\n" + table(("claim", "paper", "ours", "verdict", "reason"), rows)
 
 
 def _limits(records: Records) -> str:

@@ -1,4 +1,4 @@
-"""The study's further tables and figures, behind Table I and the claims."""
+"""Render the study's further tables and figures."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from dcgrid_env.baselines.reproduction.drawing import LABELS
 from dcgrid_env.baselines.reproduction.markdown_tables import columns_table, table, wrapped
 
 Records = dict[str, Any]
+COMPARED = ("none", "inverters", "both")
+"""Laws of the comparison; the figures of the others are in the tables of Table I and of the gain."""
 
 
 def render_details(records: Records) -> str:
-    """Everything that a reader who wants Table I and the claims alone may skip."""
-    parts = (_table_one, _comparison, _gains, _levers, _bus_thirteen, _intervals, _grids, _figures)
+    """Render the tables and figures that follow Table I and the claims."""
+    parts = (_table_one, _comparison, _gains, _levers, _grids, _figures)
     return "\n\n".join(part(records) for part in parts)
 
 
@@ -25,23 +27,19 @@ def _table_one(records: Records) -> str:
     for (n, k_p), forms in by_setting.items():
         cells = [str(n), f"{k_p:g}"]
         for memory in ("cumulative", "one_step"):
-            r = forms[memory]
-            cells.append(f"{r['deviation_mean_pu']:.4f} ± {r['deviation_std_pu']:.4f}")
-            cells += [f"{r['delay_mean_s']:.2f}", f"{r['unserved_pct']:.1f}", f"{r['J']:.3f}"]
+            cells += [f"{forms[memory]['unserved_pct']:.1f}", f"{forms[memory]['J']:.3f}"]
         rows.append([*cells, f"{radius[n, k_p]:.2f}"])
-    four = ("deviation (p.u.)", "delay (s)", "unserved (%)", "J")
-    head = ["sites", "k_p (MW/p.u.)", *four, *(f"one-step: {name}" for name in four), "spectral radius"]
-    return f"""## Table I with unserved work and cost
+    head = ["sites", "k_p (MW/p.u.)", "unserved (%)", "J", "one-step: unserved (%)", "one-step: J", "spectral radius"]
+    return f"""## Unserved work and cost in Table I
 
-Ours alone, with the cumulative backlog and with the one-step form that the paper prints. The column next to
-the delay is the work left unserved at the end. A spectral radius above 1 (linear loop, cumulative, the worst of the
-placements) means that the clock oscillates: work comes late and the voltage gains little.
+Unserved work remains at the end of an episode. A spectral radius above 1 (linear loop, cumulative backlog, worst
+placement) means that the clock oscillates: work is late and the voltage gains little.
 
 {table(head, rows)}"""
 
 
 def _comparison(records: Records) -> str:
-    rows = [row | {"label": LABELS[row["law"]]} for row in records["comparison"]]
+    rows = [row | {"label": LABELS[row["law"]]} for row in records["comparison"] if row["law"] in COMPARED]
     columns = {
         "sites": ("n_datacenters", "d"),
         "law (k_p = 1)": ("label", "s"),
@@ -53,41 +51,44 @@ def _comparison(records: Records) -> str:
         "delay (s)": ("delay_mean_s", ".2f"),
         "J": ("J", ".3f"),
     }
-    return f"## No control, inverters only, both (Fig. 5)\n\n{_image(records, 5)}\n\n{columns_table(rows, columns)}"
+    return (
+        f"## No control, inverters only, both axes (Fig. 5)\n\n{_image(records, 5)}\n\n{columns_table(rows, columns)}"
+    )
 
 
 def _gains(records: Records) -> str:
-    columns = {
-        "sites": ("n_datacenters", "d"),
-        "k_p (MW/p.u.)": ("k_p_mw_per_pu", "g"),
-        "inverters only (p.u.)": ("inverters_pu", ".4f"),
-        "gain, reactive (%)": ("gain_reactive_pct", ".1f"),
-        "gain, clock (%)": ("gain_active_pct", ".2f"),
-        "gain, clock, one-step (%)": ("gain_active_one_step_pct", ".2f"),
-        "standard error (%)": ("standard_error_pct", ".1f"),
-        "J inverters": ("J_inverters", ".3f"),
-        "J reactive": ("J_reactive", ".3f"),
-        "J both": ("J", ".3f"),
-        "J both, one-step": ("J_one_step", ".3f"),
-    }
+    by_count: dict[int, list[dict[str, Any]]] = {}
+    for row in records["gains"]:
+        by_count.setdefault(row["n_datacenters"], []).append(row)
+    forms = {"clock, cumulative": "gain_active_pct", "clock, one-step": "gain_active_one_step_pct"}
+    head = ["sites", "reactive (%)"]
+    head += [f"{form}, k_p = {row['k_p_mw_per_pu']:g} (%)" for form in forms for row in records["gains"][:3]]
+    rows = [
+        [str(n), f"{group[0]['gain_reactive_pct']:.1f}"]
+        + [f"{row[key]:.2f}" for key in forms.values() for row in group]
+        + [f"{max(row['standard_error_pct'] for row in group):.1f}", f"{group[0]['J_reactive']:.3f}"]
+        for n, group in by_count.items()
+    ]
+    head += ["standard error (%)", "J: k_p = 0"]
     last = [r for r in records["gains"] if r["n_datacenters"] == 5][-1]
     printed, kept = last["gain_active_one_step_pct"], last["gain_active_pct"]
     share = f"{100.0 * (1.0 - max(kept, 0.0) / printed):.0f} %" if printed > max(kept, 0.0) else "none"
-    undone = (
-        f"How much of the printed law's gain is work not done: with five sites at k_p = {last['k_p_mw_per_pu']:g} its "
-        f"clock gains {printed:.2f} points and leaves {last['unserved_one_step_pct']:.1f} % of the work unserved; with "
-        f"the backlog kept it gains {kept:.2f} and leaves {last['unserved_pct']:.1f} %. So {share} of what the printed "
-        "clock gains is work not done in time, and J, which charges for waiting, says "
-        f"{last['J_one_step']:.3f} against {last['J']:.3f}, and {last['J_reactive']:.3f} without the clock."
+    late = (
+        f"With five sites at k_p = {last['k_p_mw_per_pu']:g}, {share} of the clock's gain in the one-step form is work "
+        f"that is not done in time: {last['unserved_one_step_pct']:.1f} % of the work remains unserved, compared with "
+        f"{last['unserved_pct']:.1f} % in the cumulative form. J charges for waiting and is lowest without the clock."
+        if last["J_reactive"] < min(last["J"], last["J_one_step"])
+        else ""
     )
-    return f"""## Where the gain comes from
+    return f"""## Source of the gain
 
-From inverters only to reactive power of all agents (k_p = 0), and from there to the clock as well, in % of the
-deviation with inverters only. The standard error is that of the whole gain over episodes.
+The reactive gain is from inverters only to reactive power of all agents (k_p = 0), the clock's gain from there to both
+axes, in % of the deviation with inverters only. The standard error is that of the total gain over episodes, the largest
+of the three k_p.
 
-{columns_table(records["gains"], columns)}
+{wrapped(late)}
 
-{wrapped(undone)}"""
+{table(head, rows)}"""
 
 
 def _levers(records: Records) -> str:
@@ -105,84 +106,22 @@ def _levers(records: Records) -> str:
         "J: reactive only": ("reactive_J", ".3f"),
         "J: both": ("both_J", ".3f"),
     }
-    inverters = {
-        "site": ("site", "d"),
-        "nearest": ("near_bus", "d"),
-        "X (p.u./Mvar)": ("near_x_pu_per_mvar", ".4f"),
-        "1 Mvar there (p.u.)": ("near_rise_pu_per_mvar", ".4f"),
-        "farthest": ("far_bus", "d"),
-        "X far": ("far_x_pu_per_mvar", ".4f"),
-        "1 Mvar far (p.u.)": ("far_rise_pu_per_mvar", ".4f"),
-        "1 Mvar at the site (p.u.)": ("own_rise_pu_per_mvar", ".4f"),
-        "deviation of the site: none": ("none_site_deviation_pu", ".4f"),
-        "350 kvar near": ("near_site_deviation_pu", ".4f"),
-        "350 kvar far": ("far_site_deviation_pu", ".4f"),
-    }
-    return f"""## Active against reactive power
+    return f"""## Active and reactive power
 
-Rises are at the site itself, at base load with the sites at their rating, from the exact power flow; closed loops at
+Voltage rises are at the site, at base load with all sites at their rating, from the exact power flow. Closed loops use
 k_p = 10 MW/p.u.
 
-{columns_table(records["axes"], axes)}
-
-## Near and far inverters
-
-Near and far by the reactance shared with the data centre; what 1 Mvar there does for the site's voltage, and the
-site's deviation with one inverter of 350 kvar under droop in place of the seven.
-
-{columns_table(records["inverters"], inverters)}"""
-
-
-def _bus_thirteen(records: Records) -> str:
-    b = records["bus_thirteen"]
-
-    def draw(kw: float | None) -> str:
-        return "more than can be asked for" if kw is None else f"{kw:.0f} kW"
-
-    rows = [
-        ["lowest voltage in the runs, its own data centre alone (p.u.)", f"{b['alone_min_pu']:.4f}"],
-        ["the same with sites at 13, 24, 28, 37 and 53 (p.u.)", f"{b['five_min_pu']:.4f}"],
-        ["the same with the substation at 1.0 p.u. (p.u.)", f"{b['five_at_1pu_min_pu']:.4f}"],
-        ["base load, no data centre (p.u.)", f"{b['base_pu']:.4f}"],
-        ["drop by its own 280 kW (p.u.)", f"{b['drop_own_pu']:.4f}"],
-        ["drop by the four others' (p.u.)", f"{b['drop_neighbours_pu']:.4f}"],
-        ["draw at which it leaves the band, beside the four", draw(b["leaves_band_kw"])],
-        ["draw at which it leaves the band, alone", draw(b["leaves_band_alone_kw"])],
-        ["base load, no data centre, substation at 1.0 p.u. (p.u.)", f"{b['base_at_1pu']:.4f}"],
-        ["the same squared, as the public code plots it", f"{b['base_at_1pu_squared']:.4f}"],
-    ]
-    return "## Bus 13 with inverters only\n\n" + table(("", "bus 13"), rows)
-
-
-def _intervals(records: Records) -> str:
-    columns = {
-        "k_p (MW/p.u.)": ("k_p_mw_per_pu", "g"),
-        "interval (s)": ("interval_s", "g"),
-        "deviation (p.u.)": ("deviation_mean_pu", ".4f"),
-        "second minute (p.u.)": ("late_deviation_pu", ".4f"),
-        "J": ("J", ".4f"),
-        "delay (s)": ("delay_mean_s", ".2f"),
-        "unserved (%)": ("unserved_pct", ".1f"),
-    }
-    return f"""## Control interval
-
-The same two minutes with five sites, simulated in steps of 0.1 s throughout; voltage and backlog are measured and the
-reactive setpoint is moved once in each interval, while the load's own p_ref passes. k_q and alpha are per second and
-k_p is per p.u., so no gain is scaled. An episode begins without reactive power and the 5 s law takes its first step
-of 5 s at once; the second minute is free of that.
-
-{columns_table(records["intervals"], columns)}"""
+{columns_table(records["axes"], axes)}"""
 
 
 def _grids(records: Records) -> str:
-    rows = [row | {"label": LABELS[row["law"]]} for row in records["grids"]]
-    columns = {
-        "sites": ("n_datacenters", "d"),
-        "law": ("label", "s"),
-        "DistFlow (p.u.)": ("distflow_pu", ".4f"),
-        "LinDistFlow (p.u.)": ("lindistflow_pu", ".4f"),
-    }
-    return "## Linear and nonlinear grid\n\nDeviation.\n\n" + columns_table(rows, columns)
+    by_count: dict[int, dict[str, float]] = {}
+    for row in records["grids"]:
+        by_count.setdefault(row["n_datacenters"], {})[row["law"]] = row["lindistflow_pu"]
+    laws = list(next(iter(by_count.values())))
+    rows = [[str(n), *(f"{values[law]:.4f}" for law in laws)] for n, values in by_count.items()]
+    text = "The deviation on the linear grid (LinDistFlow, p.u.). Compare it with the table of Fig. 5."
+    return f"## Linear grid\n\n{text}\n\n{table(['sites', *(LABELS[law] for law in laws)], rows)}"
 
 
 def _image(records: Records, number: int) -> str:
@@ -192,4 +131,7 @@ def _image(records: Records, number: int) -> str:
 
 def _figures(records: Records) -> str:
     images = [_image(records, number) for number in (1, 2, 3, 4, 6, 7)]
-    return "## Counterparts of the paper's other figures\n\n" + "\n\n".join(images)
+    more = wrapped(
+        "`reproduction.json` contains further figures: near and far inverters, bus 13 and the control interval."
+    )
+    return "## Other figures\n\n" + "\n\n".join((*images, more))

@@ -1,4 +1,4 @@
-"""The study's figures: which there are, what each shows, and writing them."""
+"""Draw and write the study's figures."""
 
 from __future__ import annotations
 
@@ -42,22 +42,22 @@ LEAST_VISIBLE_PCT = 0.5
 
 
 def captions(runs: Runs, seed: int) -> dict[int, str]:
-    """What each figure shows, ``seed`` the episode of Fig. 7."""
+    """Return the caption of each figure; ``seed`` is the episode of Fig. 7."""
     return {
-        1: "Training and inference power. The paper's recordings are not published; these are the generators' "
-        "counterparts, of eight seeds each the one that moves most.",
-        2: "Four models under the same waves of queries. The paper's recordings are not published; these are "
+        1: "Training and inference power. The paper's recordings are not published; these are "
+        "generated: of eight seeds each, the one that varies most.",
+        2: "Four models with the same bursts of queries. The paper's recordings are not published; these are "
         "generated.",
-        3: "toy6: the voltage at the data centre when its 2.5 MW come on, and when they go off. The paper does not "
+        3: "toy6: the voltage at the data centre when its load of 2.5 MW starts and when it stops. The paper does not "
         "state which of the two its figure shows.",
         4: "IEEE 123-bus equivalent with the inverters and the eight data-centre buses of the public code, at base "
         "load with every site at its rating and no control.",
         5: f"Deviation against the number of data centres. {_split(runs)}",
         6: f"The paper's buses over two minutes: {', '.join(f'{bus} ({what})' for bus, what in BUSES.items())}; both "
-        f"axes at k_p = 10. Data centres at {', '.join(map(str, FIGURE_6_SITES))}. Dashed: the band. Of the episodes "
-        f"the one in which the load at bus {BUSIEST} moves most.",
+        f"axes at k_p = 10. Data centres at {', '.join(map(str, FIGURE_6_SITES))}. Dashed lines: the voltage band. In "
+        f"this episode the load at bus {BUSIEST} varies most.",
         7: f"Load at bus {SITE}, near the end of the feeder, before and after control in the same episode, and the "
-        f"work that waits. {_near_the_substation(runs, seed)}",
+        f"backlog. {_near_the_substation(runs, seed)}",
     }
 
 
@@ -67,8 +67,8 @@ def _split(runs: Runs) -> str:
     reactive, active = (float(np.mean([row[f"gain_{axis}_pct"] for row in rows])) for axis in ("reactive", "active"))
     remark = ", too little to be seen" * (abs(active) < LEAST_VISIBLE_PCT)
     return (
-        f"Below inverters only it is on average lower by {reactive:.1f} % through the data centres' reactive power and "
-        f"by {active:.2f} % through the clock (k_p = 1){remark}."
+        f"On average it is lower than with inverters only: by {reactive:.1f} % through the data centres' reactive "
+        f"power and by {active:.2f} % through the clock (k_p = 1){remark}."
     )
 
 

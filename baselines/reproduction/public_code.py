@@ -1,4 +1,4 @@
-"""List what cannot be reproduced and why, and describe what the authors' public code computes."""
+"""Describe what cannot be reproduced and how the authors' public code differs from the paper."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ MISSING = (
         "the paper does not give the substation voltage, the equivalent feeder, the inverters' buses and ratings, the "
         "reactive limits, k_q, alpha, the unit of k_p, the noise, the placements or the seeds",
     ),
-    ("whether Table I is of V or of V²", "the text says voltage magnitude; the public code computes V²"),
+    ("whether Table I contains V or V²", "the text states the voltage magnitude; the public code computes V²"),
     (
         "Figs. 1 and 2",
         "one recording of inference is published; those of the training and of the four models are not",
     ),
-    ("Fig. 3", "the text does not say which load changes, or in which direction"),
+    ("Fig. 3", "the text does not state which load changes, or in which direction"),
     ("Figs. 6 and 7", "the episode, the other data centres and their loads are not given"),
     (
         "the results from the authors' code",
-        "see below: two of its input files are missing, and it has no backlog and no delay",
+        "two of its input files are missing, and it has no backlog and no delay",
     ),
 )
 """What cannot be reproduced, and why."""
@@ -31,7 +31,7 @@ DIFFERENCES = (
         "input",
         "-",
         "reads `Generator_Data.csv` and a module `util`, which are not in the repository, and `Bus_Data.csv`, which is "
-        "there as `Bus_data.csv`",
+        "named `Bus_data.csv` there",
     ),
     (
         "power flow",
@@ -40,7 +40,7 @@ DIFFERENCES = (
         "loss raises the voltage",
     ),
     ("voltage", "magnitude", "V², set to 1 at the substation, used as the magnitude in the law and in the plots"),
-    ("impedances", "IEEE 123-bus", "those of the file times three"),
+    ("impedances", "IEEE 123-bus", "three times those of the file"),
     ("capacitors, regulators", "not mentioned", "listed, not used"),
     (
         "data centres",
@@ -56,7 +56,7 @@ DIFFERENCES = (
     ),
     (
         "inverters only",
-        "a case of its own",
+        "a separate case",
         "the inverters respond to the voltage under both controls, so it is not a run without data-centre control",
     ),
     (
@@ -70,21 +70,20 @@ DIFFERENCES = (
 
 
 def render_limits() -> str:
-    """The section on what cannot be reproduced."""
+    """Render the section on results that cannot be reproduced."""
     read = (
-        f"The paper refers to [{REPOSITORY}](https://{REPOSITORY}). The table lists where its study of the 123-bus "
-        f"feeder differs from the paper, as of commit `{COMMIT}`; a later version may differ. The code was read, not "
-        "run. This project uses its recording and the lists of data-centre and inverter buses, taken as bus numbers."
+        f"The paper refers to [{REPOSITORY}](https://{REPOSITORY}). The table lists differences between its study of "
+        f"the 123-bus feeder and the paper, as of commit `{COMMIT}`. The code was read, not run. This project uses its "
+        "recording and its lists of data-centre and inverter buses, read as bus numbers."
     )
     others = (
         "`toy_droop_6bus_timevarying.py` is the six-bus example. Its load enters as a negative injection, so without "
-        "control the voltage falls when the load comes. Its squared voltage is 1 + 2 (R p + X q): the injection of 3 "
-        "p.u. at bus 1 in a vector that it does not use would give 1.06 there. `socp_123bus.py` is an optimisation "
-        "that the paper does not report. None of the three scripts computes the deviations or the delays of Table I."
+        "control the voltage falls when the load rises. `socp_123bus.py` is an optimisation that the paper does not "
+        "report. None of the three scripts computes the deviations or the delays of Table I."
     )
-    return f"""## What cannot be reproduced, and why
+    return f"""## Results that cannot be reproduced
 
-{table(("what", "why"), MISSING)}
+{table(("result", "reason"), MISSING)}
 
 ### The authors' public code
 

@@ -50,8 +50,8 @@ def mean_within(records: Records) -> Row:
         f"{min(values):.4f} to {max(values):.4f} p.u.",
         verdict,
         {
-            HOLDS: "the substation is held at 1.044 p.u. (regulator) and capacitors are on, so the feeder lies on both "
-            "sides of 1",
+            HOLDS: "the regulator holds the substation at 1.044 p.u. and capacitors are on, so voltages lie on both "
+            "sides of 1 p.u.",
             PARTLY: f"the largest is at {worst['n_datacenters']} sites, k_p = {worst['k_p_mw_per_pu']:g}",
             DOES_NOT: "no number of sites and no k_p brings it that low on this load",
         }[verdict],
@@ -70,9 +70,9 @@ def rising(records: Records) -> Row:
         f"1 to 5 sites: {said} p.u.",
         verdict,
         {
-            HOLDS: "every site adds load, and the law gives back less than that takes",
-            PARTLY: "a site brings its own converter (92 kvar), which makes up for its load",
-            DOES_NOT: "not without control either: where V is above 1 p.u., load brings it nearer",
+            HOLDS: "every site adds load, and the law compensates only part of it",
+            PARTLY: "the converter of a site (92 kvar) compensates for its load",
+            DOES_NOT: "it does not rise without control either: where V is above 1 p.u., load reduces the deviation",
         }[verdict],
     )
 
@@ -87,7 +87,7 @@ def five_sites(records: Records) -> Row:
     squared = [float(_of_law(records, law, "squared_deviation_mean_pu")[-1]) for law in ("inverters", "none")]
     low, high = FIVE_SITES_PU
     read = (
-        f"the public code takes squared voltage for voltage; as mean abs(V^2-1) ours is {squared_both:.4f} against "
+        f"the public code uses the squared voltage; as mean abs(V^2-1) ours is {squared_both:.4f} against "
         f"{squared[0]:.4f} and {squared[1]:.4f}"
     )
     near = abs(both - low) < 0.1 * low and min(abs(inverters - high), abs(none - high)) < 0.1 * high
@@ -111,7 +111,7 @@ def gain(records: Records) -> Row:
     reactive = [r["gain_reactive_pct"] for r in rows]
     active = [r["gain_active_pct"] for r in rows]
     whole = np.add(reactive, active)
-    why = ": work that waits is drawn later in the same two minutes" * bool(abs(np.mean(active)) < 1.0)
+    why = ": postponed work is drawn later in the same two minutes" * bool(abs(np.mean(active)) < 1.0)
     return row(
         "average gain over inverters only",
         f"{GAIN_PCT:g} %",
@@ -132,7 +132,7 @@ def inside(records: Records) -> Row:
         f"over {BUSES_INSIDE_PCT:g} %",
         f"{min(values):.1f} % at least, {np.mean(values):.1f} % on average over Table I",
         decide(min(values) > BUSES_INSIDE_PCT, max(values) > BUSES_INSIDE_PCT),
-        f"without any control it is {without:.1f} % at least: at this substation voltage the band is {risk}",
+        f"without control it is at least {without:.1f} %: at this substation voltage the band is {risk}",
     )
 
 
@@ -160,9 +160,9 @@ def delay(records: Records) -> Row:
         f"5 sites, k_p = 1, 10, 20: {said}",
         verdict,
         {
-            HOLDS: "below 1 p.u. a larger k_p holds more work back; what the one-step form forgot drains at the lowest "
-            "clock",
-            PARTLY: f"it does in {rises.sum()} of {rises.size} rows of Table I, where a larger k_p holds more work "
+            HOLDS: "below 1 p.u. a larger k_p holds more work back; work that the one-step form forgot is served at "
+            "the lowest clock",
+            PARTLY: f"it rises in {rises.sum()} of {rises.size} rows of Table I, where a larger k_p holds more work "
             f"back; not in the others: {still}",
             DOES_NOT: f"in no row of Table I: {still}",
         }[verdict],
@@ -190,10 +190,10 @@ def trend(records: Records) -> Row:
         f"in volts {listed('volts', 4)} p.u., in squared voltage {listed('squared voltage', 4)}",
         verdict,
         {
-            HOLDS: "each site adds more load than its converter makes up for",
-            PARTLY: "in one of the two readings or at some k_p only",
-            DOES_NOT: "the trend is opposite, in either reading: a site brings reactive power too, and where V is "
-            "above 1 p.u. its load brings it nearer",
+            HOLDS: "each site adds more load than its converter compensates",
+            PARTLY: "for one of V and V² or for some k_p only",
+            DOES_NOT: "the trend is opposite for V and V²: a site also adds reactive power, and its load reduces the "
+            "deviation where V is above 1 p.u.",
         }[verdict],
     )
 
@@ -211,7 +211,7 @@ def clock_at_five(records: Records) -> Row:
     verdict = decide(
         fall["cumulative"] > 0.5 * fall["paper"], max(fall["cumulative"], fall["one_step"]) > LEAST_FALL_PCT
     )
-    undone = f"leaves {left['one_step']:.0f} % of the work undone, with the backlog kept {left['cumulative']:.0f} %"
+    undone = f"leaves {left['one_step']:.0f} % of the work undone, the cumulative form {left['cumulative']:.0f} %"
     return row(
         "Table I: the clock lowers the deviation with five data centres",
         f"k_p = 1 to 20: {paper[0]:g} to {paper[-1]:g} p.u. ({-fall['paper']:+.0f} %)",
@@ -219,9 +219,9 @@ def clock_at_five(records: Records) -> Row:
         f"one-step {ours['one_step'][0]:.4f} to {ours['one_step'][-1]:.4f} p.u. ({-fall['one_step']:+.1f} %)",
         verdict,
         {
-            HOLDS: "at least half of the paper's fall, with the backlog kept",
-            PARTLY: f"less than half of the paper's fall with the backlog kept; the one-step form {undone}",
-            DOES_NOT: f"work that waits is drawn later in the same two minutes; the one-step form {undone}",
+            HOLDS: "at least half of the paper's fall, in the cumulative form",
+            PARTLY: f"less than half of the paper's fall in the cumulative form; the one-step form {undone}",
+            DOES_NOT: f"postponed work is drawn later in the same two minutes; the one-step form {undone}",
         }[verdict],
     )
 
@@ -244,8 +244,8 @@ def flat_delay(records: Records) -> Row:
         verdict,
         {
             HOLDS: f"it varies by less than {100 * FLAT:.0f} % of its mean",
-            PARTLY: "with one of the two backlogs only",
-            DOES_NOT: "more sites lower the voltage that each of them responds to, so that more work waits",
+            PARTLY: "in one of the two forms only",
+            DOES_NOT: "more sites lower the voltage that each of them responds to, so more work waits",
         }[verdict],
     )
 
@@ -269,8 +269,8 @@ def linear(records: Records) -> Row:
         verdict,
         "without losses the linear grid sags less: "
         + {
-            HOLDS: "the ranking stays, the level does not",
-            PARTLY: "where laws lie close together it ranks them otherwise",
-            DOES_NOT: "it ranks the laws otherwise at every number of sites",
+            HOLDS: "the ranking is the same, the level is not",
+            PARTLY: "it ranks laws differently where they are close",
+            DOES_NOT: "it ranks the laws differently at every number of sites",
         }[verdict],
     )

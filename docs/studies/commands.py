@@ -30,7 +30,7 @@ COMMANDS = Group(
             "pareto": _entry("Draw voltage against delay of policies with delay limits.", "pareto:Pareto"),
             "random-feeders": _entry("Compare random feeders with published ones.", "random_feeders:RandomFeederTable"),
             "sags": _entry("Compare controllers during a recorded sequence of sags.", "sag_study:Sags"),
-            "transfer": _entry("Score bundled policies on other scenarios than their own.", "transfer:Transfer"),
+            "transfer": _entry("Score bundled policies on presets that they were not trained on.", "transfer:Transfer"),
             "unseen-feeders": _entry("Score controllers on feeders they never saw.", "unseen_feeders:UnseenFeeders"),
         },
         "Speed": {

@@ -1,4 +1,4 @@
-"""One policy for feeders that it never saw: trained on all but one, and tested on the one left out."""
+"""Train a policy on all scenarios but one and test it on the scenario that was left out."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def configs(algorithm: type[Any], scenarios: Sequence[str], chosen: dict[str, An
 
 
 def generalise(episodes: int, runs: Mapping[str, Sequence[Any]], failures: Mapping[Path, str]) -> list[LeftOut]:
-    """Test the policies of finished runs where they never were; ``failures`` has the folders of those that are none."""
+    """Test the policies of finished runs on the scenario left out; ``failures`` has the folders of failed runs."""
     results = []
     for scenario, every in runs.items():
         failure = next((failures[one.out] for one in every if one.out in failures), "")
@@ -65,7 +65,7 @@ def generalise(episodes: int, runs: Mapping[str, Sequence[Any]], failures: Mappi
 
 
 def table(episodes: int, results: Sequence[LeftOut]) -> Table:
-    """A row for each scenario left out, beside what was made for it."""
+    """A row for each scenario left out, with the policy and rules that were trained or tuned for it."""
     header = ("left out", "trained on", "score there", "lowest and highest seed", "trained there", "best static rule",
               "J", "J: droop-tuned", "mean delay, s", "droop-tuned, s")  # fmt: skip
     rows = []
@@ -95,14 +95,14 @@ def table(episodes: int, results: Sequence[LeftOut]) -> Table:
 def markdown(results: Sequence[LeftOut], shown: Table, made_by: str) -> str:
     """The page."""
     about = (
-        "For each scenario one policy is trained on all the others, on variants of them with other places, ratings and "
-        "substation voltages, and selected on their validation splits. It is then tested on the scenario left out, as "
-        "it is: it has seen neither the feeder nor the places nor the ratings. What it knows of a bus is what the bus "
-        "sees, its R and X among that. Beside it the policy that ships for that scenario, and the better of the two "
-        "rules that measure nothing, both made for it. " + SCORE
+        "For each scenario, a policy is trained on all scenarios with another feeder and on variants of them with "
+        "other places, ratings and substation voltages. It is selected on their validation splits and then tested, "
+        "unchanged, on the scenario that was left out. It has local observations, which include R and X of the bus. "
+        "The table compares it with the bundled policy for that scenario and with the better of the two rules that "
+        "measure nothing. " + SCORE
     )
     each = commands(
-        "Each run of the first seed by itself:", ((f"without {one.scenario}", one.command) for one in results)
+        "Commands for the first seed of each run:", ((f"without {one.scenario}", one.command) for one in results)
     )
     return page("A feeder that was never seen", made_by, wrapped(about), shown.markdown(), each)
 
@@ -111,7 +111,7 @@ def markdown(results: Sequence[LeftOut], shown: Table, made_by: str) -> str:
 class Generalise(Study):
     """Train on all scenarios but one and score on that one.
 
-    Trainings are kept in RUNS: an interrupted command goes on where it was, and what is done is not done again.
+    Training runs are kept in RUNS: an interrupted command continues where it stopped.
     """
 
     scenarios: str = "ieee33,das69,khodr141,ieee123"

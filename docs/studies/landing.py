@@ -118,4 +118,5 @@ def interval(preset: str, name: str) -> tuple[float, float, float] | None:
 
 
 if __name__ == "__main__":
-    (chart if sys.argv[1].endswith("results.png") else animate)(*sys.argv[1:])
+    draw = chart if sys.argv[1].endswith("results.png") else animate
+    draw(sys.argv[1])

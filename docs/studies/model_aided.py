@@ -71,11 +71,11 @@ class WithoutAnswers(ModelAided):
 
 PARTS = {
     "whole": ModelAided(),
-    "without inference from the own voltage (gain 0)": WithoutInference(),
-    "without the others' reactions (no rounds)": ModelAided(rounds=0),
-    "without the others' answers (each as if they stood still)": WithoutAnswers(),
-    "with one damping for all (0.8)": WithOneDamping(),
-    "without damping (each as if alone)": WithoutDamping(),
+    "without inference from the agent's voltage (gain 0)": WithoutInference(),
+    "without reactions of other agents (no rounds)": ModelAided(rounds=0),
+    "without answers of other agents": WithoutAnswers(),
+    "with one damping for all agents (0.8)": WithOneDamping(),
+    "without damping": WithoutDamping(),
     "without the pull (hold 0, pull 0)": ModelAided(hold=0.0, pull=0.0),
     "without relief by the clock (price 1e6)": ModelAided(price=1e6),
 }

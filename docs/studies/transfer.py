@@ -1,4 +1,4 @@
-"""Policies that ship on scenarios that they were not made for, as they are and under guard."""
+"""Bundled policies on presets that they were not trained on, unchanged and under guard."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ from docs.studies.learning_tables import Table, page, wrapped
 DOES_NOT_FIT = "-"
 """Cell of a policy whose networks do not fit a scenario's agents."""
 LEAST = -0.5
-"""The score that a guarded policy is to have at least on every scenario that it was not made for."""
+"""Least acceptable score of a guarded policy on a preset that it was not trained on."""
 
 
 class Cell(NamedTuple):
-    """A policy on a scenario; both None where it does not fit."""
+    """Scores of a policy on a scenario; both are None if its networks do not fit the agents."""
 
     plain: float | None
-    """Score as it is."""
+    """Score of the unchanged policy."""
     under_guard: float | None
     """Score under guard."""
     law_pct: float
-    """Share of agents' steps under guard that the law has had, %."""
+    """Share of agents' steps in which the guard uses the law, %."""
 
 
 @dataclass(frozen=True)
@@ -127,17 +127,17 @@ def table(results: Sequence[Row], title: str, under_guard: bool) -> Table:
             text = DOES_NOT_FIT if score is None else f"{score:.2f}"
             cells.append(f"[{text}]" if made_for(policy, row.scenario) else text)
         shown.append((row.scenario, *cells))
-    return Table(title, ("on", *(preset_of(policy) or policy for policy in policies)), tuple(shown))
+    return Table(title, ("evaluated on", *(preset_of(policy) or policy for policy in policies)), tuple(shown))
 
 
 def summary(results: Sequence[Row], title: str) -> Table:
-    """What carries over, as it is and under guard, and what the guard costs at home."""
+    """Summarise the scores on other presets and on each policy's preset, unchanged and under guard."""
     apart = {home: [(cell, row.scenario, policy) for row in results for policy, cell in row.cells.items()
                     if cell.plain is not None and made_for(policy, row.scenario) == home]
              for home in (False, True)}  # fmt: skip
     lines = []
-    for label, home in (("not made for it", False), ("made for it", True)):
-        for how, at in (("as it is", 0), ("under guard", 1)):
+    for label, home in (("other presets", False), ("its training preset", True)):
+        for how, at in (("unchanged", 0), ("under guard", 1)):
             scores = [(float(cell[at] or 0.0), scenario, policy) for cell, scenario, policy in apart[home]]
             if scores:
                 values, (least, scenario, policy) = [one[0] for one in scores], min(scores)
@@ -145,24 +145,24 @@ def summary(results: Sequence[Row], title: str) -> Table:
                 law = np.mean([cell.law_pct for cell, *_ in apart[home]]) if at else 0.0
                 lines.append((label, how, str(len(values)), f"{np.mean(values):.3f}", f"{np.median(values):.3f}",
                               f"{least:.2f} ({policy} on {scenario})", str(below), f"{law:.0f}"))  # fmt: skip
-    header = ("scenario", "policy", "pairs", "mean score", "median", "worst", f"below {LEAST:g}", "law acts, %")
+    header = ("evaluated on", "policy", "pairs", "mean score", "median", "worst", f"below {LEAST:g}", "law in use, %")
     return Table(title, header, tuple(lines))
 
 
 def markdown(parts: Sequence[tuple[str, Sequence[Row]]], episodes: int, split: str, made_by: str) -> str:
     """The page: for each algorithm the summary and both tables."""
-    scale = "" if split == SPLIT else " Hindsight's costs are those of the test split, as a scale alone."
+    scale = "" if split == SPLIT else " Hindsight's costs are those of the test split and only set the scale."
     about = (
-        f"Scores (0 is the tuned droop law, 1 hindsight) over {episodes} episodes of the {split} split: a row is the "
-        "scenario that is driven, a column the scenario that the policy was made for, in brackets where that is the "
-        f"same, {DOES_NOT_FIT} where the policy's networks do not fit the scenario's agents.{scale}"
+        f"Scores over {episodes} episodes of the {split} split: 0 is the tuned droop law, 1 perfect foresight. A row "
+        "is the preset of the evaluation, a column the preset of the training. Brackets mark the pairs where both are "
+        f"the same. {DOES_NOT_FIT} marks a policy whose networks do not fit the agents.{scale}"
     )
     text = [wrapped(about)]
     for algorithm, results in parts:
-        text.append(summary(results, f"{algorithm}, all pairs together").markdown())
-        for how, under_guard in (("as it is", False), ("under guard", True)):
+        text.append(summary(results, f"{algorithm}, all pairs").markdown())
+        for how, under_guard in (("unchanged", False), ("under guard", True)):
             text.append(table(results, f"{algorithm}, {how}", under_guard).markdown())
-    return page("Policies on scenarios that they were not made for", made_by, *text)
+    return page("Policies on other presets", made_by, *text)
 
 
 BALANCED = "toy6,ieee123,ieee33-weak,ieee33,das69,khodr141,bursty,sync,training,mixed,fault,robust,scale-32"
@@ -170,19 +170,16 @@ BALANCED = "toy6,ieee123,ieee33-weak,ieee33,das69,khodr141,bursty,sync,training,
 
 @dataclass(frozen=True)
 class Transfer(Command):
-    """Score bundled policies on other scenarios than their own.
-
-    Scores them unchanged and under guard.
-    """
+    """Score bundled policies on presets that they were not trained on, unchanged and under guard."""
 
     scenarios: str = BALANCED
     """Names of presets separated by commas, or all (dcgrid list)."""
     algorithms: str = "analytic"
-    """Algorithms separated by commas; their policies that ship for these scenarios are run on all of them."""
+    """Algorithms separated by commas; their bundled policies for these scenarios are run on all of them."""
     episodes: int = 20
     """Episodes of each pair: seeds 0, 1, ..; at least 2, on the test split at most the published 100."""
     split: str = "test"
-    """Whose episodes; on another than test what a policy saves is told as a share of what hindsight saves on test."""
+    """Split of the episodes; on other splits than test, savings are a share of hindsight's savings on test."""
     out: Path = Path("results/transfer")
     """Folder for transfer.md."""
 
@@ -206,7 +203,7 @@ class Transfer(Command):
                     progress.advance(bar)
                 parts.append((name, results))
         for name, results in parts:
-            console.print(summary(results, f"{name}, all pairs together").rich(console.width))
+            console.print(summary(results, f"{name}, all pairs").rich(console.width))
         text = markdown(parts, self.episodes, self.split, meta()["command"])
         write_text(self.out / "transfer.md", text)
         say(console, f"wrote {self.out / 'transfer.md'}")

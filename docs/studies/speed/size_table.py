@@ -34,13 +34,13 @@ COLUMNS = {
     "compile_s": ("compile, s", "{:.2f}"),
     "write_s": ("CSV out, s", "{:.2f}"),
     "read_s": ("CSV in, s", "{:.2f}"),
-    "one_per_s": ("flows/s, one", "{:,.0f}"),
-    "batch_per_s": (f"flows/s, {N_ENV} environments", "{:,.0f}"),
-    "ns_per_node": ("ns a flow and node", "{:.0f}"),
+    "one_per_s": ("flows/s, single", "{:,.0f}"),
+    "batch_per_s": (f"flows/s, batch of {N_ENV}", "{:,.0f}"),
+    "ns_per_node": ("ns per flow and node", "{:.0f}"),
     "make_s": ("make and reset, s", "{:.2f}"),
     "steps_per_s": ("steps/s", "{:,.0f}"),
-    "mib_per_env": ("MiB an environment", "{:.2f}"),
-    "bytes_per_node": ("bytes an environment and node", "{:,.0f}"),
+    "mib_per_env": ("MiB per environment", "{:.2f}"),
+    "bytes_per_node": ("bytes per environment and node", "{:,.0f}"),
 }
 """Figures of a feeder: the heading of each, and how it is written."""
 

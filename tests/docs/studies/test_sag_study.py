@@ -58,7 +58,7 @@ def test_the_page_and_the_figure_hold_all(study):
 
 def test_the_command_writes_page_and_figure(tmp_path, capsys):
     Sags(controllers="none", beside="return-by-hand", episodes=1, seed=0, out=tmp_path).run()
-    assert (tmp_path / "sag-study.md").read_text().startswith("# Six dips in 82 seconds\n")
+    assert (tmp_path / "sag-study.md").read_text().startswith("# Six voltage sags in 82 seconds\n")
     assert (tmp_path / "images/sag-study.png").stat().st_size > 10_000
     assert "wrote" in capsys.readouterr().out
 

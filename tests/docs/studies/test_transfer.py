@@ -1,4 +1,4 @@
-"""Policies on scenarios that they were not made for: the tables of the study and its command."""
+"""Policies on other presets: the tables of the study and its command."""
 
 import pytest
 
@@ -15,11 +15,11 @@ def test_the_tables_say_what_is_at_home_what_does_not_fit_and_what_is_worst():
     assert table(RESULTS, "t", False).rows == (("toy6", "[0.50]", "-90.00"), ("ieee33", DOES_NOT_FIT, "[0.75]"))
     assert table(RESULTS, "t", True).rows[0] == ("toy6", "[0.50]", "-0.62")
     away, guarded, home, _ = summary(RESULTS, "t").rows
-    assert away == ("not made for it", "as it is", "1", "-90.000", "-90.000", "-90.00 (ieee33-ppo on toy6)", "1", "0")
+    assert away == ("other presets", "unchanged", "1", "-90.000", "-90.000", "-90.00 (ieee33-ppo on toy6)", "1", "0")
     assert guarded[5:] == ("-0.62 (ieee33-ppo on toy6)", "1", "60")
     assert home[2:5] == ("2", "0.625", "0.625")
     page = markdown([("ppo", RESULTS)], 4, "validation", "python -m docs.studies transfer")
-    assert "a scale alone" in page
+    assert "only set the scale" in page
     assert r"| ieee33 | - | \[0.75\] |" in page
 
 
