@@ -28,7 +28,9 @@ def split_names(text: str) -> list[str]:
         else:
             names[-1] += sign
     if depth:
-        raise ValueError(f"names: brackets must be closed, got {text!r}; close the bracket (paths must not contain brackets)")
+        raise ValueError(
+            f"names: brackets must be closed, got {text!r}; close the bracket (paths must not contain brackets)"
+        )
     return list(dict.fromkeys(name.strip() for name in names if name.strip()))
 
 
@@ -41,7 +43,9 @@ def scenario_names(text: str) -> list[str]:
     if unknown:
         raise ValueError(SCENARIO_REGISTRY.unknown(unknown[0]))
     if not names:
-        raise ValueError(f"scenarios: must name at least one scenario, or all, got {text!r}; `dcgrid list scenarios` lists them")
+        raise ValueError(
+            f"scenarios: must name at least one scenario, or all, got {text!r}; `dcgrid list scenarios` lists them"
+        )
     return names
 
 
@@ -63,7 +67,9 @@ def scenario_specs(text: str, overrides: tuple[str, ...], split: str) -> dict[st
 
     listed = list(PRESETS) if text.strip() == "all" else split_names(text)
     if not listed:
-        raise ValueError(f"scenarios: must name at least one scenario, or all, got {text!r}; `dcgrid list scenarios` lists them")
+        raise ValueError(
+            f"scenarios: must name at least one scenario, or all, got {text!r}; `dcgrid list scenarios` lists them"
+        )
     specs: dict[str, ScenarioSpec] = {}
     for where in listed:
         spec = ScenarioSpec(where, overrides)

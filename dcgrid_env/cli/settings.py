@@ -46,7 +46,9 @@ def check_folder(folder: Path) -> None:
     try:
         require_folder(folder)
     except OSError as error:
-        raise ValueError(f"out: must be a folder that can be created, got {folder} ({error.strerror}); choose another --out") from None
+        raise ValueError(
+            f"out: must be a folder that can be created, got {folder} ({error.strerror}); choose another --out"
+        ) from None
 
 
 def check_file(field: str, path: Path) -> None:
@@ -56,12 +58,14 @@ def check_file(field: str, path: Path) -> None:
     try:
         require_folder(path.parent)
     except OSError as error:
-        raise ValueError(f"{field}: must be in a folder that can be created, got {path.parent} ({error.strerror}); choose another") from None
+        raise ValueError(
+            f"{field}: must be in a folder that can be created, got {path.parent} ({error.strerror}); choose another"
+        ) from None
 
 
 @contextmanager
 def alone_in(folder: Path, what: str) -> Iterator[None]:
-    """Lock a folder while a command reads, changes and writes it, so two commands cannot overwrite each other's results.
+    """Lock a folder while a command changes it, so two commands cannot overwrite each other's results.
 
     ``what`` is the command's name in error messages. Raises ValueError if the folder cannot be created, and
     LockedError if another command has locked it.

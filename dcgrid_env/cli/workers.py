@@ -45,7 +45,9 @@ def place(workers: int | None, ray: str | None) -> Place:
     if ray is None:
         return LocalPool(n_threads() if workers is None else workers)
     if workers is not None:
-        raise ValueError(f"workers: must not be combined with --ray, got --workers {workers} and --ray {ray!r}; remove one of them")
+        raise ValueError(
+            f"workers: must not be combined with --ray, got --workers {workers} and --ray {ray!r}; remove one of them"
+        )
     from dcgrid_env.cli.terminal import plain_console, say
     from dcgrid_env.core.work.cluster import cluster
 
