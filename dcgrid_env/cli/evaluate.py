@@ -186,8 +186,8 @@ def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
             raise TypeError("scenario and set must be text")
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(
-            f"{config}: must be a file of dcgrid train ({type(error).__name__}: {error}); pass --scenario and the policy "
-            "file"
+            f"{config}: must be a file of dcgrid train ({type(error).__name__}: {error}); pass --scenario and the "
+            "policy file"
         ) from None
     if where and parse(where) is not None and not trust:
         raise ValueError(

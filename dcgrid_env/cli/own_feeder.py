@@ -58,7 +58,7 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
     for option in ("datacenters", "inverters"):
         if getattr(asked, option) is not None:
             raise ValueError(
-                f"{option}: must not be combined with --scenario {scenario}, which defines its devices; remove one of them"
+                f"{option}: must not be combined with --scenario {scenario}, which defines the devices; remove one"
             )
     base = ScenarioSpec(scenario).make(split)
     _check_buses(base, made, scenario, given)
@@ -82,7 +82,7 @@ def _feeder(named: str) -> Any:
 
 
 def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any]) -> None:
-    """Raise ValueError if the scenario's devices are at buses that the feeder lacks, unless the buses are overridden."""
+    """Raise ValueError if the scenario's devices are at buses that the feeder lacks and that are not overridden."""
     from dcgrid_env.scenario.placement import path_of
 
     if "devices" in given:
@@ -94,8 +94,8 @@ def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any])
         lacking = [bus for bus in device.buses or () if bus not in there]
         if lacking and field not in given and "buses" not in (given.get(path) or {}):
             raise ValueError(
-                f"feeder {feeder.name!r} lacks {_list(lacking)}, where scenario {named!r} has devices ({field}); remove "
-                f"--scenario to choose devices for the feeder, or pass --set '{field}=[..]' with buses of the feeder"
+                f"feeder {feeder.name!r} lacks {_list(lacking)}, where scenario {named!r} has devices ({field}); "
+                f"remove --scenario to choose devices for the feeder, or pass --set '{field}=[..]' with its buses"
             )
 
 

@@ -44,8 +44,8 @@ class Replay(Command):
     set: Overrides = ()
     """Fields of --scenario to override, for example --set horizon=60."""
     compare: str | None = None
-    """Controllers to show side by side, separated by commas, as for dcgrid run --controllers. Default: those of the run,
-    or none,droop with --scenario."""
+    """Controllers to show side by side, separated by commas, as for dcgrid run --controllers. Default: those of the
+    run, or none,droop with --scenario."""
     seed: int | None = None
     """Seed of the episode. Default: the first seed of the run, or 0 with --scenario."""
     split: str = "test"

@@ -37,8 +37,8 @@ class ExportSb3(Command):
     out: Path = Path("policy.safetensors")
     """Policy file to write. Its card is written next to it with the ending .json."""
     normalize: Path | None = None
-    """File of VecNormalize.save, if the model was trained with it. It is a pickle file and requires --trust. Zips of PPO
-    and A2C record whether it was used; those of SAC, TD3 and DDPG do not."""
+    """File of VecNormalize.save, if the model was trained with it. It is a pickle file and requires --trust. Zips of
+    PPO and A2C record whether it was used; those of SAC, TD3 and DDPG do not."""
     trust: bool = False
     """Unpickle the zip, which runs any code in it, and compare the policy's actions with those of Stable-Baselines3 on
     training episodes."""

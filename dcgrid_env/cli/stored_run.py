@@ -80,8 +80,8 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
     scenario = scenario_of(command)
     if scenario_hash(scenario) != expected:
         raise ValueError(
-            f"{path}: scenario has changed since the run (hash {scenario_hash(scenario)}, was {expected!r}), because its "
-            "files or the package changed; repeat the run"
+            f"{path}: scenario has changed since the run (hash {scenario_hash(scenario)}, was {expected!r}), because "
+            "its files or the package changed; repeat the run"
         )
     run = StoredRun(command, scenario, costs)
     for name in run.controllers:

@@ -58,7 +58,7 @@ class Show(Command):
     """Plot a trace: power, ramps, spectrum and duration curve."""
 
     name: tyro.conf.Positional[str]
-    """Trace: a generator or a fetched recording (dcgrid list), or a file (power trace, nvidia-smi log or request log)."""
+    """Trace: a generator or fetched recording (dcgrid list), or a file (power trace, nvidia-smi log or request log)."""
     against: str | None = None
     """Second trace to compare with in the same plots."""
     duration_s: float = 600.0

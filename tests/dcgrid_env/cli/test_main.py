@@ -200,7 +200,7 @@ def test_help_names_scenario_files(line, capsys, monkeypatch):
 def test_overrides_given_in_two_places_are_refused(second, capsys):
     code, said = stopped(capsys, "run", "--set", "horizon=5", *second)
     assert (code, len(said.err.splitlines())) == (2, 1)
-    assert "--set is there more than once; give it once" in said.err
+    assert "set: must be given once" in said.err
 
 
 def test_a_reader_that_stops_ends_a_command_in_silence():
