@@ -19,7 +19,7 @@ from dcgrid_env.core.suggestions import unknown
 
 @dataclass(frozen=True)
 class TuneAgent(OverWorkers):
-    """Search an algorithm's settings for a scenario.
+    """Search for an algorithm's best settings on a scenario.
 
     Scores each trial on the validation split and prints the best settings as TOML.
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Benchmark(OverWorkers):
-    """Score controllers over scenarios on the test split.
+    """Score controllers on the test split of scenarios.
 
     Writes results.json, results.md and report.html, and prints the table of scores.
 

@@ -79,7 +79,7 @@ class ImportPandapower(_Import):
     fix_generators: bool = False
     """Replace voltage-controlling generators by constant loads with their power from pandapower's power flow."""
     trust: bool = False
-    """Let pandapower read the file, which runs code that the file names."""
+    """Let pandapower read the file, which imports and runs code that the file names. Use it only for trusted files."""
 
     def read(self, allow: list[str]) -> ImportedFeeder:
         """Read the net, or the case if the path ends in .m."""

@@ -40,7 +40,7 @@ class ImportOpenDss(Command):
     allow: str = ""
     """Types of elements to omit even if this changes the grid, separated by commas, for example capcontrol,fuse."""
     trust: bool = False
-    """Run the script without the check. It can then execute any command on this machine."""
+    """Run the script without the check, with all its effects on this machine. Use it only for trusted files."""
 
     def run(self) -> None:
         """Read, compile, solve, report the outcome for each element, and write; write nothing on an error."""

@@ -13,9 +13,9 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Ship(Command):
-    """Score training runs that differ in the seed; write the best.
+    """Score training runs with different seeds; save the best.
 
-    All runs are scored on the test split. The run with the best validation cost is written as a policy, with its card.
+    All runs are scored on the test split. The run with the best validation cost is saved as a policy, with its card.
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]

@@ -14,7 +14,7 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Submit(Command):
-    """Write an entry of the leaderboard.
+    """Create an entry for the leaderboard.
 
     An entry is a folder with a policy, its card and its claimed score. It also contains the hashes of the scenario and
     the episodes, and the package versions. Check it with dcgrid verify.

@@ -13,7 +13,7 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Verify(Command):
-    """Run entries of the leaderboard again and report the scores.
+    """Rerun leaderboard entries and report their scores.
 
     Runs each entry on the claimed episodes and on new ones, and writes the report verified.json to the entry's folder.
     The report is signed if the verifier's key is available. The leaderboard only lists entries with signed reports.

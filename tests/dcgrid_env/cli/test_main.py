@@ -12,7 +12,7 @@ import pytest
 import dcgrid_env
 from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Entry, Group
-from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.main import main, parse
 from dcgrid_env.scenario.assembly import PARTS
 from docs.studies.commands import COMMANDS as STUDIES
@@ -174,9 +174,9 @@ def test_a_command_is_a_dataclass_that_runs(line):
 
 def test_what_goes_on_after_an_interruption():
     words = {
-        "run": "", "benchmark": "", "evaluate none": "", "evaluate none --hindsight": "the same command",
-        "tune": "the same command", "tune --again": "", "hindsight": "the same command",
-        "traces fetch x": "the same command", "traces show x": "", "train analytic": "the same command with --resume",
+        "run": "", "benchmark": "", "evaluate none": "", "evaluate none --hindsight": GOES_ON,
+        "tune": GOES_ON, "tune --again": "", "hindsight": GOES_ON,
+        "traces fetch x": GOES_ON, "traces show x": "", "train analytic": "run the same command with --resume",
     }  # fmt: skip
     for line, start in words.items():
         resumes = parse(line.split()).resumes

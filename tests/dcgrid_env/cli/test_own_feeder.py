@@ -38,7 +38,7 @@ def test_a_folder_or_a_name_runs_with_what_is_chosen(feeder, said, folders, caps
     run("--feeder", feeder)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "kW of load" in line]
     assert said in line
-    assert line.endswith("--set changes any of it")
+    assert line.endswith("use --set to change fields")
 
 
 def test_the_commands_of_the_document_and_the_file_that_runs_again(folders, capsys):
