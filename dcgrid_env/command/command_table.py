@@ -37,13 +37,13 @@ _TRAIN = Group(
     "Train a policy with one of several algorithms.",
     {
         "Algorithms": {
-            "ppo": Entry("PPO (Stable-Baselines3), with shared or centralised policies.", _ALGORITHM),
+            "ppo": Entry("PPO (Stable-Baselines3), shared or centralised.", _ALGORITHM),
             "ppo-counterfactual": Entry("PPO with counterfactual advantages, based on a grid model.", _ALGORITHM),
             "sac": Entry("Soft actor-critic (Stable-Baselines3).", _ALGORITHM),
             "td3": Entry("Twin delayed DDPG (Stable-Baselines3).", _ALGORITHM),
             "analytic": Entry("Policy gradients through the power flow.", _ALGORITHM),
-            "safe": Entry("Policy gradients through the power flow, with bounded gains.", _ALGORITHM),
-            "carry-over": Entry("Learned corrections to the model-aided law, for any feeder.", _ALGORITHM),
+            "safe": Entry("Policy gradients with bounded controller gains.", _ALGORITHM),
+            "carry-over": Entry("Learned corrections to the model-aided law.", _ALGORITHM),
         }
     },
 )

@@ -110,7 +110,7 @@ def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, cap
     searched.clear()
     main(arguments)
     assert searched == [("constant-q", ("toy6",)), ("droop-q", ("toy6",))]
-    assert "2 of 4 stand in" in capsys.readouterr().out
+    assert "kept 2 of 4 results that are already in" in capsys.readouterr().out
     laws = json.loads(out.read_text())["laws"]
     # Laws in the order in which they can be tuned, scenarios in that of the presets.
     ordered = {"droop-q": ["toy6", "ieee123"], "constant-q": ["toy6", "ieee123"], "placement": ["mine"]}
@@ -312,11 +312,11 @@ def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
         (["tune", "--laws", "pid"], "laws: no tunable law 'pid'; choose from droop, droop-q"),
         (["tune", "--laws", ","], "laws: must name at least one law, got ','; choose from"),
         (["tune", "--scenarios", "ieee124"], "no scenario 'ieee124'; did you mean ieee123"),
-        (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes: must be at least 1, got 0"),
         (["tune", "--scenarios", "toy6", "--workers", "0"], "workers: must be at least 1, got 0"),
         (["hindsight", "--scenarios", "toy6", "--workers", "-1"], "workers: must be at least 1, got -1"),
-        (["hindsight", "--scenarios", " , "], "name at least one, or all"),
-        (["hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["hindsight", "--scenarios", " , "], "scenarios: must name at least one scenario, or all, got ' , '"),
+        (["hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes: must be at least 1, got 0"),
         (["hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
     ],
 )
@@ -357,7 +357,7 @@ def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
     assert found.k_q_mvar_per_pu_s == entry["parameters"]["k_q_mvar_per_pu_s"]  # pyright: ignore
     capsys.readouterr()
     main(["run", "--scenario", "own.py:make", "--controllers", "droop-q-tuned", "--episodes", "1"])
-    assert "droop-q-tuned: gains of mine from results/tuned.json" in capsys.readouterr().out
+    assert "droop-q-tuned: gains for mine from results/tuned.json" in capsys.readouterr().out
     # The same command has nothing to do, until the scenario is another.
     main(command)
     assert "nothing to do: all results are already in" in capsys.readouterr().out
@@ -379,7 +379,7 @@ def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
 def test_two_scenarios_of_one_name_are_refused(here, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["tune", "--laws", "droop", "--scenarios", "own.py:make,./own.py:make"])
-    _is_one_line(stopped, capsys, "own.py:make and ./own.py:make are both called 'mine'; give each a name of its own")
+    _is_one_line(stopped, capsys, "names must differ, got 'mine' for both own.py:make and ./own.py:make")
     assert not (here / "results").exists()
 
 

@@ -72,7 +72,7 @@ def test_generalise_leaves_each_out(here):
     ("arguments", "said"),
     [
         (("pareto", "--scenario", "ieee32"), "no scenario 'ieee32'; did you mean ieee33"),
-        (("pareto", "--scenario", "toy6,ieee33"), "scenario is 'toy6,ieee33'; give one"),
+        (("pareto", "--scenario", "toy6,ieee33"), "scenario: must be one name, got 'toy6,ieee33'"),
         (("pareto", "--delays", "1,-2"), "delays is '1,-2'; give figures above 0, separated by commas"),
         (("pareto", "--delays", "nan"), "delays is 'nan'; give figures above 0"),
         (("pareto", "--updates", "0"), "updates is 0; give at least 1"),
