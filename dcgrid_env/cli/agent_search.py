@@ -117,7 +117,7 @@ class TuneAgent(OverWorkers):
         hints = get_type_hints(kind)
         for name, value in given.items():
             if name not in names:
-                listed = f"`dcgrid train {self.algorithm} --help` lists all settings"
+                listed = f"`dcgrid train {self.algorithm} --help` lists all"
                 raise ValueError(f"fixed: {unknown(f'{self.algorithm} setting', name, names, listed)}")
             try:
                 TypeAdapter(hints[name]).validate_python(value, strict=True)

@@ -69,7 +69,7 @@ def parse(words: Sequence[str], commands: Group = COMMANDS, prog: str = "dcgrid"
     if isinstance(member, Entry):
         return member.load().parse(rest, line)
     if rest and rest[0] not in HELP:
-        raise ValueError(unknown("command", rest[0], dict(commands.below(prog)), f"`{line} --help` lists all commands"))
+        raise ValueError(unknown("command", rest[0], dict(commands.below(prog)), f"`{line} --help` lists all"))
     print(member.page(line), file=sys.stdout if rest else sys.stderr)
     raise SystemExit(0 if rest else 2)
 

@@ -205,7 +205,7 @@ def test_the_command(tmp_path, trained, monkeypatch, capsys):
         (["tune-agent", "dqn"], "no algorithm 'dqn'; choose from analytic, safe, ppo"),
         (
             [*words[:-1], "colour=1"],
-            "fixed: no analytic setting 'colour'; `dcgrid train analytic --help` lists all settings",
+            "fixed: no analytic setting 'colour'; `dcgrid train analytic --help` lists all",
         ),
         ([*words[:-1], "updates"], "fixed: 'updates' is no field with its value"),
         (

@@ -99,11 +99,20 @@ def test_fields_are_listed_with_what_each_is(capsys, monkeypatch):
 
 def test_the_commands_are_in_their_groups():
     assert {title: list(commands) for title, commands in COMMANDS.sections.items()} == {
-        "Try": ["run", "list", "replay"],
-        "Your grid": ["import", "check", "capacity", "export"],
-        "Train": ["train", "evaluate", "tune", "tune-agent", "hindsight", "benchmark", "curves", "dataset"],
+        "Get started": ["run", "list", "replay"],
+        "Your feeder": ["import", "check", "capacity", "export"],
+        "Train and evaluate": [
+            "train",
+            "evaluate",
+            "tune",
+            "tune-agent",
+            "hindsight",
+            "benchmark",
+            "curves",
+            "dataset",
+        ],
         "Publish": ["ship", "submit", "verify", "export-sb3", "reproduce"],
-        "More": ["traces"],
+        "Data": ["traces"],
     }
 
 

@@ -66,7 +66,7 @@ def policy(dc=(1.0, 0.3), inv=0.3, scenario="toy6"):
 def test_an_algorithm_gets_its_own_options_and_what_ships_is_said(module, capsys):
     main(["train", "ppo", "--scenario", "toy6", "--seed", "3"])
     assert module.seen == [Ppo.for_scenario("toy6", seed=3)]
-    assert "settings that ship for ppo on toy6: outputs droop, " in capsys.readouterr().out
+    assert "bundled settings for ppo on toy6: outputs droop, " in capsys.readouterr().out
 
 
 def test_bad_training_is_one_line(module, capsys):
@@ -298,7 +298,7 @@ def test_a_file_of_another_scenario_is_refused_before_anything_is_run(here, caps
     command = ["evaluate", "none", "--scenario", "toy6", "--split", "validation", "--episodes", "2"]
     code, said = stopped(capsys, *command, "--hindsight")
     assert (code, len(said.splitlines())) == (2, 1)
-    assert "toy6.json is of another toy6; move it away" in said
+    assert "toy6.json belongs to a different scenario named toy6; move the file" in said
 
 
 def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
@@ -332,7 +332,7 @@ def test_training_on_ones_own_scenario(options, here, capsys):
     assert about["scenario_hashes"] == [scenario_hash(scenario)]
     assert Policy.load(folder / "policy.safetensors").trained_on == "own.py:make --set background.load_sigma=0.1"
     capsys.readouterr()
-    assert "names code, scenario 'own.py:make'" in stopped(capsys, "evaluate", str(folder))[1]
+    assert "scenario must not be code unless trusted, got 'own.py:make'" in stopped(capsys, "evaluate", str(folder))[1]
     main(["evaluate", str(folder), "--episodes", "2", "--trust"])
     assert "[/], test split, 2 episodes" in capsys.readouterr().out
     # Another content of the file is another scenario.
@@ -382,7 +382,7 @@ def test_several_seeds_of_a_training(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "seed 3: J" in said
     assert "seed 4: J" in said
-    assert "`dcgrid ship runs/seed-3 runs/seed-4 --name NAME`" in said
+    assert "dcgrid ship runs/seed-3 runs/seed-4 --name NAME" in said
     for seed in (3, 4):
         card = Card.load(tmp_path / "runs" / f"seed-{seed}" / "policy.json")
         assert card.seed == seed
