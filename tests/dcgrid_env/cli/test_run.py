@@ -176,7 +176,8 @@ def test_a_controller_that_fails_is_one_line_and_whole_where_that_is_asked_for(w
     assert stopped.value.code == 2
     error = capsys.readouterr().err
     assert error == (
-        "dcgrid: controller 'own.py:Fails' fails in act, own.py line 23: KeyError: 'k'; add --traceback for the full traceback\n"
+        "dcgrid: controller 'own.py:Fails' fails in act, own.py line 23: KeyError: 'k'; "
+        "add --traceback for the full traceback\n"
     )
     with pytest.raises(SystemExit) as stopped:
         main([*arguments[:where], "--traceback", *arguments[where:]])
