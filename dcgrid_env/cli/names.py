@@ -28,9 +28,7 @@ def split_names(text: str) -> list[str]:
         else:
             names[-1] += sign
     if depth:
-        raise ValueError(
-            f"names: brackets must be closed, got {text!r}; close the bracket (paths must not contain brackets)"
-        )
+        raise ValueError(f"names: brackets must be closed, got {text!r}; close the bracket")
     return list(dict.fromkeys(name.strip() for name in names if name.strip()))
 
 

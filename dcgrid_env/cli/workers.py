@@ -52,5 +52,5 @@ def place(workers: int | None, ray: str | None) -> Place:
     from dcgrid_env.core.work.cluster import cluster
 
     found = cluster(ray)
-    say(plain_console(), f"Ray cluster at {ray}: {found.workers} cores on {len(found.nodes)} nodes")
+    say(plain_console(), f"Ray cluster at {ray}: cores: {found.workers}, nodes: {len(found.nodes)}")
     return found
