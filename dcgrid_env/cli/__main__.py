@@ -1,4 +1,4 @@
-"""Runs ``python -m dcgrid_env.cli``, which is ``dcgrid``."""
+"""Run ``python -m dcgrid_env.cli``, which is the same as ``dcgrid``."""
 
 from dcgrid_env.cli.main import main
 

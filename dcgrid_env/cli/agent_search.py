@@ -19,37 +19,37 @@ from dcgrid_env.core.suggestions import unknown
 
 @dataclass(frozen=True)
 class TuneAgent(OverWorkers):
-    """Search an algorithm's settings for a scenario.
+    """Search for an algorithm's best settings on a scenario.
 
-    Scores on the validation split and prints the best settings as TOML.
+    Scores each trial on the validation split and prints the best settings as TOML.
 
-    Trials are kept in OUT: an interrupted search goes on where it was, and a larger --trials adds to it. What is
-    printed at the end stands in agents/training/preset_settings.toml as it is.
+    Trials are kept in OUT. Run an interrupted search again to resume, or with a larger --trials to extend it. The
+    printed settings have the format of agents/training/preset_settings.toml.
     """
 
     algorithm: tyro.conf.Positional[str]
-    """The algorithm (dcgrid train)."""
+    """Algorithm, one of those of dcgrid train."""
     scenario: str = "ieee33-weak"
-    """Name of the preset."""
+    """Name of a preset."""
     trials: int = 20
-    """Trainings in all; the first has the settings that a training begins with anyway."""
+    """Total number of trainings. The first one uses the default settings."""
     fixed: tuple[str, ...] = ()
-    """Fields of the algorithm's configuration for all trials, FIELD=VALUE, for instance --fixed steps=500000."""
+    """Settings of the algorithm that stay fixed in all trials, for example --fixed steps=500000."""
     seed: int = 0
-    """Seed of the search; the same one gives the same trials."""
+    """Seed of the search. The same seed gives the same trials."""
     batch: int = 1
-    """Trials that are suggested together and can be trained at once; what is found depends on it, and not on --workers
-    or --ray."""
+    """Number of trials that are suggested together and can train in parallel. The result depends on it, but not on
+    --workers or --ray."""
     out: Path | None = None
-    """Folder of the search; results/tune-agent/SCENARIO-ALGORITHM unless given."""
+    """Folder of the search. Default: results/tune-agent/SCENARIO-ALGORITHM."""
 
     @property
     def resumes(self) -> str:
-        """How to go on: what has been tried is not tried again."""
+        """Message on how to resume; finished trials are kept."""
         return GOES_ON
 
     def run(self) -> None:
-        """Search, print each trial, then the best. ValueError for an invalid setting, before anything is done."""
+        """Search, print each trial and the best; raise ValueError first if a setting is invalid."""
         from dcgrid_env.agents.training.agent_search import (
             SECONDS,
             best_as_toml,
@@ -64,16 +64,18 @@ class TuneAgent(OverWorkers):
 
         require_optuna()
         if self.algorithm not in SPACES:
-            there = f"there are search spaces for {', '.join(SPACES)}"
+            there = f"choose from {', '.join(SPACES)}"
             if self.algorithm in ALGORITHMS:
-                raise ValueError(f"algorithm is {self.algorithm!r}, which has no search space; {there}")
+                raise ValueError(f"algorithm: must have a search space, got {self.algorithm!r}; {there}")
             raise ValueError(unknown("algorithm", self.algorithm, ALGORITHMS, there))
         at_least(self, trials=1, seed=0, batch=1)
         base = self._base()
         folder = self.out or Path("results/tune-agent") / f"{base.scenario}-{self.algorithm}"
         place, console = self.place, plain_console()
         if self.batch < min(self.trials, place.workers) and (self.workers or self.ray):
-            say(console, f"trainings at once: {self.batch} of {place.workers}, as many as a batch has (--batch)")
+            say(
+                console, f"only {self.batch} of {place.workers} workers are used: --batch limits the parallel trainings"
+            )
 
         def shown(trial: Any) -> None:
             cost = "stopped" if trial.state.name == "PRUNED" else f"J {trial.value:.4f}"
@@ -88,23 +90,23 @@ class TuneAgent(OverWorkers):
         trials = ended(study)
         stopped = sum(trial.state.name == "PRUNED" for trial in trials)
         if len(trials) == stopped:
-            raise ValueError(f"all {stopped} trials were stopped or diverged; look at {folder}")
+            raise ValueError(f"all {stopped} trials were stopped early or diverged; see {folder}")
         say(
             console,
             f"best: trial {number_of(study.best_trial)}, J {study.best_value:.4f} on validation; {len(trials)} trials, "
-            f"{stopped} of them stopped, {seconds(study):.0f} s of training",
+            f"{stopped} of them stopped early, {seconds(study):.0f} s of training",
         )
         print(best_as_toml(study, base))
 
     def _given(self) -> dict[str, Any]:
-        """Values of the fields that are fixed; ValueError for one that cannot be read."""
+        """Return the values of the fixed fields; raise ValueError if one cannot be parsed."""
         from dcgrid_env.baselines.scenario_spec import read_overrides
 
         given = read_overrides(self.fixed, "fixed")
         return {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
 
     def _base(self) -> Any:
-        """The configuration that all trials begin from; ValueError for a field or value that cannot be."""
+        """Return the configuration of all trials; raise ValueError if a field or value is invalid."""
         from pydantic import TypeAdapter, ValidationError
 
         from dcgrid_env.agents.training.config import check
@@ -121,7 +123,7 @@ class TuneAgent(OverWorkers):
                 TypeAdapter(hints[name]).validate_python(value, strict=True)
             except ValidationError as error:
                 remedy = error.errors()[0]["msg"]
-                raise ValueError(f"fixed: {name} is {value!r}; {remedy[:1].lower()}{remedy[1:]}") from None
+                raise ValueError(f"fixed: {name}: invalid value {value!r}; {remedy[:1].lower()}{remedy[1:]}") from None
         base = kind.for_scenario(one_scenario(self.scenario), **given)
         check(base)
         return base

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.names import scenario_specs, split_names
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.progress import progress_bar
@@ -26,37 +27,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Benchmark(OverWorkers):
-    """Score controllers over scenarios on the test split.
+    """Score controllers on the test split of scenarios.
 
-    This writes results.json, results.md and report.html, and prints the table of scores. Finished units are kept in
-    OUT/units: an interrupted benchmark goes on where it was, and more controllers, scenarios or episodes can be added
-    by the same command; the files hold what the last one asked for. An OUT of another version of the package or of a
-    changed scenario is refused; units of a controller that has changed are computed anew.
+    Writes results.json, results.md and report.html, and prints the table of scores.
+
+    Finished units are kept in OUT/units. Run an interrupted benchmark again to resume, or add controllers, scenarios or
+    episodes to it; the output files contain the last command's selection. Results of a changed controller are computed
+    again. The command refuses an OUT from another package version or a changed scenario.
     """
 
     scenarios: Scenarios = "all"
-    """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
-    package.module:function that makes your own; or all of those that ship."""
+    """Scenarios, separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
+    package.module:function; or all for every preset."""
     set: Overrides = ()
-    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 sensing.noise_pu=0.005."""
+    """Fields to override in every scenario, for example --set horizon=60 sensing.noise_pu=0.005."""
     controllers: str = "local"
-    """Controllers separated by commas: names (dcgrid list), module:Class or file.py:Class of your own, in quotes with
-    arguments, as 'file.py:Class(gain=0.5)', training runs' folders or policies' files (.safetensors); local (made by
-    hand, without a model of the feeder), all (made by hand) or policies (those that ship). A path must not hold a
-    comma. The tuned droop is run besides."""
+    """Controllers, separated by commas: names (dcgrid list), your classes (module:Class or file.py:Class, for example
+    'file.py:Class(gain=0.5)'), training run folders or policy files (.safetensors). Groups: local (hand-written, only
+    local measurements), all (all hand-written) and policies (bundled policies). The tuned droop is always included.
+    Paths must not contain commas."""
     episodes: int = 100
-    """Number of test episodes of each scenario, seeds 0, 1, ...; hindsight of the first 100 ships for the presets, what
-    dcgrid hindsight has solved besides is found in results/hindsight."""
+    """Number of test episodes for each scenario, with seeds 0, 1, ... Scores need hindsight costs: the presets include
+    those of the first 100 episodes, and dcgrid hindsight stores others in results/hindsight."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
-    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    """File with the gains of the tuned controllers, written by dcgrid tune. Default: results/tuned.json if it has gains
+    for this exact scenario, otherwise the gains bundled with the preset."""
     out: Path = Path("results/benchmark")
-    """Folder for what is written; made if it is not there."""
+    """Output folder. Created if missing."""
     open: bool = False
-    """Open the report at the end."""
+    """Open the report when the command ends."""
 
     def run(self) -> None:
-        """Run what is not done yet, sum up, write. ValueError for bad settings, before anything is written."""
+        """Run the remaining units and write the results; raise ValueError first if a setting is invalid."""
         from dcgrid_env.baselines import published
         from dcgrid_env.baselines.benchmark.gather import gather
         from dcgrid_env.baselines.benchmark.jobs import Case, plan
@@ -68,7 +70,7 @@ class Benchmark(OverWorkers):
         from dcgrid_env.core.work.unit import require_all
 
         if self.episodes < 1:
-            raise ValueError(f"episodes is {self.episodes}; give at least 1")
+            raise ValueError(f"episodes: must be at least 1, got {self.episodes}")
         require_tuned(self.tuned)
         place = self.place
         cases = [Case(spec, self.tuned) for spec in scenario_specs(self.scenarios, self.set, SPLIT).values()]
@@ -80,20 +82,18 @@ class Benchmark(OverWorkers):
         for line in _beforehand(cases, controllers, self, failures):
             console.print(line)
         if done:
-            console.print(f"{len(done)} of {len(tasks)} units are done already with these settings, in {store.folder}")
+            console.print(f"{len(done)} of {len(tasks)} units with these settings are already in {store.folder}")
         try:
             with alone_in(self.out, "dcgrid benchmark"):
                 shared = carried(place, [case.spec.where for case in cases], controllers, self.tuned)
                 due = [task for task in tasks if task.unit not in done]
                 failed, lost = _run(due, done, store, place, shared, console)
                 failures |= failed
-                with console.status("checking the episodes' hashes and summing up"):
+                with console.status("checking the episode hashes and summarising"):
                     results = gather(cases, controllers, self.episodes, done, failures, lambda s: published(s, FOLDER))
                 _write(self, results, place, shared, console)
         except KeyboardInterrupt:
-            console.print(
-                f"interrupted with {len(done)} of {len(tasks)} units done; the same command goes on from there"
-            )
+            console.print(f"interrupted with {len(done)} of {len(tasks)} units done; {GOES_ON}")
             raise SystemExit(130) from None
         require_all(lost, len(tasks))
 
@@ -101,7 +101,7 @@ class Benchmark(OverWorkers):
 def _beforehand(
     cases: Sequence[Case], controllers: Sequence[str], cfg: Benchmark, failures: dict[tuple[str, str], str]
 ) -> list[str]:
-    """What a scenario lacks for its score, with the commands that make it, and whose gains are not those that ship."""
+    """Return lines on missing data for scores, with the commands that create it, and on gains that are not bundled."""
     from dcgrid_env.baselines import published
     from dcgrid_env.baselines.benchmark.gather import no_hindsight
     from dcgrid_env.baselines.hindsight_costs import FOLDER
@@ -117,7 +117,7 @@ def _beforehand(
 
 
 def _controllers(asked: str, case: Case) -> list[str]:
-    """The controllers in the order of the tables: the reference, static rules, then as asked for."""
+    """Return the controllers in table order: the reference, static rules, then the order of the option."""
     from dcgrid_env.agents.controllers import TRAINED
     from dcgrid_env.baselines import CONTROLLERS, TUNED
     from dcgrid_env.baselines.score import REFERENCE, STATIC
@@ -128,15 +128,17 @@ def _controllers(asked: str, case: Case) -> list[str]:
     for name in split_names(asked):
         names += filter(_is_local, by_hand) if name == "local" else groups.get(name, [name])
     if not names:
-        raise ValueError(f"controllers is {asked!r}; name at least one, local, all or policies (dcgrid list)")
+        raise ValueError(
+            f"controllers: must name at least one, got {asked!r}; choose names (dcgrid list), local, all or policies"
+        )
     for name in names:
         if name not in by_hand and name not in TRAINED:
-            case.controller(name)  # ValueError for what is none
+            case.controller(name)  # raise ValueError if it is not a controller
     return list(dict.fromkeys([REFERENCE, *(name for name in STATIC if name in names), *names]))
 
 
 def _is_local(name: str) -> bool:
-    """Whether a controller sees local figures alone, on the first preset that it can be made for."""
+    """Return whether a controller uses only local measurements, on the first preset that it supports."""
     from dcgrid_env import PRESETS
     from dcgrid_env.baselines.benchmark.jobs import Case, observed
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
@@ -158,9 +160,9 @@ def _run(
     shared: dict[str, Any],
     console: Console,
 ) -> tuple[dict[tuple[str, str], str], dict[str, Lost]]:
-    """Run tasks, keeping each unit's record at once.
+    """Run tasks, and store each unit's record when it is done.
 
-    What failed, by (scenario, controller), and units that were lost with their workers, by their names.
+    Returns failures by (scenario, controller), and the units that were lost with their workers, by name.
     """
     from dcgrid_env.baselines.benchmark.jobs import run
     from dcgrid_env.core.work import unit as work
@@ -183,12 +185,12 @@ def _run(
                 store.put(unit, record)
                 done[unit] = record
             progress.advance(bar, unit.episodes)
-    first = sorted(failed, key=lambda unit: -unit.first)  # the pair's first unit is put in last, and stays
+    first = sorted(failed, key=lambda unit: -unit.first)  # the first unit of a pair comes last and is kept
     return {(unit.scenario, unit.controller): failed[unit] for unit in first}, lost
 
 
 def _write(cfg: Benchmark, results: Sequence[Results], place: Place, shared: dict[str, Any], console: Console) -> None:
-    """The files, the records before the figures, and the scores on the terminal."""
+    """Write the files, records before figures, and print the scores."""
     from dcgrid_env import scenario_hash
     from dcgrid_env.baselines.benchmark.benchmark_tables import saved_table, score_table
     from dcgrid_env.baselines.benchmark.output import write_report, write_results

@@ -31,65 +31,65 @@ Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 class Capacity(OverWorkers):
     """Find the largest data centre that each bus can carry.
 
-    This is the hosting capacity of the feeder, under each controller.
+    This is the hosting capacity of the feeder under each controller.
 
-    One data centre is added at one bus at a time, in ever other sizes, and run through windows of sampled load; a size
-    carries if every bus keeps within the limits of voltage, and every branch of known rating within that. Beside the MW
-    stands what they cost: the delay of the site's work. Prints a table and writes capacity.csv, capacity.png, a map of
-    the feeder coloured by MW, and results.json.
+    The command adds one data centre at one bus at a time and simulates it in windows of sampled load. It searches for
+    the largest size that keeps every bus within the voltage limits and every branch within its rating, if known. It
+    prints a table of capacity and work delay, and writes capacity.csv, results.json and capacity.png, a map of the
+    feeder coloured by MW.
     """
 
     feeder: str | None = None
-    """The feeder: its folder (what dcgrid import writes, for instance), or the name of one that ships. The added site
-    is alone on it, at a source voltage that centres the band unless --set source_voltage_pu says which, if --scenario
-    does not say what else is there. Without it the feeder is that of the scenario."""
+    """Feeder: a folder, for example from dcgrid import, or the name of a bundled feeder. Default: the feeder of
+    --scenario. Without --scenario, the added site is the only device, and the source voltage is set to centre the
+    voltage band unless --set source_voltage_pu is given."""
     scenario: str | None = None
-    """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function, whose devices stand beside the
-    added site, and whose trace and kind of site it has."""
+    """Scenario that defines the other devices, and the trace and type of the added site: a name (dcgrid list),
+    path/to/file.toml or path/to/file.py:function."""
     set: Overrides = ()
-    """Fields of the scenario to change, for instance --set source_voltage_pu=1.05 datacenters.s_rated_share=1.1."""
+    """Scenario fields to override, for example --set source_voltage_pu=1.05 datacenters.s_rated_share=1.1."""
     controllers: Controllers = "none,droop-tuned"
-    """Controllers separated by commas, as dcgrid run takes them. A tuned law without gains for the scenario has its
-    defaults; a policy acts on what the site observes."""
+    """Controllers, separated by commas, as for dcgrid run. A tuned law without gains for the scenario uses its default
+    gains. A policy acts on the observations of the site."""
     buses: str | None = None
-    """Candidate buses separated by commas, or all; by default load buses, 64 at most, spread evenly."""
+    """Candidate buses, separated by commas, or all. Default: up to 64 load buses, evenly spread."""
     samples: int = 64
-    """Windows of sampled load: those of seeds 0, 1, .., the same for all sizes, buses and controllers."""
+    """Number of windows of sampled load, with seeds 0, 1, ... All sizes, buses and controllers use the same windows."""
     load: Literal["day", "peak"] = "day"
-    """Level of the other loads: day spreads the samples over the hours of a day, from the peak's on; peak holds the
+    """Level of the other loads: day spreads the samples over the hours of a day, starting at the peak; peak keeps the
     feeder's nominal load."""
     trace: str | None = None
-    """Work of the added site, and of others, instead of the scenario's: a generator (dcgrid list) or a recording."""
+    """Trace of all data centres instead of the scenario's: a generator or a recording (dcgrid list)."""
     window_s: float = 60.0
     """Length of a window, s."""
     settle_s: float = 20.0
-    """Its first seconds, in which limits do not count as controllers only begin."""
+    """Start of each window in which limits are not checked while controllers settle, s."""
     limits: str = "0.95,1.05"
-    """Lowest and highest voltage, p.u., with a comma between."""
+    """Lowest and highest voltage, p.u., separated by a comma."""
     loading_max_pct: float = 100.0
-    """Largest current of a branch, % of its rating, where that is known."""
+    """Largest branch current, % of its rating. Branches without a rating are not checked."""
     allowed_pct: float = 0.0
-    """Share of the seconds in which some limit may be broken, %."""
+    """Share of the seconds in which a limit may be violated, %."""
     tolerance_mw: float | None = None
-    """Distance between sizes, MW; by default a round number near a thousandth of the largest."""
+    """Step between sizes, MW. Default: a round number near one thousandth of the largest size."""
     max_mw: float | None = None
-    """Largest size to try, MW; by default some three times the feeder's load."""
+    """Largest size to try, MW. Default: about three times the feeder's load."""
     split: str = "test"
-    """Which windows the seeds mean: train, validation, test, or ood."""
+    """Split of the windows: train, validation, test or ood."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from."""
+    """File with the gains of the tuned controllers, written by dcgrid tune."""
     out: Path = Path("results/capacity")
-    """Folder for capacity.csv, capacity.png and results.json; made if it is not there."""
+    """Folder for capacity.csv, capacity.png and results.json. Created if missing."""
 
     def run(self) -> None:
-        """Search, print, write. ValueError for an invalid setting, before anything is written."""
+        """Search, print and write; raise ValueError before writing if a setting is invalid."""
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv, capacity_table, record
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
         from dcgrid_env.baselines.tuning.tuned import require_tuned
 
         place, names = self.place, split_names(self.controllers)
         if not names:
-            raise ValueError(f"controllers is {self.controllers!r}; name at least one (dcgrid list)")
+            raise ValueError(f"controllers: must name at least one controller (dcgrid list), got {self.controllers!r}")
         require_tuned(self.tuned)
         study = _study(self)
         check_folder(self.out)
@@ -142,7 +142,7 @@ def _scenario(cfg: Capacity) -> Scenario:
     if cfg.feeder is not None:
         return scenario_on_feeder(Asked(cfg.feeder, cfg.scenario), cfg.set, cfg.split, chosen)
     if cfg.scenario is None:
-        raise ValueError("feeder is missing; give --feeder, a feeder's name or folder, or --scenario")
+        raise ValueError("feeder: must be given, or --scenario; pass --feeder with a feeder's name or folder")
     return ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split, **chosen)
 
 
@@ -150,12 +150,14 @@ def _limits(text: str) -> tuple[float, float]:
     try:
         low, high = map(float, text.split(","))
     except ValueError:
-        raise ValueError(f"limits is {text!r}; give the lowest and the highest voltage, such as 0.95,1.05") from None
+        raise ValueError(
+            f"limits: must be the lowest and the highest voltage, such as 0.95,1.05, got {text!r}"
+        ) from None
     return low, high
 
 
 def draw(found: Capacities) -> Figure:
-    """A map for each controller, all on one scale."""
+    """Draw one map per controller, all with the same colour scale."""
     import numpy as np
 
     from dcgrid_env.rendering.capacity_map import capacity_figure

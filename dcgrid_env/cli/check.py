@@ -15,25 +15,24 @@ from dcgrid_env.cli.workers import OverWorkers
 class Check(OverWorkers):
     """Check in a minute whether a scenario is worth learning on.
 
-    What no control, the droop, the best constant and perfect foresight reach in a few episodes, as a table and in plain
-    words: whether there is anything to gain, whether the band can be kept, what the clock is worth, how large the
-    droop's gain may be, and what to change.
+    Runs a few episodes with no control, the droop, the best constant action and perfect foresight. Prints a table and
+    conclusions: whether control can improve the cost, whether the voltage band can be kept, how much the clock helps,
+    which droop gains are stable, and what to change.
     """
 
     scenario: tyro.conf.Positional[str]
-    """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own."""
+    """Scenario: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or package.module:function."""
     set: Overrides = ()
-    """Fields of the scenario to change, for instance --set datacenters.p_rated_kw=800 source_voltage_pu=1.05."""
+    """Scenario fields to override, for example --set datacenters.p_rated_kw=800 source_voltage_pu=1.05."""
     episodes: int = 8
-    """Number of episodes: those of seeds 0, 1, .."""
+    """Number of episodes, with seeds 0, 1, ..."""
     split: str = "validation"
-    """Which episodes the seeds mean: train, validation, test or ood."""
+    """Split of the episodes: train, validation, test or ood."""
     seconds: float = 40.0
-    """Time after which nothing further is begun; all columns are then of fewer episodes, the same ones."""
+    """Time limit for starting new work, s. After it, all columns use the same, smaller set of episodes."""
 
     def run(self) -> None:
-        """Look, print the table and what it says. ValueError for an invalid setting."""
+        """Run the check, print the table and conclusions; raise ValueError if a setting is invalid."""
         from dcgrid_env.baselines.sanity.scenario_check import check_scenario
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 

@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 class Curves(Command):
     """Draw learning curves of training runs.
 
-    Draws a panel for each scenario, and a line with its band for each algorithm.
+    The figure has one panel per scenario and one line per algorithm, with a band over its seeds.
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of training runs (dcgrid train); those that differ in the seed alone are one line with its band."""
+    """Folders of training runs (dcgrid train). Runs that differ only in the seed share a line."""
     x: Literal["seconds", "steps"] = "seconds"
-    """What they run along: training time, or steps of environments."""
+    """Horizontal axis: training time in seconds, or environment steps."""
     out: Path = Path("results/curves.png")
-    """The picture; folders are made."""
+    """Image file. Its folder is created if missing."""
 
     def run(self) -> None:
-        """Read, draw, print. ValueError for a folder that holds no run, before anything is written."""
+        """Read, draw and print; raise ValueError before writing if a folder is not a training run."""
         from dcgrid_env.agents.training.curves import curves_figure, lines, read
         from dcgrid_env.core.files import write_figure
 
         if not self.folders:
-            raise ValueError("folders is empty; give the folder of at least one training run")
+            raise ValueError("folders: must name at least one folder of a training run, got none")
         by_scenario = lines([read(folder, self.x) for folder in self.folders])
         check_folder(self.out.parent)
         write_figure(self.out, curves_figure(by_scenario, self.x), dpi=130)
@@ -48,11 +48,11 @@ class Curves(Command):
 
 
 def ending(line: Line) -> str:
-    """Where the runs of a line end: how far below the tuned droop's cost, or above it."""
+    """Return the final cost of a line's runs, relative to the tuned droop's cost."""
     mean, low, high = (_against(course[-1]) for course in (line.mean_pct, line.low_pct, line.high_pct))
     if line.n_runs == 1:
-        return f"1 run, J at the end {mean} the tuned droop's"
-    return f"{line.n_runs} runs, J at the end {mean} the tuned droop's on average (the best {high}, the worst {low})"
+        return f"1 run, final J {mean} the tuned droop's"
+    return f"{line.n_runs} runs, final J {mean} the tuned droop's on average (best {high}, worst {low})"
 
 
 def _against(gain_pct: float) -> str:

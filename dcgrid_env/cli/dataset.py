@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dcgrid_env.core.work.unit import Place
 
 SPLITS = ("train", "validation")
-"""Splits that data may come from; what is learned from episodes of the others could not be judged on them."""
+"""Splits that data may come from; the other splits are reserved for evaluation."""
 RANDOM, HINDSIGHT, DROOP = "random", "hindsight", "droop-tuned"
 
 
@@ -33,41 +33,38 @@ RANDOM, HINDSIGHT, DROOP = "random", "hindsight", "droop-tuned"
 class Dataset(OverWorkers):
     """Write episodes as a Minari data set for offline learning.
 
-    Takes the extra minari.
-
-    The data set is there whole once the command has ended, or not at all.
+    Requires the minari extra. An interrupted command leaves no partial data set.
     """
 
     scenario: str = "ieee33-weak"
-    """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own."""
+    """Scenario: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or package.module:function."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
+    """Scenario fields to override, for example --set horizon=60 sensing.noise_pu=0.005."""
     controller: str = DROOP
-    """What acts: a controller or policy (dcgrid list), a class of your own (file.py:Class), a training run's folder or
-    a policy's file (.safetensors), random for actions drawn evenly, or hindsight for the plan of perfect foresight of
-    each episode."""
+    """Controller of the episodes: a controller or policy (dcgrid list), your class (file.py:Class), a training run's
+    folder, a policy file (.safetensors), random (uniform actions) or hindsight (the perfect-foresight plan of each
+    episode)."""
     noise: float = 0.0
-    """Standard deviation of normal noise on each entry of an action, which reaches from -1 to 1; 0.2 shows a learner
-    what other actions than the controller's come to."""
+    """Standard deviation of Gaussian noise on the actions, which range from -1 to 1. For example, 0.2 adds actions that
+    the controller would not choose."""
     episodes: int = 100
-    """Number of episodes: those of seeds seed, seed + 1, ..."""
+    """Number of episodes, with seeds SEED, SEED + 1, ..."""
     seed: int = 0
     """Seed of the first episode."""
     behaviour_seed: int = 0
-    """Another one draws other noise, or other random actions, in the same episodes."""
+    """Seed of the noise and of the random actions, independent of the episodes."""
     split: str = "train"
-    """Which episodes the seeds mean: train or validation. The test and ood splits are kept for judging."""
+    """Split of the episodes: train or validation. The test and ood splits are reserved for evaluation."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
-    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    """File with the gains of the tuned controllers, written by dcgrid tune. Default: results/tuned.json if it has gains
+    for this exact scenario, otherwise the gains bundled with the preset."""
     name: str | None = None
-    """Name of the data set; by default made of controller, noise and split. Its id is dcgrid/SCENARIO/NAME-v0."""
+    """Name of the data set, whose id is dcgrid/SCENARIO/NAME-v0. Default: built from controller, noise and split."""
     out: Path | None = None
-    """Folder of all data sets, in Minari's layout; $MINARI_DATASETS_PATH where that is set, else results/datasets."""
+    """Root folder of Minari data sets. Default: $MINARI_DATASETS_PATH if set, otherwise results/datasets."""
 
     def run(self) -> None:
-        """Run and write. ValueError for an invalid setting, before anything is written."""
+        """Run and write; raise ValueError before writing if a setting is invalid."""
         from dcgrid_env.baselines.offline_data.minari_writer import CARD, dataset_id, default_root, new_dataset
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -88,35 +85,34 @@ class Dataset(OverWorkers):
             card = _card(self, scenario, name, costs)
             writer.describe(card)
         mean, droop = f"mean J {card['J']['mean']:.4f}", card["J_droop_tuned"]
-        beside = "" if droop is None else f", the tuned droop's on the same {droop:.4f}"
+        beside = "" if droop is None else f" (tuned droop on the same episodes: {droop:.4f})"
         say(console, f"{name}: {self.episodes} episodes of the {self.split} split, {mean}{beside}")
         for line in tuned_from([self.controller], scenario, self.tuned):
             console.print(line)
-        say(console, f"wrote {root / name}, its card is {CARD}")
-        say(console, f"MINARI_DATASETS_PATH={root.absolute()} lets minari.load_dataset({name!r}) find it")
+        say(console, f"wrote {root / name}, with its card {CARD}")
+        say(console, f"to load it: set MINARI_DATASETS_PATH={root.absolute()}, then call minari.load_dataset({name!r})")
 
 
 def _check(cfg: Dataset) -> None:
-    """ValueError for an invalid setting."""
+    """Raise ValueError if a setting is invalid."""
     from dcgrid_env.baselines.offline_data.minari_writer import require_minari
     from dcgrid_env.baselines.tuning.tuned import require_tuned
 
     at_least(cfg, episodes=1, seed=0, noise=0, behaviour_seed=0)
     if cfg.split not in SPLITS:
         raise ValueError(
-            f"split is {cfg.split!r}; choose {' or '.join(SPLITS)}: what is learned from episodes of another split "
-            "cannot be judged on it"
+            f"split: must be {' or '.join(SPLITS)}, got {cfg.split!r}; the other splits are reserved for evaluation"
         )
     if not cfg.noise <= 2.0:
-        raise ValueError(f"noise is {cfg.noise}; give at most 2, which is the whole range of an action")
+        raise ValueError(f"noise: must be at most 2, the width of the action range, got {cfg.noise}")
     if cfg.controller == RANDOM and cfg.noise:
-        raise ValueError(f"noise is {cfg.noise}, and random actions are noise already; leave it out")
+        raise ValueError(f"noise: must be 0 with random actions, got {cfg.noise}; remove --noise")
     require_tuned(cfg.tuned)
     require_minari()
 
 
 def _name(cfg: Dataset) -> str:
-    """What tells the data set from others of its scenario."""
+    """Return the default name of the data set, unique within its scenario."""
     from dcgrid_env.baselines.file_names import file_name
 
     noise = f"-noise-{cfg.noise:g}".replace(".", "_") if cfg.noise else ""
@@ -128,7 +124,7 @@ def _behaviour(cfg: Dataset) -> str:
 
 
 def _episodes(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, place: Place) -> Iterator[list[JointEpisode]]:
-    """Run the episodes, batch by batch."""
+    """Run the episodes in batches."""
     from dcgrid_env.baselines.offline_data.joint_episodes import joint_episodes
     from dcgrid_env.baselines.offline_data.minari_writer import batches
 
@@ -138,7 +134,7 @@ def _episodes(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, place: Place
 
 
 def _controller(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, seeds: Sequence[int], place: Place) -> Controller:
-    """What acts in the episodes of these seeds."""
+    """Return the controller for the episodes of these seeds."""
     import numpy as np
 
     from dcgrid_env.agents import find_controller
@@ -158,14 +154,14 @@ def _controller(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, seeds: Seq
 
 
 def _planned(spec: ScenarioSpec, split: str, seed: int) -> np.ndarray:
-    """Actions of perfect foresight in the episode of a seed, (T, n_action)."""
+    """Return the perfect-foresight actions in the episode of a seed, (T, n_action)."""
     from dcgrid_env.baselines.model_based.hindsight import hindsight
 
     return hindsight(spec.make(split), seed).actions
 
 
 def _card(cfg: Dataset, scenario: Scenario, name: str, costs: Sequence[float]) -> dict[str, Any]:
-    """What stands in card.json."""
+    """Return the contents of card.json."""
     from dcgrid_env import scenario_hash
 
     return {
@@ -190,7 +186,7 @@ def _card(cfg: Dataset, scenario: Scenario, name: str, costs: Sequence[float]) -
 
 
 def _droop(cfg: Dataset, scenario: Scenario) -> float | None:
-    """Mean J of the tuned droop on the same episodes; None where no gains of it are known for the scenario."""
+    """Return the mean J of the tuned droop on the same episodes; None if it has no gains for the scenario."""
     from dcgrid_env.agents import evaluate, find_controller
 
     try:
@@ -201,7 +197,7 @@ def _droop(cfg: Dataset, scenario: Scenario) -> float | None:
 
 
 def _score(cfg: Dataset, scenario: Scenario) -> dict[str, Any]:
-    """Score of the behaviour on the test split where it is known: by definition, or from a policy's card."""
+    """Return the test score of the controller if it is known: by definition, or from a policy's card."""
     known = {DROOP: 0.0, HINDSIGHT: 1.0}.get(cfg.controller)
     if cfg.noise:
         return {"score": None, "score_why": "with noise it was scored nowhere"}
@@ -217,7 +213,7 @@ def _score(cfg: Dataset, scenario: Scenario) -> dict[str, Any]:
 
 
 def _scored(cfg: Dataset, scenario: Scenario) -> Scored | None:
-    """What a policy's card says of its score on the scenario."""
+    """Return the score on the scenario from a policy's card; None if there is none."""
     from dcgrid_env import scenario_hash
     from dcgrid_env.agents import Policy, find_controller
 
@@ -231,7 +227,7 @@ def _scored(cfg: Dataset, scenario: Scenario) -> Scored | None:
 
 
 def _traces(scenario: Scenario) -> list[dict[str, Any]]:
-    """Where the data centres' load comes from, each once whatever its seeds: generator, or licence and citation."""
+    """Return the sources of the data centres' load without duplicates: generator, or licence and citation."""
     from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 
     found: list[dict[str, Any]] = []

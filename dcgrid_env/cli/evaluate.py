@@ -38,46 +38,46 @@ if TYPE_CHECKING:
 class Evaluate(OverWorkers):
     """Score a policy on held-out episodes.
 
-    Compares it with the tuned droop law and the best rules that measure nothing.
+    Compares it with the tuned droop and with the best rules that use no measurements.
     """
 
     policy: tyro.conf.Positional[str]
-    """A policy that ships or a controller (dcgrid list), a training run's folder, a policy's file, or a class of your
-    own (module:Class, file.py:Class, in quotes with arguments: 'file.py:Class(gain=0.5)'); with --trust a model of
-    Stable-Baselines3 too (model.zip). Before a policy guarded: may stand, which keeps it near the tuned droop where it
-    was not trained to act."""
+    """Policy to score: a bundled policy or controller (dcgrid list), a training run's folder, a policy file
+    (.safetensors), your class (module:Class or file.py:Class, for example 'file.py:Class(gain=0.5)') or, with --trust,
+    a Stable-Baselines3 model (.zip). The prefix guarded: keeps a policy near the tuned droop outside the conditions
+    that it was trained in."""
     scenario: str | None = None
-    """Name of a scenario, path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own; the one that the policy was trained on unless given."""
+    """Scenario: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or package.module:function. Default:
+    the scenario that the policy was trained on."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
+    """Scenario fields to override, for example --set horizon=60 sensing.noise_pu=0.005."""
     split: str = "test"
-    """Which episodes the seeds mean: train, validation, test or ood."""
+    """Split of the episodes: train, validation, test or ood."""
     episodes: int = 100
-    """Number of episodes: those of seeds seed, seed + 1, ..."""
+    """Number of episodes, with seeds SEED, SEED + 1, ..."""
     seed: int = 0
     """Seed of the first episode."""
     hindsight: bool = False
-    """Whether to solve the episodes whose hindsight, which a score needs, neither ships nor stands in
-    results/hindsight; they are kept there. Without it the command says how long that would take."""
+    """Solve the hindsight costs that the score needs and store them in results/hindsight. Without this option, missing
+    costs mean no score, and the command prints an estimate of the solution time."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from. Without it they are those of
-    results/tuned.json where they were found for this very scenario, else those that ship with the preset."""
+    """File with the gains of the tuned controllers, written by dcgrid tune. Default: results/tuned.json if it has gains
+    for this exact scenario, otherwise the gains bundled with the preset."""
     trust: bool = False
-    """Whether to load a zip of Stable-Baselines3, which is pickle and so runs whatever code it holds (dcgrid export-sb3
-    converts one without), and to run the code that a training run's folder names as its scenario."""
+    """Run code from files: load a Stable-Baselines3 zip, which contains pickled code, or import the scenario code named
+    in a training run's folder. dcgrid export-sb3 converts a zip without running its code."""
     out: Path = Path("results/evaluate")
-    """Folder for figure.png, the first episode under the policy and the tuned droop law; made if it is not there."""
+    """Folder for figure.png, which shows the first episode under the policy and the tuned droop. Created if missing."""
     open: bool = False
-    """Open the figure at the end."""
+    """Open the figure when the command ends."""
 
     @property
     def resumes(self) -> str:
-        """How to go on: what has been kept is not done again."""
+        """Message on how to resume; finished work is kept."""
         return GOES_ON if self.hindsight else ""
 
     def run(self) -> None:
-        """Run, print the table and what it says. ValueError for an invalid setting."""
+        """Run the episodes, print the table and remarks; raise ValueError if a setting is invalid."""
         from dcgrid_env.agents import evaluate, find_controller
         from dcgrid_env.baselines import published
         from dcgrid_env.baselines.benchmark.benchmark_tables import headroom_lines
@@ -87,7 +87,7 @@ class Evaluate(OverWorkers):
 
         for field, least in (("episodes", 1), ("seed", 0)):
             if getattr(self, field) < least:
-                raise ValueError(f"{field} is {getattr(self, field)}; give at least {least}")
+                raise ValueError(f"{field}: must be at least {least}, got {getattr(self, field)}")
         require_tuned(self.tuned)
         place, zipped = self.place, _zipped(self.policy)
         if zipped is not None:
@@ -97,7 +97,7 @@ class Evaluate(OverWorkers):
         scenario = spec.make(self.split)
         seeds = range(self.seed, self.seed + self.episodes)
         if self.hindsight:
-            kept_episodes(FOLDER, scenario)  # ValueError for a file of another scenario, before anything is run
+            kept_episodes(FOLDER, scenario)  # raise ValueError for a file of another scenario before any run
         controller = find_controller(self.policy, scenario, self.tuned) if zipped is None else _sb3(zipped)
         controllers = {self.policy: controller}
         left_out = []
@@ -105,7 +105,7 @@ class Evaluate(OverWorkers):
             try:
                 controllers.setdefault(name, find_controller(name, scenario, self.tuned))
             except ValueError as error:
-                left_out.append(f"{name} is left out: {error}")
+                left_out.append(f"{name} is omitted: {error}")
         console = plain_console()
         evaluations = {}
         with console.status(f"{self.episodes} episodes"):
@@ -126,16 +126,16 @@ class Evaluate(OverWorkers):
 
 
 def _zipped(policy: str) -> Path | None:
-    """The zip of Stable-Baselines3 that is named, maybe by its folder; None for anything else."""
+    """Return the Stable-Baselines3 zip that a policy name or its folder refers to; None for anything else."""
     from dcgrid_env.baselines.registry import controller_file, split_prefix
 
     before, inner = split_prefix(policy)
-    file = None if before else controller_file(inner)  # no guard stands before a zip
+    file = None if before else controller_file(inner)  # a zip cannot be guarded
     return file if file is not None and file.suffix == SB3 else None
 
 
 def _sb3(file: Path) -> Controller:
-    """The model of a trusted zip; ValueError where it cannot be loaded or needs what stands beside it."""
+    """Return the model of a trusted zip; raise ValueError if it cannot be loaded or a package is missing."""
     try:
         from dcgrid_env.agents.from_sb3.sb3_controller import trusted
     except ImportError as error:
@@ -144,7 +144,7 @@ def _sb3(file: Path) -> Controller:
 
 
 def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
-    """What is asked for, or else what the policy was trained on; ValueError where that is not known."""
+    """Return the scenario of the command line or of the policy's training; raise ValueError if there is neither."""
     from dcgrid_env import PRESETS
     from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
     from dcgrid_env.baselines.registry import controller_file, require_known, split_prefix
@@ -164,14 +164,16 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
         where = Policy.load(file).trained_on if file is not None and file.suffix == SUFFIX else ""
     if where not in PRESETS:
         require_known(inner)
-        raise ValueError(f"policy {inner!r} is of no preset of its own; say on which --scenario (dcgrid list)")
+        raise ValueError(
+            f"scenario: must be given for policy {inner!r}, which is not tied to a preset; add --scenario (dcgrid list)"
+        )
     return ScenarioSpec(where, cfg.set)
 
 
 def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
-    """Scenario and overrides of a training run, empty where there is no such file; ValueError for what cannot be used.
+    """Return scenario and overrides of a training run, empty if it has no such file.
 
-    A scenario that is code is refused unless it is trusted: a folder must not run what somebody else wrote into it.
+    Raises ValueError if the file is invalid, or names a scenario that is code and ``trust`` is not set.
     """
     from dcgrid_env.baselines.user_code import parse
 
@@ -181,15 +183,16 @@ def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
         trained = json.loads(config.read_text(encoding="utf-8"))
         where, overrides = trained.get("scenario", ""), tuple(trained.get("set", ()))
         if not all(isinstance(word, str) for word in (where, *overrides)):
-            raise TypeError("scenario and set are no texts")
+            raise TypeError("scenario and set must be text")
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(
-            f"{config} is none of dcgrid train ({type(error).__name__}: {error}); give --scenario and the policy's file"
+            f"{config}: must be a file of dcgrid train ({type(error).__name__}: {error}); pass --scenario and the "
+            "policy file"
         ) from None
     if where and parse(where) is not None and not trust:
         raise ValueError(
-            f"{config} names code, scenario {where!r}, which would run; name it yourself with --scenario, or add "
-            "--trust if you trust who made the folder"
+            f"{config}: scenario must not be code unless trusted, got {where!r}; pass it with --scenario, or add "
+            "--trust if you trust the author of the folder"
         )
     return where, overrides
 
@@ -197,13 +200,13 @@ def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
 def _scores(
     evaluations: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, place: Place, console: Console
 ) -> tuple[dict[str, Score], str | None]:
-    """Scores by controller, or why there are none; solves the episodes that are missing where that is asked for."""
+    """Return scores by controller, or the reason why there are none; solve missing episodes with --hindsight."""
     from dcgrid_env.baselines import published
     from dcgrid_env.baselines.hindsight_costs import FOLDER
     from dcgrid_env.baselines.score import REFERENCE
 
     if REFERENCE not in evaluations:
-        return {}, f"no score: it is measured from {REFERENCE}"
+        return {}, f"no score: it needs {REFERENCE} as the baseline"
     droop = evaluations[REFERENCE]
     scenario, seeds = droop.scenario, droop.seeds
     try:
@@ -225,31 +228,31 @@ def _missing(costs: Published | None, seeds: Sequence[int]) -> list[int]:
 
 
 def _offer(scenario: Scenario, missing: Sequence[int], n: int, workers: int, console: Console) -> str:
-    """Why there is no score, how to get it and about how long that takes, as far as one linear program tells."""
+    """Return why there is no score and how long --hindsight would take, estimated from one linear program."""
     from dcgrid_env.baselines.model_based.hindsight import effort_of, hindsight
 
-    with console.status("how long hindsight would take"):
+    with console.status("estimating the time for hindsight"):
         began_s = time.perf_counter()
         hindsight(scenario, missing[0], rounds=1)
         program_s = time.perf_counter() - began_s
     turns, most = -(-len(missing) // workers), effort_of(scenario).rounds
     span = " to ".join(_duration(rounds * program_s * turns) for rounds in (2, most))
     return (
-        f"no score: hindsight is not known for {len(missing)} of the {n} episodes; the same command with --hindsight "
-        f"solves them, in about {span} (one linear program took {_duration(program_s)}, an episode takes 2 to "
-        f"{most} of them, on {workers} {'processes' if workers > 1 else 'process'})"
+        f"no score: hindsight costs are missing for {len(missing)} of the {n} episodes; add --hindsight to solve them "
+        f"in about {span} (one linear program takes {_duration(program_s)}, an episode needs 2 to {most}, on {workers} "
+        f"{'processes' if workers > 1 else 'process'})"
     )
 
 
 def _duration(seconds: float) -> str:
-    """A time as one says it."""
+    """Return a duration with a suitable unit."""
     if seconds < 90.0:
         return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Score], title: str) -> Table:
-    """The controllers side by side."""
+    """Return the table with one column per controller."""
     from dcgrid_env import metrics_in
     from dcgrid_env.baselines.benchmark.benchmark_tables import SAVED, Table
     from dcgrid_env.baselines.score import REFERENCE, saved_pct
@@ -267,7 +270,7 @@ def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Score], ti
 
 
 def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
-    """What must not be overlooked: delay that pays for voltage, and rules that measure nothing and do better."""
+    """Return warnings: a longer delay than under the droop, and better results of rules that use no measurements."""
     from dcgrid_env import METRICS
     from dcgrid_env.agents.policy.guard import guard_line
     from dcgrid_env.baselines.score import REFERENCE, STATIC
@@ -277,8 +280,8 @@ def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     droop = evaluations[REFERENCE].means if REFERENCE in evaluations else means
     if delay.is_worse(means, droop):
         said.append(
-            f"{policy}: work waits longer than under the tuned droop: mean delay {delay.text(means[delay.name])} s, "
-            f"there {delay.text(droop[delay.name])} s"
+            f"{policy}: mean delay {delay.text(means[delay.name])} s is longer than the tuned droop's "
+            f"{delay.text(droop[delay.name])} s"
         )
     if line := guard_line(policy, means):
         said.append(line)
@@ -287,7 +290,7 @@ def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     )
     if policy not in STATIC and j.is_worse(means, evaluations[best].means):
         said.append(
-            f"{policy}: J {j.text(means['J'])} is above that of {best}, {j.text(evaluations[best].means['J'])}, which "
-            "measures nothing"
+            f"{policy}: J {j.text(means['J'])} is higher than {j.text(evaluations[best].means['J'])} of {best}, which "
+            "uses no measurements"
         )
     return said

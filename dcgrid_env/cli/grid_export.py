@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Export(Command):
-    """What the exports of balanced feeders have in common."""
+    """Base class of the exports of balanced feeders."""
 
     feeder: tyro.conf.Positional[str]
-    """A feeder's name, or the folder of one's own."""
+    """Feeder to export: the name of a bundled feeder or the folder of your feeder."""
     out: Path
-    """The file to be written; it must be new."""
+    """Output file. It must not exist yet."""
 
     @abstractmethod
     def write(self, feeder: Feeder, path: Path) -> None:
@@ -33,16 +33,15 @@ class _Export(Command):
 
     @abstractmethod
     def read_back(self, path: Path) -> ImportedFeeder:
-        """Read the file again."""
+        """Read the file back."""
 
     def run(self) -> None:
-        """Write the file, read it again and say how far the other program's voltages are; nothing is written on an
-        error."""
+        """Write the file, read it back and compare voltages with the other program's; write nothing on an error."""
         from dcgrid_env.cli.grid_import import compared
         from dcgrid_env.core.files import write_bytes
 
         if self.out.exists():
-            raise ValueError(f"out: {self.out} is there; choose another --out")
+            raise ValueError(f"out: must be a new file, got {self.out}, which exists; choose another --out")
         feeder = _balanced(self.feeder)
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / self.out.name
@@ -83,7 +82,7 @@ class ExportMatpower(_Export):
         write_matpower(feeder, path)
 
     def read_back(self, path: Path) -> ImportedFeeder:
-        """Read the case; buses that are no numbers stand there as names."""
+        """Read the case; bus ids that are not numbers are stored as names."""
         from dcgrid_env.grid.formats.matpower import read_matpower
 
         return read_matpower(path, bus_names="mpc.bus_name" in path.read_text(encoding="utf-8"))
@@ -107,15 +106,15 @@ class ExportPowerGridModel(_Export):
 
 
 def _balanced(name: str) -> Feeder:
-    """A feeder by name or folder; ValueError for one that is not there or has three phases."""
+    """Return a feeder by name or folder; raise ValueError if it does not exist or has three phases."""
     from dcgrid_env import Feeder
     from dcgrid_env.scenario.plain import feeder_from_plain
 
     if not name.strip():
-        raise ValueError("feeder is empty; give a feeder's name or the folder of one's own")
+        raise ValueError("feeder: must not be empty; give a feeder's name or folder")
     feeder = feeder_from_plain(name)
     if not isinstance(feeder, Feeder):
         raise ValueError(
-            f"feeder: {name} has three phases, and the formats hold balanced feeders; choose a balanced one"
+            f"feeder: must be balanced, got {name} with three phases; the formats only support balanced feeders"
         )
     return feeder

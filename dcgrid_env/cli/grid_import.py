@@ -21,33 +21,33 @@ if TYPE_CHECKING:
 
 _SHOWN = 5
 MERGED = "merged_buses.csv"
-"""File beside the tables that says at which bus the source's buses are that switches have joined."""
+"""File that maps the source's buses that closed switches merged to the feeder's buses."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Import(Command):
-    """What the imports of balanced grids have in common."""
+    """Base class of the imports of balanced grids."""
 
     out: Path
-    """Folder for the tables; it must be new or empty."""
+    """Folder for the tables. It must be new or empty."""
     source: str | None = None
-    """Bus of the source whose island is taken, where the grid has several."""
+    """Source bus of the island to import, if the grid has several."""
     allow: str = ""
-    """Kinds of elements, separated by commas, that may be left out although something is lost: controller,load."""
+    """Types of elements to omit even if this changes the grid, separated by commas, for example controller,load."""
     bus_names: bool = False
-    """Call buses by their names in the file rather than by their numbers."""
+    """Use the bus names of the file as bus ids instead of the numbers."""
 
     @abstractmethod
     def read(self, allow: list[str]) -> ImportedFeeder:
         """Read the grid."""
 
     def run(self) -> None:
-        """Read, reduce, solve, say what became of each element, and write; nothing is written on an error."""
+        """Read, reduce, solve, report the outcome for each element, and write; write nothing on an error."""
         from dcgrid_env import Feeder
         from dcgrid_env.core.files import whole_folder
 
         if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise ValueError(f"out: {self.out} is there and not an empty folder; choose another --out")
+            raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
         check_folder(self.out)
         imported = self.read([kind.strip() for kind in self.allow.split(",") if kind.strip()])
         feeder = Feeder.from_network(imported.network)
@@ -68,23 +68,25 @@ class ImportPandapower(_Import):
 
     Writes the feeder as a folder of tables and compares the voltages.
 
-    A JSON file is read without importing or calling what it names (docs/import.md). The import
-    refuses these elements by name: loops, several sources, generators that keep a voltage, DC lines.
+    Reading a JSON file imports and runs none of the code that it names (docs/import.md). The import reports an error
+    for loops, several sources, voltage-controlling generators and DC lines.
     """
 
     net: tyro.conf.Positional[str]
-    """A network of pandapower.networks such as case33bw, a SimBench code, a JSON file, or a MATPOWER case (.m)."""
+    """Net: a function of pandapower.networks such as case33bw, a SimBench code, a JSON file or a MATPOWER case (.m)."""
     arguments: tuple[str, ...] = ()
-    """What a network of pandapower.networks is made with: with_der=all."""
+    """Arguments of the function of pandapower.networks, for example with_der=all."""
     fix_generators: bool = False
-    """Make generators that keep a voltage constant loads, of the power that pandapower's power flow gives them."""
+    """Replace voltage-controlling generators by constant loads with their power from pandapower's power flow."""
     trust: bool = False
-    """Let pandapower read the file, which imports and makes what the file names."""
+    """Let pandapower read the file, which imports and runs code that the file names. Use it only for trusted files."""
 
     def read(self, allow: list[str]) -> ImportedFeeder:
-        """Read the net, or the case where the path ends in .m."""
+        """Read the net, or the case if the path ends in .m."""
         if not self.net.strip():
-            raise ValueError("net is empty; give a network of pandapower.networks, a SimBench code or a file")
+            raise ValueError(
+                "net: must not be empty; give a function of pandapower.networks, a SimBench code or a file"
+            )
         if self.net.endswith(".m"):
             case = ImportMatpower(
                 file=Path(self.net),
@@ -113,16 +115,16 @@ class ImportMatpower(_Import):
 
     Writes the feeder as a folder of tables and compares the voltages.
 
-    The file is not executed: arithmetic on its own tables is understood, all other code is refused with its line
-    (docs/import.md).
+    The file is not executed. The import evaluates arithmetic on its tables and reports an error with the line for any
+    other code (docs/import.md).
     """
 
     file: tyro.conf.Positional[Path]
-    """The case file (.m)."""
+    """Case file (.m)."""
     per_phase: bool = False
-    """The file's powers and base power are of one phase: take them three times."""
+    """Multiply powers and base power by three, for files with values per phase."""
     fix_generators: bool = False
-    """Make generators that keep a voltage constant loads, of the power that MATPOWER's power flow gives them."""
+    """Replace voltage-controlling generators by constant loads with their power from MATPOWER's power flow."""
 
     def read(self, allow: list[str]) -> ImportedFeeder:
         """Read the case."""
@@ -144,13 +146,13 @@ class ImportPowerGridModel(_Import):
 
     Writes the feeder as a folder of tables and compares the voltages.
 
-    The import refuses by name the elements that it cannot represent (docs/import.md).
+    The import reports an error that names the elements it cannot represent (docs/import.md).
     """
 
     file: tyro.conf.Positional[Path]
-    """The file of input data (.json)."""
+    """Input data file (.json)."""
     frequency_hz: float = 50.0
-    """Frequency of the system, at which the charging of lines is reckoned."""
+    """System frequency, Hz, which the charging of lines depends on."""
 
     def read(self, allow: list[str]) -> ImportedFeeder:
         """Read the file."""
@@ -162,18 +164,18 @@ class ImportPowerGridModel(_Import):
 
 
 def compared(imported: ImportedFeeder, feeder: Feeder) -> list[str]:
-    """Lines that say how far our voltages are from those of the source's solver, and at which buses most.
+    """Return lines on the largest voltage differences between dcgrid and the source's solver.
 
-    FeederError where they are apart though nothing is said to be lost.
+    Raises FeederError if the voltages differ although no element was omitted.
     """
     from dcgrid_env import FeederError
     from dcgrid_env.powerflow import distflow
 
     ours = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar - feeder.capacitor_kvar)
-    found = {imported.solver: bool(imported.v_pu), "our power flow": bool(ours.converged)}
+    found = {imported.solver: bool(imported.v_pu), "dcgrid": bool(ours.converged)}
     failed = [name for name, converged in found.items() if not converged]
     if failed:
-        return [f"{' and '.join(failed)} found no solution, so that voltages are not compared"]
+        return [f"voltages are not compared: no power flow solution from {' and '.join(failed)}"]
     apart = {
         bus: abs(float(v) - imported.v_pu[bus])
         for bus, v in zip(feeder.bus_ids, ours.v_pu, strict=True)
@@ -181,24 +183,24 @@ def compared(imported: ImportedFeeder, feeder: Feeder) -> list[str]:
     }
     worst = sorted(apart, key=lambda bus: -apart[bus])[:_SHOWN]
     where = ", ".join(f"{bus} ({apart[bus]:.1e})" for bus in worst)
-    lines = [f"largest voltage difference to {imported.solver}: {apart[worst[0]]:.1e} p.u.; most at {where}"]
+    lines = [f"largest voltage difference from {imported.solver}: {apart[worst[0]]:.1e} p.u.; largest at {where}"]
     if not apart[worst[0]] <= CLOSE_PU:
         if not any(row.fate == "lost" for row in imported.findings):
             raise FeederError(
-                f"{lines[0]}: more than {CLOSE_PU:g} though nothing is said to be lost, so that the tables would be "
-                "wrong; nothing is written: report the file"
+                f"{lines[0]}: must be at most {CLOSE_PU:g}, as no element was omitted; nothing was written, please "
+                "report this file"
             )
-        lines.append(f"the voltages differ by more than {CLOSE_PU:g} p.u.: what is lost moves them")
+        lines.append(f"voltages differ by more than {CLOSE_PU:g} p.u. because of the omitted elements")
     return lines
 
 
 def _arguments(words: tuple[str, ...]) -> dict[str, Any]:
-    """Arguments by name; a value is JSON's, or the text that it is."""
+    """Return arguments by name; a value is parsed as JSON, or else kept as text."""
     made = {}
     for word in words:
         name, sign, text = word.partition("=")
         if not sign or not name.isidentifier():
-            raise ValueError(f"arguments: {word!r} is no NAME=VALUE, such as with_der=all")
+            raise ValueError(f"arguments: must be NAME=VALUE, such as with_der=all, got {word!r}")
         try:
             made[name] = json.loads(text)
         except json.JSONDecodeError:
@@ -207,7 +209,7 @@ def _arguments(words: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _write_merged(imported: ImportedFeeder, folder: Path) -> None:
-    """Say which buses switches have joined, where there are any."""
+    """Write the buses that switches merged, if there are any."""
     import csv
     import io
 

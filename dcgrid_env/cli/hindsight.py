@@ -29,34 +29,33 @@ if TYPE_CHECKING:
 class Hindsight(OverWorkers):
     """Solve episodes with perfect foresight and store the costs.
 
-    Writes one JSON file for each scenario.
+    Writes one JSON file for each scenario, which dcgrid evaluate and benchmark use for scores.
 
-    A file is written after each episode, so that an interrupted command goes on where it stopped. The command in it is
-    the one that gives all its episodes, seeds 0 to the largest one there; where an interruption left a hole between
-    them, that command fills it.
+    The file is written after each episode. Run an interrupted command again to resume. Each file contains the command
+    that reproduces it: all seeds from 0 to the largest one. If an interruption left out seeds, that command adds them.
     """
 
     scenarios: Scenarios = "all"
-    """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
-    package.module:function that makes your own; or all of those that ship."""
+    """Scenarios, separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
+    package.module:function; or all for every preset."""
     set: Overrides = ()
-    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 sensing.noise_pu=0.005."""
+    """Fields to override in every scenario, for example --set horizon=60 sensing.noise_pu=0.005."""
     episodes: int = 100
-    """Number of episodes of each: seeds 0, 1, .."""
+    """Number of episodes for each scenario, with seeds 0, 1, ..."""
     split: str = "test"
-    """Which episodes the seeds mean: train, validation or test."""
+    """Split of the episodes: train, validation or test."""
     out: Path = Path("results/hindsight")
-    """Folder for SCENARIO.json; episodes that stand in it are not solved again."""
+    """Folder for SCENARIO.json. Episodes that the file already contains are not solved again."""
 
     @property
     def resumes(self) -> str:
-        """How to go on: what has been kept is not done again."""
+        """Message on how to resume; finished work is kept."""
         return GOES_ON
 
     def run(self) -> None:
-        """Solve what is missing. ValueError for an invalid setting, or a file damaged or of another scenario."""
+        """Solve missing episodes; raise ValueError if a setting is invalid or a file is damaged or does not match."""
         if self.episodes < 1:
-            raise ValueError(f"episodes is {self.episodes}; give at least 1")
+            raise ValueError(f"episodes: must be at least 1, got {self.episodes}")
         place = self.place
         specs = scenario_specs(self.scenarios, self.set, self.split)
         console = plain_console()
@@ -73,35 +72,35 @@ def solve_missing(
     place: Place,
     console: Console,
 ) -> dict[str, dict[int, dict[str, Any]]]:
-    """Solve those of the episodes that a folder does not hold, as units of a place, and keep each at once.
+    """Solve the episodes that a folder lacks, and store each one when it is solved.
 
     Parameters
     ----------
     specs
-        Scenarios by their own names.
+        Scenarios by name.
     split
-        Which episodes the seeds mean.
+        Split of the episodes.
     seeds
-        By the same names.
+        Seeds by scenario name.
     folder
-        Where ``hindsight_file`` of each name is, made if it is not there.
+        Folder with ``hindsight_file`` of each name; created if missing.
     place
-        Where they are solved.
+        Where the episodes are solved.
     console
-        Where the progress is shown.
+        Console for the progress bar.
 
     Returns
     -------
     dict
-        By name: the records of all episodes that its file holds now, by seed.
+        Records of all episodes in the file, by scenario name and seed.
 
     Raises
     ------
     ValueError
-        For a file that is damaged or of another scenario of that name, before anything is solved, or a scenario that
-        hindsight cannot solve; LostUnits where episodes have no result.
+        If a file is damaged or belongs to another scenario of that name (before anything is solved), or if hindsight
+        does not support the scenario. LostUnits if episodes have no result.
     LockedError
-        Where another command solves episodes into this folder.
+        If another command is writing to this folder.
     """
     from dcgrid_env.baselines.carried import carried
     from dcgrid_env.baselines.hindsight_costs import hindsight_file
@@ -110,7 +109,7 @@ def solve_missing(
     def kept_now() -> dict[str, dict[int, dict[str, Any]]]:
         return {name: kept_episodes(folder, spec.make(split)) for name, spec in specs.items()}
 
-    kept_now()  # ValueError before a folder is made
+    kept_now()  # raise ValueError before a folder is created
     with alone_in(folder, "dcgrid hindsight"), progress_bar(console) as progress:
         kept = kept_now()
         due = [(specs[name], seed) for name in specs for seed in seeds[name] if seed not in kept[name]]
@@ -126,7 +125,7 @@ def solve_missing(
 
 
 def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
-    """The record of one episode, given what names the scenario and the seed."""
+    """Return the record of one episode for a scenario and a seed."""
     from dcgrid_env import episode_hash
     from dcgrid_env.baselines.model_based.hindsight import hindsight
 
@@ -143,7 +142,7 @@ def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
 
 
 def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
-    """Sum of a scenario's file on one line."""
+    """Return a summary of a scenario's file on one line."""
     from dcgrid_env.baselines.model_based.hindsight import effort_of
 
     rounds, settled = effort_of(scenario)
@@ -153,7 +152,7 @@ def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
     missing = max(episodes) + 1 - len(episodes)
     return (
         f"{len(j)} episodes, mean J {sum(j) / len(j):.4f}, largest gap to the bound {max(gaps):.1e} of J, "
-        f"{most} stopped at {rounds} programs with a gap above {settled:g} of J"
+        f"{most} stopped after {rounds} programs with a gap above {settled:g} of J"
         + f"; {missing} of the seeds 0 to {max(episodes)} are missing"
         * (missing > 0)
     )
@@ -162,7 +161,8 @@ def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
 def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) -> dict[int, dict[str, Any]]:
     """Return the episodes of a scenario in a folder, by seed.
 
-    ValueError if the file is damaged, of another scenario or of the other kind: ``best_known`` says of which.
+    Raises ValueError if the file is damaged, belongs to another scenario, or is not of the requested kind:
+    ``best_known`` requests best known costs, otherwise hindsight costs.
     """
     from dcgrid_env import scenario_hash
     from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, hindsight_file, read_hindsight
@@ -171,12 +171,12 @@ def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) ->
     if content is None:
         return {}
     if (content.get("kind") == BEST_KNOWN) != best_known:
-        what = "hindsight's costs" if best_known else "best known costs"
-        raise ValueError(f"{hindsight_file(folder, scenario.name)} contains {what}; choose another --out")
+        what = "hindsight costs" if best_known else "best known costs"
+        raise ValueError(f"out: {hindsight_file(folder, scenario.name)} contains {what}; choose another --out")
     if content["scenario_hash"] != scenario_hash(scenario):
         raise ValueError(
-            f"{hindsight_file(folder, scenario.name)} is of another {scenario.name}; move it away, or choose another "
-            "--out or another name (--set name=...)"
+            f"out: {hindsight_file(folder, scenario.name)} belongs to a different scenario named {scenario.name}; move "
+            "the file, or choose another --out or another name (--set name=...)"
         )
     return {episode["seed"]: episode for episode in content["episodes"]}
 

@@ -19,32 +19,32 @@ if TYPE_CHECKING:
 
 
 Kind = Literal["scenarios", "fields", "feeders", "devices", "controllers", "traces"]
-"""What can be listed."""
+"""Kinds of things that the command lists."""
 
 
 @dataclass(frozen=True)
 class List(Command):
     """List scenarios, feeders, controllers, traces and fields.
 
-    Without KINDS all of them are listed.
+    Without KINDS, the command lists everything.
     """
 
     kinds: tyro.conf.Positional[tuple[Kind, ...]] = ()
-    """What to list: scenarios, fields (of scenarios), feeders, devices, controllers (policies too) or traces."""
+    """What to list: scenarios, fields (of scenarios), feeders, devices, controllers (with policies) or traces."""
 
     def run(self) -> None:
         """Print the tables."""
         console = plain_console()
         for kind in self.kinds or get_args(Kind):
             for title, rows in tables(kind).items():
-                table = Table(title, "what it is", box=None, header_style="bold", pad_edge=False)
+                table = Table(title, "description", box=None, header_style="bold", pad_edge=False)
                 for name, text in rows.items():
                     table.add_row(name, text)
                 console.print(table, end="\n\n")
 
 
 def tables(kind: str) -> dict[str, dict[str, str]]:
-    """The tables of a kind: by their titles, names and what each is."""
+    """Return the tables of a kind: descriptions by name, by table title."""
     from dcgrid_env import FEEDER_REGISTRY, IDS, SCENARIO_REGISTRY
     from dcgrid_env.agents import Card
     from dcgrid_env.agents.controllers import ENTRIES as POLICIES
@@ -78,7 +78,7 @@ def tables(kind: str) -> dict[str, dict[str, str]]:
 
 
 def scenario_fields() -> dict[str, str]:
-    """What each field of a scenario, of its parts and of its groups of devices is, by path."""
+    """Return the description of each field of a scenario, its parts and its device groups, by path."""
     from dcgrid_env import Scenario
     from dcgrid_env.devices import device_kind
     from dcgrid_env.scenario.assembly import GROUPS, PARTS
@@ -91,17 +91,17 @@ def scenario_fields() -> dict[str, str]:
 
 
 def described(registry: Registry) -> dict[str, str]:
-    """What each name of a registry stands for, and which other package it is of."""
+    """Return the description of each name in a registry, with the package if a plug-in registered it."""
     whose = {name: registry.origin(name) for name in registry if not name.startswith(".")}
     return {name: registry[name][0] + (f" ({origin})" if origin else "") for name, origin in whose.items()}
 
 
 def card_line(card: Card) -> str:
-    """A policy's card on one line."""
+    """Return a policy's card on one line."""
     from dcgrid_env import METRICS
     from dcgrid_env.baselines.score import saved_pct
 
-    line = f"{card.algorithm} trained on {card.scenario}, {card.n_parameters} figures"
+    line = f"{card.algorithm} trained on {card.scenario}, {card.n_parameters} parameters"
     if card.scored is None:
         return line
     delay_s = METRICS["delay_mean_s"].text(card.scored.delay_mean_s)

@@ -1,6 +1,6 @@
-"""The command line, ``dcgrid``: run a command, and report an error or an interruption.
+"""The command line, ``dcgrid``: run a command, and report errors and interruptions.
 
-This is the one room that sees all others; a command is imported when it runs.
+Commands may import every other package; a command is imported when it runs.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from dcgrid_env.core.versions import command_of
 from dcgrid_env.core.work.worker import terminated_in_order
 
 _INTERRUPTED = 130
-"""Status that shells give to what Ctrl-C has ended."""
+"""Exit status that shells report after Ctrl-C."""
 
 
 def main(args: list[str] | None = None, commands: Group = COMMANDS, prog: str = "dcgrid") -> None:
-    """Run a command; bad input ends with one line on standard error and status 2, Ctrl-C with status 130.
+    """Run a command; exit with status 2 and one line on standard error for invalid input, with status 130 for Ctrl-C.
 
-    ``prog`` is what calls ``commands``, as it is typed.
+    ``prog`` is the program name that precedes a command, as the user types it.
     """
     words = sys.argv[1:] if args is None else args
     if words[:1] == [VERSION]:
@@ -44,14 +44,14 @@ def main(args: list[str] | None = None, commands: Group = COMMANDS, prog: str = 
             command_of([*prog.split(), *words]),
         ):
             if sum(word.partition("=")[0] == "--set" for word in words) > 1:
-                raise ValueError("set: --set is there more than once; give it once, with every FIELD=VALUE behind it")
+                raise ValueError("set: must be given once; put every FIELD=VALUE after a single --set")
             command = parse([word for word in words if word != TRACEBACK], commands, prog)
             command.run()
     except (ValueError, OSError) as error:
         if TRACEBACK in words:
             traceback.print_exception(error)
         else:
-            more = f"; {TRACEBACK} shows all of it" if getattr(error, "traced", False) else ""
+            more = f"; add {TRACEBACK} for the full traceback" if getattr(error, "traced", False) else ""
             print(f"dcgrid: {error}{more}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
@@ -61,9 +61,9 @@ def main(args: list[str] | None = None, commands: Group = COMMANDS, prog: str = 
 
 
 def parse(words: Sequence[str], commands: Group = COMMANDS, prog: str = "dcgrid") -> Command:
-    """Read a command line without what calls the commands.
+    """Parse a command line without the program name.
 
-    Raises ValueError for a command that does not exist, and SystemExit for wrong options and after a help.
+    Raises ValueError if the command does not exist, and SystemExit if an option is invalid, and after the help.
     """
     member, line, rest = found(commands, prog, words)
     if isinstance(member, Entry):

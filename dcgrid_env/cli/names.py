@@ -1,4 +1,4 @@
-"""Names as the command line takes them: lists with commas, and scenarios with other values for some fields."""
+"""Read lists of names and scenario overrides from the command line."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _OPEN, _CLOSED, _QUOTES = "([{", ")]}", "'\""
 
 
 def split_names(text: str) -> list[str]:
-    """Names separated by commas, each once, in order; a comma within brackets is part of a name.
+    """Split names at commas, in order and without duplicates; a comma within brackets is part of a name.
 
-    ValueError where a bracket is not closed.
+    Raises ValueError if a bracket is not closed.
     """
     names, depth, quote = [""], 0, ""
     for sign in text:
@@ -28,12 +28,12 @@ def split_names(text: str) -> list[str]:
         else:
             names[-1] += sign
     if depth:
-        raise ValueError(f"{text!r} opens a bracket and does not close it; close it (a path may hold none)")
+        raise ValueError(f"names: brackets must be closed, got {text!r}; close the bracket")
     return list(dict.fromkeys(name.strip() for name in names if name.strip()))
 
 
 def scenario_names(text: str) -> list[str]:
-    """Names of scenarios, or those of all presets for ``all``; ValueError for one that does not exist, or none."""
+    """Return scenario names, or all presets for ``all``; raise ValueError if a name is unknown or there is none."""
     from dcgrid_env import PRESETS, SCENARIO_REGISTRY
 
     names = list(PRESETS) if text.strip() == "all" else split_names(text)
@@ -41,36 +41,40 @@ def scenario_names(text: str) -> list[str]:
     if unknown:
         raise ValueError(SCENARIO_REGISTRY.unknown(unknown[0]))
     if not names:
-        raise ValueError(f"scenarios is {text!r}; name at least one, or all (dcgrid list)")
+        raise ValueError(
+            f"scenarios: must name at least one scenario, or all, got {text!r}; `dcgrid list scenarios` lists them"
+        )
     return names
 
 
 def one_scenario(text: str) -> str:
-    """The name of one scenario; ValueError for one that does not exist, none or several."""
+    """Return the name of one scenario; raise ValueError if it is unknown or there is not exactly one."""
     names = scenario_names(text)
     if len(names) > 1:
-        raise ValueError(f"scenario is {text!r}; give one")
+        raise ValueError(f"scenario: must be one name, got {text!r}")
     return names[0]
 
 
 def scenario_specs(text: str, overrides: tuple[str, ...], split: str) -> dict[str, ScenarioSpec]:
-    """Scenarios by their own names: presets, all of them for ``all``, or the user's, each with the overrides.
+    """Return scenarios with their overrides, by scenario name: presets (``all`` for every preset) or user scenarios.
 
-    ValueError for one that cannot be, none, or two of one name, which could not be told apart in what is written.
+    Raises ValueError if a scenario is invalid, there is none, or two share a name.
     """
     from dcgrid_env import PRESETS
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     listed = list(PRESETS) if text.strip() == "all" else split_names(text)
     if not listed:
-        raise ValueError(f"scenarios is {text!r}; name at least one, or all (dcgrid list)")
+        raise ValueError(
+            f"scenarios: must name at least one scenario, or all, got {text!r}; `dcgrid list scenarios` lists them"
+        )
     specs: dict[str, ScenarioSpec] = {}
     for where in listed:
         spec = ScenarioSpec(where, overrides)
         name = spec.make(split).name
         if name in specs:
             raise ValueError(
-                f"scenarios: {specs[name].where} and {where} are both called {name!r}; give each a name of its own, or "
+                f"scenarios: names must differ, got {name!r} for both {specs[name].where} and {where}; rename one, or "
                 "run one at a time"
             )
         specs[name] = spec

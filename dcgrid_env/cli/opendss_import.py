@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dcgrid_env.grid.formats.opendss import Finding, Imported
 
 CLOSE_PU = 1e-6
-"""Voltage difference beyond which the two power flows are not of the same circuit."""
+"""Largest voltage difference between two power flows of the same circuit, p.u."""
 _SHOWN = 5
 
 
@@ -29,27 +29,27 @@ class ImportOpenDss(Command):
 
     Writes the feeder as a folder of tables and compares the voltages.
 
-    The script is looked at first: commands beyond a model's definition, and files that are not beneath its folder, are
-    refused (docs/opendss.md). So are elements that cannot be represented, by name.
+    The command checks the script before it runs. It reports an error for commands that do not define the model, files
+    outside the script's folder, and elements that it cannot represent (docs/opendss.md).
     """
 
     master: tyro.conf.Positional[Path]
-    """The master file; it may redirect to others beneath its folder."""
+    """Master file. It may redirect to other files in its folder or below."""
     out: Path
-    """Folder for the tables; it must be new or empty."""
+    """Folder for the tables. It must be new or empty."""
     allow: str = ""
-    """Kinds of elements, separated by commas, that may be left out although something is lost: capcontrol,fuse."""
+    """Types of elements to omit even if this changes the grid, separated by commas, for example capcontrol,fuse."""
     trust: bool = False
-    """Run the script as it is, whatever it does to this machine."""
+    """Run the script without the check, with all its effects on this machine. Use it only for trusted files."""
 
     def run(self) -> None:
-        """Read, compile, solve, report what became of each element, and write; nothing is written on an error."""
+        """Read, compile, solve, report the outcome for each element, and write; write nothing on an error."""
         from dcgrid_env import ThreePhaseFeeder, rating_coverage
         from dcgrid_env.core.files import whole_folder
         from dcgrid_env.grid.formats.opendss import read_opendss
 
         if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise ValueError(f"out: {self.out} is there and not an empty folder; choose another --out")
+            raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
         check_folder(self.out)
         allow = [kind.strip() for kind in self.allow.split(",") if kind.strip()]
         imported = read_opendss(self.master, allow=allow, trust=self.trust)
@@ -65,10 +65,10 @@ class ImportOpenDss(Command):
 
 
 def findings_table(findings: tuple[Finding, ...]) -> Table:
-    """What became of each element, as a table for the terminal."""
+    """Return a terminal table with the outcome for each element."""
     from rich.table import Table
 
-    table = Table("element", "number", "names", "what became of them", box=None, header_style="bold", pad_edge=False)
+    table = Table("element", "number", "names", "outcome", box=None, header_style="bold", pad_edge=False)
     for row in findings:
         fate = "" if row.fate == "taken" else f"{row.fate}: "
         table.add_row(row.kind, str(len(row.names)), row.shown, fate + row.text)
@@ -76,24 +76,24 @@ def findings_table(findings: tuple[Finding, ...]) -> Table:
 
 
 def compared(imported: Imported, feeder: ThreePhaseFeeder) -> list[str]:
-    """Lines that say how far our voltages are from OpenDSS's, as complex figures, and at which nodes most."""
+    """Return lines on the largest differences of complex voltages between dcgrid and OpenDSS."""
     import numpy as np
 
     from dcgrid_env.powerflow import solve_unbalanced
 
     solution = solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar)
-    found = {"OpenDSS": bool(imported.v_pu), "our power flow": bool(solution.converged)}
+    found = {"OpenDSS": bool(imported.v_pu), "dcgrid": bool(solution.converged)}
     failed = [name for name, converged in found.items() if not converged]
     if failed:
-        return [f"{' and '.join(failed)} found no solution, so that voltages are not compared"]
+        return [f"voltages are not compared: no power flow solution from {' and '.join(failed)}"]
     ours = np.asarray(solution.v_re_pu) + 1j * np.asarray(solution.v_im_pu)
     apart = {name: abs(v - imported.v_pu[name]) for name, v in zip(feeder.node_ids, ours, strict=True)
              if name in imported.v_pu}  # fmt: skip
     worst = sorted(apart, key=lambda name: -apart[name])[:_SHOWN]
     where = ", ".join(f"{name} ({apart[name]:.1e})" for name in worst)
-    lines = [f"largest voltage difference to OpenDSS, controls off: {apart[worst[0]]:.1e} p.u.; most at {where}"]
+    lines = [f"largest voltage difference from OpenDSS, controls off: {apart[worst[0]]:.1e} p.u.; largest at {where}"]
     if apart[worst[0]] > CLOSE_PU:
         lost = [row for row in imported.findings if row.fate == "lost"]
-        why = "what is lost moves them" if lost else "nothing is said to be lost, so that the tables may be wrong"
-        lines.append(f"the voltages differ by more than {CLOSE_PU:g} p.u.: {why}")
+        why = "because of the omitted elements" if lost else "although no element was omitted; the tables may be wrong"
+        lines.append(f"voltages differ by more than {CLOSE_PU:g} p.u. {why}")
     return lines

@@ -1,4 +1,4 @@
-"""How a command ends: by the file that is worth opening, which ``--open`` opens."""
+"""Print the path of a command's main output file, and open it with ``--open``."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-"""Variables of which a Unix session has one where something can be opened: without, a browser in text would start."""
+"""Environment variables of Unix sessions with a display; without one, ``webbrowser`` would start a text browser."""
 
 
 def offer(console: Console, path: Path, opens: bool, what: str = "") -> None:
-    """Say which file to open, and open it where that is asked for and can be done.
+    """Print which file to open, and open it if ``opens`` is set and a display is available.
 
-    ``what`` says what else there is to do, and follows on the same line.
+    ``what`` is appended to the line.
     """
     say(console, f"open {path}{what}")
     if opens and not opened(path):
-        say(console, f"nothing could be opened from here: no display, or no program for {path.suffix} files")
+        say(console, f"could not open the file: no display, or no program for {path.suffix} files")
 
 
 def opened(path: Path) -> bool:
-    """Open a file with what the platform has for it; whether something was started."""
+    """Open a file with the platform's default program; return whether a program was started."""
     if sys.platform not in ("darwin", "win32") and not any(map(os.environ.get, _SCREENS)):
         return False
     try:

@@ -1,4 +1,4 @@
-"""Options of a dataclass, read and shown by tyro: no option shows None as a value, and help fits the terminal."""
+"""Read options into a dataclass with tyro, and print help that fits the terminal and hides None defaults."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from tyro.constructors import (
 
 _REGISTRY = ConstructorRegistry()
 _ABOUT = "{about}"
-"""Description that is passed to tyro; the output replaces this line by the text."""
+"""Placeholder for the description; the output replaces it by the text."""
 
 
 def parsed(kind: type[Any], words: Sequence[str], prog: str, about: str, default: Any = None) -> Any:
-    """Return a dataclass from the words of a command line.
+    """Parse the words of a command line into a dataclass.
 
-    Raises SystemExit if a word is wrong, after tyro's message, and after the help.
+    Raises SystemExit if a word is invalid, after tyro's message, and after the help.
 
     Parameters
     ----------
     kind
         The dataclass; the docstrings of its fields are the help of the options.
     words
-        The words that follow ``prog``.
+        Words that follow ``prog``.
     prog, about
-        How the command is called, and what it does.
+        Command as typed, and its description.
     default
-        An instance that has the defaults; those of the class if None.
+        Instance with the defaults; the defaults of the class if None.
     """
     default = tyro.MISSING_NONPROP if default is None else default
     with redirect_stdout(cast("TextIO", _Output(sys.stdout, about))):
@@ -49,13 +49,13 @@ def parsed(kind: type[Any], words: Sequence[str], prog: str, about: str, default
 
 
 class _Output:
-    """Standard output that folds usage and description to the width of the terminal, which tyro does not."""
+    """Standard output that wraps usage and description to the width of the terminal, which tyro does not."""
 
     def __init__(self, out: TextIO, about: str):
         self._out, self._about = out, about
 
     def write(self, text: str) -> int:
-        """Write a line of tyro's."""
+        """Write a line of tyro's output."""
         width = max(40, shutil.get_terminal_size().columns)
         if "usage:" in text[:12]:  # the word is in bold on a terminal
             text = textwrap.fill(text, width, subsequent_indent=" " * 7)
@@ -81,13 +81,13 @@ def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 
 def helps(kind: type[Any]) -> dict[str, str]:
-    """Docstrings of the fields, each as one paragraph."""
+    """Return the docstrings of the fields by name, each as one paragraph."""
     documented = (docstring_parser.parse_from_object(own) for own in reversed(kind.__mro__) if own is not object)
     return {field.arg_name: _plain(field.description or "") for text in documented for field in text.params}
 
 
 def _plain(text: str) -> str:
-    """A paragraph without its line breaks and without reStructuredText's marks."""
+    """Return a paragraph without line breaks and reStructuredText markup."""
     joined = " ".join(text.split())
     return re.sub(r":[a-z]+:`~?(.*?)`", r"\1", joined).replace("``", "`")
 
@@ -101,7 +101,7 @@ def _default(field: dataclasses.Field[Any], instance: Any) -> Any:
 
 
 def _described(hint: Any, field: dataclasses.Field[Any], *, required: bool) -> Any:
-    """A field's type for tyro: its placeholder has no None, and its default is shown where it is a value."""
+    """Return a field's type for tyro: no None in its placeholder, and its default shown only if it is a value."""
     inner, *more = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     metavar = field.name.replace("_", "-").upper() if tyro.conf.Positional in more else _placeholder(inner)
     if get_args(inner)[1:] == (...,):
@@ -112,7 +112,7 @@ def _described(hint: Any, field: dataclasses.Field[Any], *, required: bool) -> A
 
 
 def _placeholder(kind: Any) -> str | None:
-    """Placeholder of a value, or of one of a tuple of any length; None for tyro's default."""
+    """Return the placeholder of a value, or of one item of a tuple of any length; None for tyro's default."""
     parts = tuple(part for part in get_args(kind) if part is not type(None))
     if type(None) not in get_args(kind) and parts[1:] != (...,):
         return None

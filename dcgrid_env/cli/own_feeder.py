@@ -1,4 +1,4 @@
-"""What ``dcgrid run --feeder`` makes of a feeder: a scenario chosen for it, or another one's devices on it."""
+"""Build the scenario of ``--feeder``: devices chosen for the feeder, or the devices of another scenario."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ if TYPE_CHECKING:
 
 
 class Asked(NamedTuple):
-    """What is to stand on a feeder."""
+    """Options that define the scenario on a feeder."""
 
     feeder: str
-    """A feeder's name, or the folder of one's own."""
+    """Name of a bundled feeder or folder of the user's feeder."""
     scenario: str | None = None
-    """What names the scenario whose feeder is to be another; None for one that is chosen for the feeder."""
+    """Scenario whose devices are placed on the feeder; None to choose devices for the feeder."""
     datacenters: str | None = None
-    """Data centres in words such as "3 x 1 MW at ends"; None for what suits the feeder."""
+    """Data centres in words such as "3 x 1 MW at ends"; None to choose them for the feeder."""
     inverters: str | None = None
-    """Inverters in words such as "5 x 200 kvar"; None for what suits the feeder."""
+    """Inverters in words such as "5 x 200 kvar"; None to choose them for the feeder."""
 
 
 def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]) -> Scenario:
-    """The scenario on a feeder. One that is chosen for it has a source voltage that centres the band.
+    """Return the scenario on a feeder.
+
+    If the devices are chosen for the feeder, the source voltage centres the voltage band.
 
     Parameters
     ----------
     asked
-        What is to stand on which feeder.
+        Feeder and devices.
     overrides, split, chosen
-        Fields that are to be otherwise, the episodes' split, and fields that the command sets, as ``ScenarioSpec.make``
-        takes them.
+        Fields to override, split of the episodes, and fields that the command sets, as for ``ScenarioSpec.make``.
 
     Raises
     ------
     ValueError
-        For a feeder that there is not or cannot be read, devices that cannot stand on it, or a field that cannot be.
+        If the feeder does not exist or cannot be read, the devices do not fit on it, or a field is invalid.
     """
     from dcgrid_env import scenario_on
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec, read_overrides, varied
@@ -47,7 +48,7 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
     feeder, scenario = asked.feeder, asked.scenario
     given = read_overrides(overrides)
     if "feeder" in given:
-        raise ValueError("set: feeder is an option of its own here; give it once, as --feeder or with --set")
+        raise ValueError("set: must not contain feeder together with --feeder; give it once")
     made = _feeder(feeder)
     if scenario is None:
         on_it = varied(scenario_on(made, asked.datacenters, asked.inverters), overrides, split, chosen)
@@ -57,7 +58,7 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
     for option in ("datacenters", "inverters"):
         if getattr(asked, option) is not None:
             raise ValueError(
-                f"{option} is given beside --scenario {scenario}, which has its own; leave one of them out"
+                f"{option}: must not be combined with --scenario {scenario}, which defines the devices; remove one"
             )
     base = ScenarioSpec(scenario).make(split)
     _check_buses(base, made, scenario, given)
@@ -68,12 +69,12 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
 
 
 def _feeder(named: str) -> Any:
-    """The feeder of a name or a folder; FeederError for one that there is not or cannot be read."""
+    """Return a feeder by name or folder; raise FeederError if it does not exist or cannot be read."""
     from dcgrid_env import FeederError
     from dcgrid_env.scenario.plain import feeder_from_plain
 
     if not named.strip():
-        raise ValueError("feeder is empty; give a feeder's name or the folder of one's own")
+        raise ValueError("feeder: must not be empty; give a feeder's name or folder")
     try:
         return feeder_from_plain(named)
     except FeederError as error:
@@ -81,7 +82,7 @@ def _feeder(named: str) -> Any:
 
 
 def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any]) -> None:
-    """ValueError where devices of the scenario stand at buses that the feeder lacks, unless they are given anew."""
+    """Raise ValueError if the scenario's devices are at buses that the feeder lacks and that are not overridden."""
     from dcgrid_env.scenario.placement import path_of
 
     if "devices" in given:
@@ -93,13 +94,13 @@ def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any])
         lacking = [bus for bus in device.buses or () if bus not in there]
         if lacking and field not in given and "buses" not in (given.get(path) or {}):
             raise ValueError(
-                f"feeder {feeder.name!r} lacks {_list(lacking)}, where scenario {named!r} has devices ({field}); leave "
-                f"out --scenario, and devices are chosen for the feeder, or give --set '{field}=[..]' of its buses"
+                f"feeder {feeder.name!r} lacks {_list(lacking)}, where scenario {named!r} has devices ({field}); "
+                f"remove --scenario to choose devices for the feeder, or pass --set '{field}=[..]' with its buses"
             )
 
 
 def chosen_line(scenario: Scenario) -> str:
-    """One line that says what stands on the feeder, how large, and how it is solved."""
+    """Return a line with the feeder, its devices and their sizes, and the power flow."""
     from dcgrid_env import Feeder
     from dcgrid_env.scenario.on_feeder import base_load_kw
 
@@ -107,19 +108,19 @@ def chosen_line(scenario: Scenario) -> str:
     balanced = isinstance(feeder, Feeder)
     groups = [_group(device, scenario, balanced) for device in scenario.devices if device.count]
     kind = "balanced" if balanced else "three-phase"
-    usual_voltage = "" if scenario.source_voltage_pu == feeder.v0_pu else f" (the feeder's own is {feeder.v0_pu:g})"
-    grid = [f"source at {scenario.source_voltage_pu:g} p.u.{usual_voltage}", f"power flow {scenario.power_flow}"]
+    file_voltage = "" if scenario.source_voltage_pu == feeder.v0_pu else f" (feeder file: {feeder.v0_pu:g} p.u.)"
+    grid = [f"source at {scenario.source_voltage_pu:g} p.u.{file_voltage}", f"power flow {scenario.power_flow}"]
     if not balanced and feeder.n_regulator:
         regulators = scenario.grid_control.regulators
         grid.append(f"regulators {regulators if isinstance(regulators, str) else dict(regulators)}")
     return (
         f"{kind} feeder {feeder.name}, {feeder.n_bus} buses, {base_load_kw(feeder):.0f} kW of load: "
-        f"{'; '.join(groups)}; {', '.join(grid)}; --set changes any of it"
+        f"{'; '.join(groups)}; {', '.join(grid)}; use --set to change fields"
     )
 
 
 def _group(device: Any, scenario: Scenario, balanced: bool) -> str:
-    """A group of devices: how many, of what size, where."""
+    """Return a group of devices in words: number, size and buses."""
     names = {"datacenter": ("data centre", "kW"), "inverter": ("inverter", "kVA")}
     name, unit = names.get(device.kind, (device.kind, "kW"))
     ratings = sorted({f"{rating:g}" for rating in device.p_scale_kw}, key=float)

@@ -1,4 +1,4 @@
-"""The progress bar of the commands: what is being done, how much of it, since when and for how long yet."""
+"""Progress bar of the commands: description, count, elapsed and remaining time."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 def progress_bar(console: Console) -> Progress:
-    """A context manager; its tasks are added with a description, a total and what is completed already.
+    """Return a progress bar, a context manager to which the caller adds tasks.
 
-    The time that this process compiles kernels counts neither as elapsed nor for the time that remains.
+    Elapsed and remaining time exclude the time that this process spends compiling kernels.
     """
     from rich.progress import (
         BarColumn,

@@ -21,54 +21,54 @@ if TYPE_CHECKING:
     from dcgrid_env import Scenario, Series
 
 COMPARED = "none,droop"
-"""Controllers of a replay that names neither a run nor controllers."""
+"""Default controllers with ``--scenario``."""
 MOST_FPS = 100
-"""Frames of a film a second at most: a gif counts in hundredths of a second."""
+"""Largest frame rate of an animation, 1/s; GIF frame times are multiples of 0.01 s."""
 
 
 @dataclass(frozen=True)
 class Replay(Command):
     """Show an episode in the browser, step by step.
 
-    Writes one HTML file with maps, curves and a slider, which needs no server and no network.
+    Writes one HTML file with maps, curves and a slider. It works offline and without a server.
 
-    Episodes are run again, which gives the very same, as all that is drawn follows from the scenario and the seed.
-    --gif and --mp4 write films instead.
+    The command simulates the episode again; the result is the same, because it depends only on scenario and seed.
+    --gif and --mp4 write animations instead.
     """
 
     run_folder: tyro.conf.Positional[Path | None] = None
-    """Folder of dcgrid run whose first episode is replayed, under its controllers; or give --scenario."""
+    """Output folder of dcgrid run. Replays its first episode under its controllers. Omit it to use --scenario."""
     scenario: str | None = None
-    """Name of a scenario (dcgrid list), path/to/file.toml, or path/to/file.py:function or package.module:function that
-    makes your own."""
+    """Scenario to replay instead of a run: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or
+    package.module:function."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60."""
+    """Fields of --scenario to override, for example --set horizon=60."""
     compare: str | None = None
-    """Controllers side by side, separated by commas, as dcgrid run --controllers takes them; the run's own unless
-    given, and none,droop with --scenario."""
+    """Controllers to show side by side, separated by commas, as for dcgrid run --controllers. Default: those of the
+    run, or none,droop with --scenario."""
     seed: int | None = None
-    """The episode; the first of the run, or 0."""
+    """Seed of the episode. Default: the first seed of the run, or 0 with --scenario."""
     split: str = "test"
-    """What the seed means with --scenario: train, validation, test or ood."""
+    """Split of the episode with --scenario: train, validation, test or ood."""
     tuned: Path | None = None
-    """File of dcgrid tune that the gains of tuned controllers must come from; see dcgrid run."""
+    """File with the gains of the tuned controllers, written by dcgrid tune. Default: as for dcgrid run."""
     trust: bool = False
-    """Run code of somebody's own that the folder's run names (file.py:Class); without it such a run is refused."""
+    """Allow replaying a run that names code (file.py:Class), which executes that code."""
     out: Path | None = None
-    """File of the page; replay.html in the run's folder unless given, or in results/replay."""
+    """HTML file to write. Default: replay.html in the run's folder, or in results/replay with --scenario."""
     gif: Path | None = None
-    """File of an animated gif to write instead of a page."""
+    """GIF file to write instead of the HTML page."""
     mp4: Path | None = None
-    """File of an mp4 to write instead of a page."""
+    """MP4 file to write instead of the HTML page."""
     fps: float = 10.0
-    """Frames of a film a second."""
+    """Frame rate of the animation, 1/s."""
     every: int = 1
-    """Steps from one frame of a film to the next."""
+    """Number of simulation steps per frame of the animation."""
     open: bool = False
-    """Open what was written."""
+    """Open the file when the command ends."""
 
     def run(self) -> None:
-        """Run the episode again and write. ValueError for an invalid setting, before anything is run."""
+        """Run the episode again and write; raise ValueError before any run if a setting is invalid."""
         from dcgrid_env.baselines import find_controller
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.rendering import replay
@@ -115,12 +115,16 @@ def _asked(cfg: Replay) -> _Asked:
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     if (cfg.run_folder is None) == (cfg.scenario is None):
-        raise ValueError("give the folder of a run, such as results/run, or --scenario; one of them")
+        raise ValueError(
+            "run-folder: must be given, or --scenario, but not both; give the folder of a run, such as results/run"
+        )
     if cfg.scenario is not None:
         names = split_names(cfg.compare or COMPARED)
         return _Asked(ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split), names, cfg.seed or 0, cfg.tuned, None)
     if cfg.set or cfg.split != "test":
-        raise ValueError("set and split are those of the run; leave them out, or give --scenario without a folder")
+        raise ValueError(
+            "set, split: must not be given with a run's folder, which defines them; remove them, or use --scenario"
+        )
     stored = stored_run(cfg.run_folder or Path(), cfg.trust)
     command = stored.command
     names = split_names(cfg.compare) if cfg.compare is not None else stored.controllers
@@ -129,22 +133,22 @@ def _asked(cfg: Replay) -> _Asked:
 
 
 def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:
-    """ValueError for what cannot be replayed, before anything is run."""
+    """Raise ValueError before any run if the replay is not possible."""
     from dcgrid_env.rendering.film import require_imageio
     from dcgrid_env.rendering.replay_page import check_size, plotting_script
 
     if asked.seed < 0:
-        raise ValueError(f"seed is {asked.seed}; give at least 0")
+        raise ValueError(f"seed: must be at least 0, got {asked.seed}")
     if not asked.names:
-        raise ValueError(f"compare is {cfg.compare!r}; name at least one controller (dcgrid list)")
+        raise ValueError(f"compare: must name at least one controller (dcgrid list), got {cfg.compare!r}")
     check_size(asked.scenario.member(asked.seed), len(asked.names))
     if films and cfg.out is not None:
-        raise ValueError("out is the page's file; give it without --gif and --mp4")
+        raise ValueError("out: must not be combined with --gif or --mp4, as it is the HTML file; remove --out")
     if cfg.fps > MOST_FPS:
-        raise ValueError(f"fps is {cfg.fps:g}; give at most {MOST_FPS}")
+        raise ValueError(f"fps: must be at most {MOST_FPS}, got {cfg.fps:g}")
     for option, path in (("gif", cfg.gif), ("mp4", cfg.mp4)):
         if path is not None and path.suffix != f".{option}":
-            raise ValueError(f"{option} is {str(path)!r}; give a file that ends in .{option}")
+            raise ValueError(f"{option}: must end in .{option}, got {str(path)!r}")
     for path in films:
         require_imageio(path)
     if not films:

@@ -26,27 +26,27 @@ if TYPE_CHECKING:
 class Reproduce(OverWorkers):
     """Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).
 
-    Its tables, figures and claims are shown beside what comes out here. With the recorded load a run takes about half
-    a minute, with --scenario ieee123-3ph some five minutes.
+    Compares the paper's tables, figures and claims with the results of this package. With the recorded load, a run
+    takes about half a minute; with --scenario ieee123-3ph, about five minutes.
     """
 
     scenario: str = "ieee123"
-    """ieee123, the balanced equivalent of the paper's feeder, or ieee123-3ph: its Table I and claims on the feeder with
-    its phases, with regulators fixed and acting, beside the balanced ones, and whether they rank alike."""
+    """Scenario: ieee123, the balanced equivalent of the paper's feeder, or ieee123-3ph, which compares Table I and the
+    claims on the three-phase feeder, with fixed and active regulators, with the balanced results."""
     out: Path = Path("results/reproduce")
-    """Folder for reproduction.md, reproduction.json and images, or reproduction-3ph.md and reproduction-3ph.json; made
-    if it is not there."""
+    """Folder for reproduction.md, reproduction.json and images, or reproduction-3ph.md and reproduction-3ph.json.
+    Created if missing."""
     episodes: int = 20
-    """Episodes for each cell, at least 2."""
+    """Number of episodes for each table cell, at least 2."""
     trace: str = "auto"
-    """Load: auto (the paper's recording if it has been fetched, else the generator), recorded, generated, or the name
-    of a generator or recording, or a file."""
+    """Load: auto (the paper's recording if it was fetched, otherwise the generator), recorded, generated, the name of a
+    generator or recording (dcgrid list), or a file."""
     placement: Literal["random", "published"] = "random"
-    """Data centres at random, or at the buses named in the paper's public code, with ieee123-3ph at those with three
-    phases."""
+    """Location of the data centres: random, or the buses of the paper's public code (with ieee123-3ph, those with three
+    phases)."""
 
     def run(self) -> None:
-        """Run the study, write it down. ValueError for an invalid setting, before anything is written."""
+        """Run the study and write the results; raise ValueError before writing if a setting is invalid."""
         from dcgrid_env.baselines.reproduction.feeder_cases import TRUE, check_scenario
         from dcgrid_env.baselines.reproduction.load import choose_load
         from dcgrid_env.baselines.reproduction.study_runs import Setting
@@ -66,11 +66,11 @@ class Reproduce(OverWorkers):
 
 
 Rendered = tuple[dict[str, Any], Callable[[dict[str, Any]], str]]
-"""Records of a study, and what makes Markdown of them."""
+"""Records of a study, and the function that renders them as Markdown."""
 
 
 def _study(setting: Setting, out: Path, console: Console, place: Place) -> Rendered:
-    """The study on the balanced equivalent, with its figures."""
+    """Run the study on the balanced equivalent, with its figures."""
     from dcgrid_env.baselines.reproduction.markdown import render
     from dcgrid_env.baselines.reproduction.paper_figures import draw_all
     from dcgrid_env.baselines.reproduction.study import PARTS, study
@@ -86,7 +86,7 @@ def _study(setting: Setting, out: Path, console: Console, place: Place) -> Rende
 
 
 def _compared(setting: Setting, out: Path, console: Console, place: Place) -> Rendered:
-    """The study on the feeder with its phases beside that on the balanced equivalent."""
+    """Run the study on the three-phase feeder and on the balanced equivalent."""
     from dcgrid_env.baselines.reproduction import feeder_comparison_markdown as written
     from dcgrid_env.baselines.reproduction.feeder_cases import cases
     from dcgrid_env.baselines.reproduction.feeder_comparison import PARTS, compare_feeders
@@ -102,14 +102,14 @@ def _compared(setting: Setting, out: Path, console: Console, place: Place) -> Re
 
 @contextmanager
 def _steps(console: Console, total: int) -> Iterator[Callable[[str], None]]:
-    """A progress bar; what it gives is called with the name of each step that is done."""
+    """Show a progress bar; call the yielded function with the name of each finished step."""
     with progress_bar(console) as progress:
         bar = progress.add_task("", total=total)
         yield lambda step: progress.update(bar, advance=1, description=step)
 
 
 def _print_rows(console: Console, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table with a line between its rows."""
+    """Print a table with lines between its rows."""
     from rich import box
     from rich.table import Table
 
@@ -120,9 +120,9 @@ def _print_rows(console: Console, head: Sequence[str], rows: Sequence[Sequence[s
 
 
 def _origin(setting: Setting) -> dict[str, Any]:
-    """Where the load comes from: parameters and seed of the first generated row, or hash, licence and citation.
+    """Return the source of the load: parameters and seed of the first generated row, or hash, licence and citation.
 
-    TraceError for a recording that is too short for an episode.
+    Raises TraceError if a recording is shorter than an episode.
     """
     from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 

@@ -1,4 +1,4 @@
-"""Episodes under several controllers, kept whole or, where they are too long for that, recorded in parts."""
+"""Run episodes under several controllers; keep them in memory, or stream them if they are too long."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Runs:
-    """Runs controllers on the same episodes and keeps what a table and a figure take.
+    """Run controllers on the same episodes and keep the data for a table and a figure.
 
     Parameters
     ----------
@@ -26,14 +26,14 @@ class Runs:
     course
         "auto", "parquet" or "none", see ``dcgrid run``.
     out
-        Where the course of each controller is written, in a folder ``course``.
+        Output folder; trajectories go to its sub-folder ``course``.
     console
-        Where to say that episodes are recorded in parts.
+        Console for the message that episodes are streamed.
 
     Raises
     ------
     ValueError
-        Where the course is to be written and pyarrow is missing; before anything is run.
+        If trajectories are to be written and pyarrow is missing; raised before any run.
     """
 
     def __init__(self, scenario: Scenario, seeds: Sequence[int], course: str, out: Path, console: Console):
@@ -41,15 +41,15 @@ class Runs:
         from dcgrid_env.engine.record.parquet import require_pyarrow
 
         self.scenario, self.seeds, self.out = scenario, seeds, out
-        with working(console, "making the traces"):
+        with working(console, "generating traces"):
             size = course_bytes(scenario, seeds)
         self.in_parts = size > WHOLE_COURSE_BYTES
-        """Whether the course is too large to be kept."""
+        """Whether the trajectories are too large for memory."""
         self.writes = course == "parquet" or (course == "auto" and self.in_parts)
         self.metrics: dict[str, list[dict[str, float]]] = {}
-        """Figures of each episode, by controller."""
+        """Metrics of each episode, by controller."""
         self.folders: list[Path] = []
-        """Where the course of each controller has been written."""
+        """Folders with the trajectories of each controller."""
         self._drawn: dict[str, Any] = {}
         if self.writes:
             try:
@@ -57,12 +57,12 @@ class Runs:
             except ValueError as error:
                 raise ValueError(f"{error}, or add --course none") from None
         if self.in_parts:
-            scenario.member(seeds)  # refuses episodes on several random feeders
-            where = f"the course goes to {out / 'course'}" if self.writes else "the course is not written"
+            scenario.member(seeds)  # raises ValueError for episodes on several random feeders
+            where = f"trajectories are written to {out / 'course'}" if self.writes else "trajectories are not written"
             say(
                 console,
-                f"{len(seeds)} x {scenario.horizon:,} steps would take {size / 2**20:,.0f} MiB a controller (more than "
-                f"{WHOLE_COURSE_BYTES // 2**20}): figures are summed up as the episodes run, and {where}",
+                f"{len(seeds)} x {scenario.horizon:,} steps need {size / 2**20:,.0f} MiB per controller (limit "
+                f"{WHOLE_COURSE_BYTES // 2**20} MiB): metrics are computed while streaming, and {where}",
             )
 
     def add(self, name: str, controller: Controller, on_step: Callable[[], None]) -> None:
@@ -101,7 +101,7 @@ class Runs:
 def draw_first(
     scenario: Scenario, seed: int, controllers: Mapping[str, Controller], out: Path, console: Console
 ) -> Path:
-    """Draw one episode under several controllers, side by side, and write it to figure.png in a folder; its path."""
+    """Draw one episode under several controllers as figure.png in a folder, and return the path."""
     runs = Runs(scenario, [seed], "none", out, console)
     for name, controller in controllers.items():
         runs.add(name, controller, lambda: None)

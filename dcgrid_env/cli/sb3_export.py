@@ -13,44 +13,44 @@ from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.install import from_clone
 
 SUFFIX = ".zip"
-"""How the file of a Stable-Baselines3 model ends."""
+"""File name ending of Stable-Baselines3 models."""
 
 
 @dataclass(frozen=True)
 class ExportSb3(Command):
     """Convert a Stable-Baselines3 model into a policy file.
 
-    The file needs neither torch nor trust.
+    The policy file can be used without torch and without --trust.
 
-    No object of the zip is unpickled without --trust: torch reads the weights as tensors alone, and what the network is
-    stands beside them as text. PPO, A2C, SAC, TD3 and DDPG with MlpPolicy can be converted.
+    Without --trust, nothing in the zip is unpickled: torch reads only the weights, and the network structure is read
+    from text. The command converts PPO, A2C, SAC, TD3 and DDPG with MlpPolicy.
     """
 
     model: tyro.conf.Positional[Path]
-    """Zip that model.save of Stable-Baselines3 wrote."""
+    """Zip file written by model.save of Stable-Baselines3."""
     scenario: str
-    """What it was trained on: the name of a scenario, path/to/file.toml, or path/to/file.py:function or
-    package.module:function that makes your own. Its observation and action must be those of gymnasium.make, or of
-    sb3_vec_env in the joint or the shared view."""
+    """Scenario of the training: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or
+    package.module:function. The model must use the spaces of gymnasium.make, or of sb3_vec_env in the joint or shared
+    view."""
     set: Overrides = ()
-    """Fields of the scenario that are to be otherwise, for instance --set horizon=60 sensing.noise_pu=0.005."""
+    """Scenario fields to override, for example --set horizon=60 sensing.noise_pu=0.005."""
     out: Path = Path("policy.safetensors")
-    """File of the policy; its card is written beside it, ending in .json."""
+    """Policy file to write. Its card is written next to it with the ending .json."""
     normalize: Path | None = None
-    """File of VecNormalize.save where the model was trained behind it. It is pickle, and needs --trust. The zip of a
-    PPO or A2C says whether it was; that of SAC, TD3 and DDPG does not."""
+    """File of VecNormalize.save, if the model was trained with it. It is a pickle file and requires --trust. Zips of
+    PPO and A2C record whether it was used; those of SAC, TD3 and DDPG do not."""
     trust: bool = False
-    """Whether to unpickle the zip too, which runs whatever code it holds, and compare the policy's actions with those
-    of Stable-Baselines3 on episodes of the training split."""
+    """Unpickle the zip, which runs any code in it, and compare the policy's actions with those of Stable-Baselines3 on
+    training episodes."""
 
     def run(self) -> None:
-        """Convert, compare where trusted, write, print. ValueError for what cannot be, before anything is written."""
+        """Convert, compare if trusted, write and print; raise ValueError before writing if a setting is invalid."""
         if self.out.suffix not in ("", ".safetensors"):
-            raise ValueError(f"out is {str(self.out)!r}; a policy's file name ends in .safetensors")
+            raise ValueError(f"out: must end in .safetensors, got {str(self.out)!r}")
         if self.normalize is not None and not self.trust:
             raise ValueError(
-                f"normalize is {str(self.normalize)!r}, which is pickle, and unpickling runs whatever code a file "
-                "holds; if you made it yourself or trust who did, add --trust"
+                f"normalize: must be trusted, got the pickle file {str(self.normalize)!r}; unpickling runs any code in "
+                "the file; add --trust if you trust its author"
             )
         try:
             self._run()
@@ -80,10 +80,10 @@ class ExportSb3(Command):
             largest = largest_difference(Sb3Controller(self.model, normalisation), policy, spec.make("train"))
             say(
                 console,
-                f"the largest difference from predict(deterministic=True) is {largest:.1e} in {EPISODES} episodes",
+                f"largest difference from predict(deterministic=True): {largest:.1e} in {EPISODES} episodes",
             )
         elif actor.is_normalised is None:
-            say(console, "observations are taken as they are; behind VecNormalize the model needs --normalize")
+            say(console, "observations are not normalised; add --normalize if the model was trained with VecNormalize")
         card = {"algorithm": f"sb3-{actor.algorithm}", "seed": actor.seed}
         path = policy.save(self.out, card)
         kinds = ", ".join(f"{name} {net.n_in} -> {net.n_out}" for name, net in policy.networks.items())
@@ -92,10 +92,10 @@ class ExportSb3(Command):
 
 
 def require_trusted(model: Path, trust: bool, scenario: str) -> None:
-    """ValueError, saying why and what does without, unless a Stable-Baselines3 zip is trusted."""
+    """Raise ValueError with the alternatives unless a Stable-Baselines3 zip is trusted."""
     if not trust:
         raise ValueError(
-            f"policy {str(model)!r} is a zip of Stable-Baselines3, which is pickle, and unpickling runs whatever code "
-            f"it holds; `dcgrid export-sb3 {model} --scenario {scenario}` converts its weights once without "
-            "unpickling, and if you made it yourself or trust who did, --trust loads it as it is"
+            f"policy: must be trusted, got the Stable-Baselines3 zip {str(model)!r}; unpickling runs any code in it; "
+            f"convert it without unpickling: `dcgrid export-sb3 {model} --scenario {scenario}`, or add --trust if you "
+            "trust its author"
         )

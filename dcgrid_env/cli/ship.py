@@ -13,29 +13,29 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Ship(Command):
-    """Score training runs that differ in the seed; write the best.
+    """Score training runs with different seeds; save the best.
 
-    They are scored on the test split; the one that is best on validation is written, with its card.
+    All runs are scored on the test split. The run with the best validation cost is saved as a policy, with its card.
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of the runs, one for each seed (dcgrid train)."""
+    """Folders of training runs (dcgrid train), one for each seed."""
     name: str
-    """Name of the policy, by custom SCENARIO-ALGORITHM."""
+    """Name of the policy, usually SCENARIO-ALGORITHM."""
     scenario: str | None = None
-    """Preset on whose test split they are scored; the one of the training unless given."""
+    """Preset to score on. Default: the preset of the training."""
     episodes: int = 100
-    """Test episodes: seeds 0, 1, ..."""
+    """Number of test episodes, at least 2, with seeds 0, 1, ..."""
     out: Path = Path("results/policies")
     """Folder for NAME.safetensors and NAME.json."""
 
     def run(self) -> None:
-        """Score, write, print. ValueError for runs that do not belong together, before anything is written."""
+        """Score, write and print; raise ValueError before writing if the runs do not belong together."""
         from dcgrid_env.agents.shipping import ship
         from dcgrid_env.cli.listing import card_line
 
         if self.episodes < 2:
-            raise ValueError(f"episodes is {self.episodes}; give at least 2, a score's interval takes them")
+            raise ValueError(f"episodes: must be at least 2 for a score's interval, got {self.episodes}")
         console = plain_console()
         with working(console, f"{len(self.folders)} policies, {self.episodes} episodes each"):
             card = ship(self.folders, self.name, self.scenario, self.episodes, self.out)

@@ -1,4 +1,4 @@
-"""What stands behind a folder of ``dcgrid run``: its command, which is read again, and what came out of it."""
+"""Read an output folder of ``dcgrid run``: its command, scenario and costs."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from dcgrid_env import Scenario
 
 RESULTS = "results.json"
-OTHERWISE = "give --scenario, or hand what Python has recorded to dcgrid_env.rendering.replay(recorder.lane(0))"
-"""What else can be replayed than a folder of ``dcgrid run``."""
+OTHERWISE = "pass --scenario, or in Python call dcgrid_env.rendering.replay(recorder.lane(0))"
+"""Alternatives to replaying a folder of ``dcgrid run``."""
 
 
 class StoredRun(NamedTuple):
-    """A run that can be done again: everything that it draws follows from its scenario and its seeds."""
+    """A run that can be repeated: its results depend only on its scenario and seeds."""
 
     command: Run
     scenario: Scenario
     costs: dict[tuple[str, int], float]
-    """J of each controller and seed."""
+    """Cost J by controller and seed."""
 
     @property
     def controllers(self) -> list[str]:
@@ -36,13 +36,13 @@ class StoredRun(NamedTuple):
         return controller_names(self.command, self.scenario)
 
     def difference(self, name: str, seed: int, cost: float) -> str:
-        """What to say where an episode comes out otherwise than it is stored; empty where it does not."""
+        """Return a warning if an episode's cost differs from the stored one; empty if it does not."""
         stored = self.costs.get((name, seed))
         if stored is None or math.isclose(stored, cost, rel_tol=1e-9, abs_tol=1e-12):
             return ""
         return (
-            f"{name}: J is {cost:.6g} and was {stored:.6g} when the run was stored: the package, a policy's file or "
-            "the gains have changed since"
+            f"warning: {name}: J is {cost:.6g}, but {stored:.6g} in the stored run; the package, a policy file or the "
+            "gains have changed since"
         )
 
 
@@ -52,38 +52,42 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
     Raises
     ------
     ValueError
-        For a folder of something else, a run of code of somebody's own unless it is trusted, and a scenario that is no
-        longer what was run.
+        If it is not a folder of ``dcgrid run``, the run names code and ``trust`` is not set, or its scenario has
+        changed.
     """
     from dcgrid_env import scenario_hash
 
     path = folder / RESULTS
     if not path.is_file():
-        raise ValueError(f"{folder} is no folder of dcgrid run, it has no {RESULTS}; run first, {OTHERWISE}")
+        raise ValueError(
+            f"{folder}: must be an output folder of dcgrid run with {RESULTS}; run dcgrid run first, {OTHERWISE}"
+        )
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-        words = shlex.split("" + stored["meta"]["command"])  # a TypeError where it is no text
+        words = shlex.split("" + stored["meta"]["command"])  # a TypeError if it is not text
         expected = stored["meta"]["scenario_hash"]
         costs = {(e["controller"], e["seed"]): e["J"] for e in stored["episodes"]}
         for (name, seed), cost in costs.items():
             if not (isinstance(name, str) and type(seed) is int and finite(cost)):
-                raise ValueError(f"episode {seed!r} of {name!r} has J {cost!r}, which is no finite number")
+                raise ValueError(f"J of episode {seed!r} of {name!r} must be a finite number, got {cost!r}")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"{path} is no file of dcgrid run ({type(error).__name__}: {error}); run again") from None
+        raise ValueError(
+            f"{path}: must be a file of dcgrid run ({type(error).__name__}: {error}); repeat the run"
+        ) from None
     command = _command(path, words)
     if not trust:
         _check_code(path, command)
     scenario = scenario_of(command)
     if scenario_hash(scenario) != expected:
         raise ValueError(
-            f"{path}: its scenario is another one now ({scenario_hash(scenario)}, was {expected!r}), as its files or "
-            "the package have changed; run again"
+            f"{path}: scenario has changed since the run (hash {scenario_hash(scenario)}, was {expected!r}), because "
+            "its files or the package changed; repeat the run"
         )
     run = StoredRun(command, scenario, costs)
     for name in run.controllers:
         if (name, command.seed) not in costs:
             raise ValueError(
-                f"{path}: episodes has none of {name!r} and seed {command.seed}, its command has; run again"
+                f"{path}: episodes must include {name!r} with seed {command.seed}, as in its command; repeat the run"
             )
     return run
 
@@ -91,22 +95,26 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
 def _command(path: Path, words: list[str]) -> Run:
     if words[:2] != ["dcgrid", "run"]:
         raise ValueError(
-            f"{path} was not written by dcgrid run but by {' '.join(words[:3])!r}; replay a run, {OTHERWISE}"
+            f"{path}: must be written by dcgrid run, got {' '.join(words[:3])!r}; replay a run, {OTHERWISE}"
         )
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
             return Run.parse([word for word in words[2:] if word != "--traceback"], "dcgrid run")
     except SystemExit:
-        raise ValueError(f"{path}: this version cannot read its command {shlex.join(words)!r}; run again") from None
+        raise ValueError(
+            f"{path}: this version cannot parse the command {shlex.join(words)!r}; repeat the run"
+        ) from None
 
 
 def _check_code(path: Path, command: Run) -> None:
-    """ValueError where doing the run again would import somebody's code."""
+    """Raise ValueError if repeating the run would import code that it names."""
     from dcgrid_env.baselines.registry import split_prefix
     from dcgrid_env.baselines.user_code import parse
 
     named = [command.scenario or "", *(split_prefix(name)[1] for name in split_names(command.controllers or ""))]
     for name in named:
         if name and parse(name) is not None:
-            raise ValueError(f"{path} names code, {name!r}, which a replay would run; if you trust it, add --trust")
+            raise ValueError(
+                f"{path}: must not name code unless trusted, got {name!r}; add --trust if you trust its author"
+            )

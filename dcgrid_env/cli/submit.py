@@ -14,35 +14,33 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Submit(Command):
-    """Write an entry of the leaderboard.
+    """Create an entry for the leaderboard.
 
-    An entry is a folder with a policy, its card and the score that is claimed.
-
-    The folder holds the hashes of scenario and episodes and the versions that the figures were made with. dcgrid verify
-    runs it again.
+    An entry is a folder with a policy, its card and its claimed score. It also contains the hashes of the scenario and
+    the episodes, and the package versions. Check it with dcgrid verify.
     """
 
     policy: tyro.conf.Positional[str]
-    """A policy's file, a training run's folder, a policy that ships or a controller (dcgrid list), or a class of your
-    own (file.py:Class, in quotes with arguments), whose file alone goes into the folder."""
+    """Policy: a policy file, a training run's folder, a bundled policy or controller (dcgrid list), or your class
+    (file.py:Class, quoted if it takes arguments). For a class, only its file is copied."""
     name: str
-    """What the entry is called on the page."""
+    """Name of the entry on the leaderboard."""
     paper: str = ""
-    """Where it is described: a link, or a line of text."""
+    """Reference for the policy: a link or a line of text."""
     scenario: str | None = None
-    """Preset on whose test split it is scored; the one that the policy was trained on unless given."""
+    """Preset to score on. Default: the preset that the policy was trained on."""
     episodes: int = 100
-    """Test episodes: seeds 0, 1, ... The page takes entries of at least 32."""
+    """Number of test episodes, with seeds 0, 1, ... The leaderboard requires at least 32."""
     learned_on: Literal["train", "validation", "test", "nothing"] = "train"
-    """Split that the policy was learned, tuned or selected on, as you declare it: train means train and validation."""
+    """Your declaration of the split used to train, tune or select the policy. Here train includes validation."""
     scope: str = ""
-    """Scope of a class, the part of an episode that it is sent: "local" or "joint", then any of "+ sensitivities",
-    "+ totals", "+ neighbours" or "+ voltages", and "+ model". The scope of other controllers is measured."""
+    """Information that a class uses: "local" or "joint", then any of "+ sensitivities", "+ totals", "+ neighbours",
+    "+ voltages" and "+ model". For other policies it is measured."""
     out: Path | None = None
-    """Folder to be made; by default one in results/submissions, named after --scenario and --name."""
+    """Folder to create. Default: a folder in results/submissions, named after --scenario and --name."""
 
     def run(self) -> None:
-        """Run, write, print. ValueError for what cannot be entered, before anything is written."""
+        """Run, write and print; raise ValueError before writing if the policy cannot be an entry."""
         from dcgrid_env.agents.leaderboard.submitting import submit
         from dcgrid_env.baselines.file_names import file_name
 
@@ -57,6 +55,6 @@ class Submit(Command):
         say(
             console,
             f"{entry.name} on {entry.scenario}: J {entry.claimed.J:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f}), "
-            f"sent: {entry.scope}",
+            f"information: {entry.scope}",
         )
         say(console, f"wrote {out}; next: dcgrid verify {out}")

@@ -1,4 +1,4 @@
-"""What the commands say on the terminal: text as it stands, whatever brackets a name of the user's holds."""
+"""Print text on the terminal unchanged, including brackets in user-supplied names."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def any_characters() -> Iterator[None]:
-    """Let standard output show ``?`` for what its encoding lacks, as that of ASCII terminals does."""
+    """Print ``?`` for characters that the encoding of standard output lacks, for example on ASCII terminals."""
     output = sys.stdout
     if not isinstance(output, TextIOWrapper):
         yield
@@ -29,9 +29,9 @@ def any_characters() -> Iterator[None]:
 
 
 def plain_console() -> Console:
-    """A console on what is standard output now, wherever that of a training goes.
+    """Return a console on the current standard output that prints text unchanged.
 
-    It shows text as it is: what users name may hold brackets, or ``:key:``.
+    User-supplied names may contain brackets or ``:key:``, which rich would read as markup or emoji.
     """
     from rich.console import Console
 
@@ -39,12 +39,12 @@ def plain_console() -> Console:
 
 
 def say(console: Console, text: str) -> None:
-    """Print lines as they are, none folded by us, so that a path or a command can be copied."""
+    """Print lines without wrapping them, so paths and commands can be copied."""
     console.print(text, soft_wrap=True)
 
 
 def working(console: Console, text: str) -> Status:
-    """A context manager that shows what is being done."""
+    """Return a context manager that shows a status line."""
     from rich.text import Text
 
-    return console.status(Text(text))  # a plain string would be read as markup
+    return console.status(Text(text))  # rich would read a plain string as markup

@@ -15,28 +15,28 @@ if TYPE_CHECKING:
     from dcgrid_env.traces import PowerTrace
 
 SHORTEST_S = 2.0
-"""Shortest trace whose spectrum is drawn, s: 20 steps of 0.1 s."""
+"""Shortest trace with a spectrum, s: 20 steps of 0.1 s."""
 
 
 @dataclass(frozen=True)
 class Fetch(Command):
     """Download a published recording and verify it.
 
-    The recording goes into the user's cache. After an interruption, the same command resumes.
+    The recording is stored in the user's cache folder. Run an interrupted command again to resume.
     """
 
     name: tyro.conf.Positional[str]
     """Name of the recording (dcgrid list)."""
     cache: Path | None = None
-    """Folder for it instead of the user's cache folder (or of the one that DCGRID_CACHE names)."""
+    """Cache folder. Default: $DCGRID_CACHE if set, otherwise the user's cache folder."""
 
     @property
     def resumes(self) -> str:
-        """How to go on: what has been kept is not done again."""
+        """Message on how to resume; downloaded data is kept."""
         return GOES_ON
 
     def run(self) -> None:
-        """Download and say under which licence, and what to cite."""
+        """Download, and print the licence and the citation."""
         from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
         from dcgrid_env.traces.recordings import RECORDINGS
@@ -58,20 +58,20 @@ class Show(Command):
     """Plot a trace: power, ramps, spectrum and duration curve."""
 
     name: tyro.conf.Positional[str]
-    """A generator or a fetched recording (dcgrid list), or a file: power trace, nvidia-smi log or request log."""
+    """Trace: a generator or fetched recording (dcgrid list), or a file (power trace, nvidia-smi log or request log)."""
     against: str | None = None
-    """Another one to draw over it."""
+    """Second trace to compare with in the same plots."""
     duration_s: float = 600.0
-    """Length of a generated trace, s; at least 2, and two steps of the averages."""
+    """Duration of a generated trace, s. At least 2 s and at least two averaging steps."""
     seed: int = 0
     """Seed of a generated trace."""
     dt_s: float = 1.0
-    """Step of the averages, s; at most half a trace."""
+    """Averaging step, s. At most half of the duration."""
     out: Path = Path("results/trace.png")
-    """The picture; folders are made."""
+    """Image file. Its folder is created if missing."""
 
     def run(self) -> None:
-        """Draw and say what was drawn."""
+        """Draw, and print the sources of the traces."""
         from dcgrid_env.core.files import write_figure
         from dcgrid_env.traces.figure import trace_figure
 
@@ -88,32 +88,32 @@ class Show(Command):
 class Record(Command):
     """Record the power of this machine's GPUs through NVML.
 
-    Changes no setting. Ctrl-C ends the recording and keeps it.
+    The command changes no GPU setting. Press Ctrl-C to end the recording and keep it.
     """
 
     out: tyro.conf.Positional[Path]
-    """The trace file, compressed if its name ends in .gz."""
+    """Trace file to write. It is compressed if its name ends in .gz."""
     hz: float = 10.0
-    """Samples a second, at most 20."""
+    """Sampling rate, Hz. At most 20."""
     duration_s: float | None = None
-    """Length, s; by default until Ctrl-C."""
+    """Duration, s. Default: until Ctrl-C."""
     gpus: tuple[int, ...] = ()
-    """Indices as nvidia-smi shows them; by default all."""
+    """GPU indices as in nvidia-smi, for example --gpus 0 1. Default: all GPUs."""
     overwrite: bool = False
-    """Replace a file that is there."""
+    """Replace an existing file."""
 
     def run(self) -> None:
-        """Record, with the power on one line as it comes."""
+        """Record, and show the current power on one line."""
         from dcgrid_env.traces.recorder import record as sample
 
         console = plain_console()
-        with working(console, "recording, Ctrl-C to end") as status:
+        with working(console, "recording, press Ctrl-C to end") as status:
             noted = sample(
                 self.out,
                 self.hz,
                 self.duration_s,
                 list(self.gpus) or None,
-                progress=lambda time_s, watt: status.update(f"{time_s:.1f} s, {watt:.0f} W, Ctrl-C to end"),
+                progress=lambda time_s, watt: status.update(f"{time_s:.1f} s, {watt:.0f} W, press Ctrl-C to end"),
                 overwrite=self.overwrite,
             )
         jitter = noted["jitter_s"]
@@ -134,7 +134,7 @@ def _find(name: str, cfg: Show) -> PowerTrace:
 
 
 def _long_enough(name: str, trace: PowerTrace, cfg: Show) -> PowerTrace:
-    """The trace itself; TraceError if a panel would stay empty: ramps need 2 steps, the spectrum SHORTEST_S."""
+    """Return the trace; raise TraceError if it is too short: ramps need 2 steps, the spectrum SHORTEST_S."""
     from dcgrid_env.traces import TRACE_SOURCES, TraceError
     from dcgrid_env.traces.checks import require_positive
 
@@ -145,6 +145,6 @@ def _long_enough(name: str, trace: PowerTrace, cfg: Show) -> PowerTrace:
     if 2 * cfg.dt_s > SHORTEST_S and trace.duration_s >= SHORTEST_S:
         remedies.append(f"shorter steps (--dt-s {int(trace.duration_s / 2)})")
     raise TraceError(
-        f"{name}: lasts {trace.duration_s:g} s, too short for the picture: it takes 2 steps of --dt-s {cfg.dt_s:g}, "
-        f"and {SHORTEST_S:g} s for the spectrum; give {' or '.join(remedies)}"
+        f"{name}: must last at least 2 steps of --dt-s {cfg.dt_s:g} and {SHORTEST_S:g} s for the spectrum, got "
+        f"{trace.duration_s:g} s; use {' or '.join(remedies)}"
     )

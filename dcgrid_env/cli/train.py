@@ -1,6 +1,6 @@
-"""The command ``dcgrid train``: a sub-command for each algorithm, whose options are found when it is asked for.
+"""The command ``dcgrid train``: a sub-command for each algorithm.
 
-Each algorithm is a module of `dcgrid_env.agents` with a configuration dataclass, which is its command line, and main.
+Each algorithm is a module of `dcgrid_env.agents` with ``main`` and a configuration dataclass, which is its options.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from dcgrid_env.cli.workers import place
 from dcgrid_env.core.install import from_clone
 
 OWN = {"--open": "opens", "--wandb": "wandb"}
-"""Options of the command beside an algorithm's configuration, and the fields that they set."""
+"""Options of the command in addition to an algorithm's configuration, and the fields that they set."""
 SEEDS = (
-    "With --seeds N it trains the seeds SEED to SEED + N - 1 at once, each in a folder of its own: --workers says how "
-    "many at a time on this machine, by default one for each core, and --ray ADDRESS names the Ray cluster that trains "
-    "them instead (auto, HOST:PORT, ray://HOST:PORT). --open opens the curve at the end, --wandb sends it to Weights & "
-    "Biases as well."
+    "Further options: --seeds N trains N policies with the seeds SEED to SEED + N - 1, each in a separate folder. "
+    "--workers sets how many run in parallel on this machine (default: one per core). --ray ADDRESS trains them on a "
+    "Ray cluster instead (auto, HOST:PORT or ray://HOST:PORT). --open opens the learning curve at the end. --wandb "
+    "also logs to Weights & Biases."
 )
-"""What the help of every algorithm says of the options that stand beside its configuration."""
+"""Help on the options that every algorithm has in addition to its configuration."""
 
 
 @dataclass(frozen=True)
 class Algorithm:
-    """A training algorithm; its module is imported when it is asked for, as it needs torch."""
+    """A training algorithm; its module needs torch and is imported on first use."""
 
     name: str
-    """Its name on the command line, and, with underscores, of its module under ``dcgrid_env.agents.algorithms``."""
+    """Name on the command line; with underscores, the name of its module in ``dcgrid_env.agents.algorithms``."""
 
     def module(self) -> ModuleType:
-        """Import the algorithm's module; ValueError, saying what to install, where a package is missing."""
+        """Import the algorithm's module; raise ValueError with the install command if a package is missing."""
         try:
             return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name.replace('-', '_')}")
         except ImportError as error:
@@ -52,30 +52,30 @@ class Algorithm:
             raise ValueError(f"training: {error}; install it {from_clone('agents')}") from None
 
     def configuration(self) -> type[Any]:
-        """The class of its configuration, which has the algorithm's name; ValueError as for ``module``."""
+        """Return the configuration class, which has the algorithm's name; errors are those of ``module``."""
         return getattr(self.module(), "".join(map(str.capitalize, self.name.split("-"))))
 
     def configured(self, words: Sequence[str], prog: str = "dcgrid train") -> Any:
-        """The configuration that options give.
+        """Return the configuration that the options define.
 
-        Where an option is not given it is what was found for the scenario, and else the algorithm's default.
+        Options that are not given default to the tuned settings for the scenario, or to the algorithm's defaults.
         """
         kind = self.configuration()
-        # Which defaults there are depends on two of the options: they are read first.
+        # The defaults depend on two of the options, which are read first.
         first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
         first.add_argument("--scenario")
         first.add_argument("--view", choices=get_args(get_type_hints(kind)["view"]))
         try:
             begin = kind.for_scenario(**vars(first.parse_known_args(words)[0]))
-        except argparse.ArgumentError:  # no value, or no view, which the whole command line reports below
+        except argparse.ArgumentError:  # a missing or invalid value, which tyro reports below
             begin = kind()
         return parsed(kind, words, prog, f"{(self.module().__doc__ or '').strip()}\n\n{SEEDS}", begin)
 
     @classmethod
     def parse(cls, words: Sequence[str], prog: str) -> Command:
-        """Read the options of the algorithm that is the last word of ``prog``.
+        """Parse the options of the algorithm that is the last word of ``prog``.
 
-        ValueError if torch is not installed or a seed is invalid.
+        Raises ValueError if torch is not installed or a seed is invalid.
         """
         algorithm = cls(prog.split()[-1])
         asked, words = _seeds(words)
@@ -84,30 +84,30 @@ class Algorithm:
         if asked.seeds is None:
             return Training(algorithm.module(), configuration, **single_options)
         if any(single_options.values()):
-            raise ValueError(f"seeds: {' and '.join(OWN)} are of a single training; leave them out, or --seeds")
+            raise ValueError(f"seeds: must not be combined with {' or '.join(OWN)}; remove them, or remove --seeds")
         configurations = tuple(of_seed(configuration, configuration.seed + i) for i in range(asked.seeds))
         return Seeds(configurations, asked.workers, asked.ray)
 
 
 @dataclass(frozen=True)
 class Training(Command):
-    """Train a policy by an algorithm."""
+    """Train a policy with one algorithm."""
 
     module: ModuleType
-    """The algorithm's."""
+    """Module of the algorithm."""
     configuration: Any
     opens: bool = False
-    """Open the curve at the end."""
+    """Open the learning curve at the end."""
     wandb: bool = False
-    """Send what goes to TensorBoard to Weights & Biases as well."""
+    """Also log to Weights & Biases."""
 
     @property
     def resumes(self) -> str:
-        """How to go on from the last checkpoint."""
-        return "the same command with --resume goes on"
+        """Message on how to resume from the last checkpoint."""
+        return "run the same command with --resume to continue"
 
     def run(self) -> None:
-        """Train. ValueError for a run that cannot begin or go on."""
+        """Train; raise ValueError if the run cannot start or resume."""
         from dcgrid_env.agents.training.run_folder import TrainingError
         from dcgrid_env.cli.weights_and_biases import logged
 
@@ -119,28 +119,28 @@ class Training(Command):
         except TrainingError as error:
             raise ValueError(error) from error
         console = plain_console()
-        say(console, f"`dcgrid evaluate {folder}` scores it; `tensorboard --logdir {folder}` draws its curve")
+        say(console, f"score it: dcgrid evaluate {folder}; plot its curve: tensorboard --logdir {folder}")
         offer(console, Path(folder) / "curve.csv", self.opens)
 
 
 @dataclass(frozen=True)
 class Seeds(Command):
-    """Train a policy for each of several seeds, several at once."""
+    """Train one policy for each of several seeds, in parallel."""
 
     configurations: tuple[Any, ...]
-    """One for each seed."""
+    """Configurations, one for each seed."""
     workers: int | None = None
-    """Trainings at once on this machine."""
+    """Number of parallel trainings on this machine."""
     ray: str | None = None
-    """Ray cluster that trains them instead."""
+    """Ray cluster to train on instead."""
 
     @property
     def resumes(self) -> str:
-        """How to go on: each seed from its last checkpoint."""
+        """Message on how to resume; each seed continues from its last checkpoint."""
         return GOES_ON
 
     def run(self) -> None:
-        """Train what has not been trained, print each seed's cost on validation. ValueError where seeds fail."""
+        """Train the remaining seeds and print the validation cost of each; raise ValueError if a seed fails."""
         from dcgrid_env.agents import Card
         from dcgrid_env.agents.training.training_runs import train_all, train_seed, words_of
 
@@ -156,7 +156,7 @@ class Seeds(Command):
                 progress.advance(bar)
         if failures:
             said = "; ".join(f"seed {seed}: {failures[seed]}" for seed in sorted(failures))
-            raise ValueError(f"{len(failures)} of {len(self.configurations)} not done: {said}; {GOES_ON}")
+            raise ValueError(f"{len(failures)} of {len(self.configurations)} trainings failed: {said}; {GOES_ON}")
         folders = {configuration.seed: configuration.folder for configuration in self.configurations}
         cards = {seed: Card.load(folders[seed] / "policy.json") for seed in sorted(folders)}
         for seed, card in cards.items():
@@ -164,19 +164,19 @@ class Seeds(Command):
             say(console, f"seed {seed}: {cost}, {spent_s}, {folders[seed]}")
         costs, where = [card.validation_J or 0.0 for card in cards.values()], " ".join(str(folders[s]) for s in cards)
         say(console, f"J {sum(costs) / len(costs):.4f} on average, {min(costs):.4f} to {max(costs):.4f}")
-        say(console, f"`dcgrid ship {where} --name NAME` scores them on test")
+        say(console, f"score them on the test split: dcgrid ship {where} --name NAME")
 
 
 def of_seed(configuration: Any, seed: int) -> Any:
-    """A configuration with this seed, in a folder of its own within the one that is given."""
+    """Return a configuration with this seed and a separate folder for it."""
     out = configuration.out and configuration.out / f"seed-{seed}"
     return dataclasses.replace(configuration, seed=seed, out=out)
 
 
 def _seeds(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
-    """What is asked for of several seeds (``seeds`` None for the one of --seed), and the other words.
+    """Return the options for several seeds (``seeds`` is None for a single one), and the other words.
 
-    ValueError for what cannot be.
+    Raises ValueError if an option is invalid.
     """
     option = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     option.add_argument("--seeds", type=int)
@@ -186,11 +186,13 @@ def _seeds(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
         given, others = option.parse_known_args(words)
     except argparse.ArgumentError as error:
         field = (error.argument_name or "seeds").lstrip("-")
-        raise ValueError(f"{field}: {error.message}; give it a value, such as --seeds 5 --workers 2") from None
+        raise ValueError(f"{field}: {error.message}; give a value, for example --seeds 5 --workers 2") from None
     if given.seeds is not None and given.seeds < 1:
-        raise ValueError(f"seeds is {given.seeds}; give at least 1")
+        raise ValueError(f"seeds: must be at least 1, got {given.seeds}")
     if given.seeds is None and (given.workers is not None or given.ray is not None):
-        raise ValueError("seeds is missing: --workers and --ray share out several trainings; give --seeds, or neither")
+        raise ValueError(
+            "seeds: must be given with --workers or --ray, which train several seeds; add --seeds N, or remove them"
+        )
     return given, others
 
 
@@ -199,11 +201,11 @@ ALGORITHMS = {
     for line, member in COMMANDS.below("dcgrid")
     if isinstance(member, Entry) and member.where == "train:Algorithm"
 }
-"""Algorithms by name, as the table of commands has them."""
+"""Algorithms by name, in the order of the command table."""
 
 
 def shipped_settings(configuration: Any) -> str:
-    """Which settings of a configuration are those that ship for its scenario; empty where none are."""
+    """Return a line with the settings that come from the bundled ones for the scenario; empty if none do."""
     from dcgrid_env.agents.training.preset_settings import settings
 
     name = configuration.algorithm()
@@ -212,4 +214,4 @@ def shipped_settings(configuration: Any) -> str:
     if not taken:
         return ""
     shown = (f"{field} {value:g}" if isinstance(value, float) else f"{field} {value}" for field, value in taken.items())
-    return f"settings that ship for {name} on {configuration.scenario}: {', '.join(shown)} (options stand before them)"
+    return f"bundled settings for {name} on {configuration.scenario}: {', '.join(shown)} (options override them)"

@@ -25,72 +25,72 @@ if TYPE_CHECKING:
 
 SPLIT = "validation"
 Laws = dict[str, dict[str, dict[str, Any]]]
-"""Law -> scenario, or scenarios with commas between -> parameters, J, trials and command."""
+"""Parameters, J, trials and command by law and by scenario (or scenarios separated by commas)."""
 
 
 @dataclass(frozen=True)
 class Tune(OverWorkers):
     """Tune control laws on the validation split of scenarios.
 
-    Writes their parameters with the command that made each.
+    Writes the best parameters of each law, with the command that found them.
 
-    The file is written after each law, so that an interrupted search goes on from there: what stands in it with the
-    same command, for the same scenario, is not searched again (unless by --again), and what else stands in it stays.
+    The file is written after each law. If you run an interrupted command again, it keeps the laws that are done for the
+    same scenario and settings, unless you pass --again. Other entries of the file stay unchanged.
 
-    A droop's gains are chosen among those whose closed loop is stable: spectral radius at most 1, no limit cycle.
+    Droop gains are chosen among those with a stable closed loop: spectral radius at most 1, no limit cycle.
 
-    `dcgrid run`, `benchmark`, `evaluate` and `train` find the parameters of other scenarios in results/tuned.json;
-    with --tuned FILE the first three take them from another file.
+    `dcgrid run`, `benchmark`, `evaluate` and `train` use results/tuned.json if it has gains for their scenario. The
+    first three take another file with --tuned FILE.
     """
 
     laws: str = "all"
-    """Laws separated by commas: droop, droop-q, deadband, peak-shaving, return-by-hand, staggered-return, smoothing,
-    route-to-strongest, constant-q, placement; or all, of which those that a scenario has nothing for are left out."""
+    """Laws, separated by commas: droop, droop-q, deadband, peak-shaving, return-by-hand, staggered-return, smoothing,
+    route-to-strongest, constant-q or placement; or all for every law that applies to the scenario."""
     scenarios: Scenarios = "all"
-    """Scenarios separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
-    package.module:function that makes your own; or all of those that ship."""
+    """Scenarios, separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
+    package.module:function; or all for every preset."""
     set: Overrides = ()
-    """Fields that are to be otherwise in every scenario, for instance --set horizon=60 sensing.noise_pu=0.005."""
+    """Fields to override in every scenario, for example --set horizon=60 sensing.noise_pu=0.005."""
     episodes: int = 20
-    """Number of validation episodes of each scenario: seeds 0, 1, .."""
+    """Number of validation episodes for each scenario, with seeds 0, 1, ..."""
     together: bool = False
-    """Whether the scenarios share one set of parameters, or each has its own."""
+    """Tune one set of parameters for all scenarios together instead of one set for each."""
     out: Path = Path("results/tuned.json")
-    """File to write."""
+    """Output file."""
     again: bool = False
-    """Whether to search again what stands in the file."""
+    """Repeat searches whose results are already in the file."""
 
     @property
     def resumes(self) -> str:
-        """How to go on: what has been kept is not done again."""
+        """Message on how to resume; finished work is kept."""
         return "" if self.again else GOES_ON
 
     def run(self) -> None:
-        """Tune what is due, print and write. Raise ValueError if a setting is invalid, before any search."""
+        """Tune the remaining laws, print and write; raise ValueError before any search if a setting is invalid."""
         from dcgrid_env.baselines.tuning.tunable import TUNABLE
 
         specs = scenario_specs(self.scenarios, self.set, SPLIT)
         laws = list(TUNABLE) if self.laws.strip() == "all" else split_names(self.laws)
-        there = f"choose among {', '.join(TUNABLE)}, or all"
+        there = f"choose from {', '.join(TUNABLE)}, or all"
         for law in laws:
             if law not in TUNABLE:
                 raise ValueError(f"laws: {unknown('tunable law', law, TUNABLE, there)}")
         if not laws:
-            raise ValueError(f"laws is {self.laws!r}; {there}")
+            raise ValueError(f"laws: must name at least one law, got {self.laws!r}; {there}")
         if self.episodes < 1:
-            raise ValueError(f"episodes is {self.episodes}; give at least 1")
+            raise ValueError(f"episodes: must be at least 1, got {self.episodes}")
         place = self.place
         groups = [tuple(specs)] if self.together else [(name,) for name in specs]
         asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
-        if self.laws.strip() == "all":  # those that fit; a law that is named and does not is refused by itself
+        if self.laws.strip() == "all":  # laws that apply; a named law that does not apply raises an error
             asked = [search for search in asked if all(TUNABLE[search.law].fits(s.make(SPLIT)) for s in search.specs)]
-        _kept(self.out)  # ValueError for another kind of file, before a folder is made
+        _kept(self.out)  # raise ValueError for another kind of file before a folder is created
         with alone_in(self.out.parent, "dcgrid tune"):
             _search(self, asked, place)
 
 
 class Search(NamedTuple):
-    """A law and the scenarios that are to share its parameters, by their own names."""
+    """A law, and the scenarios that share its parameters."""
 
     law: str
     names: tuple[str, ...]
@@ -98,12 +98,12 @@ class Search(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Where it stands among the law's entries."""
+        """Key among the entries of the law."""
         return ",".join(self.names)
 
 
 def _search(cfg: Tune, asked: Sequence[Search], place: Place) -> None:
-    """Search what is due, and write the file after each."""
+    """Run the remaining searches, and write the file after each."""
     from dcgrid_env.baselines.carried import carried
     from dcgrid_env.core.work.unit import Unit
 
@@ -112,7 +112,9 @@ def _search(cfg: Tune, asked: Sequence[Search], place: Place) -> None:
     console = plain_console()
     if len(due) < len(asked):
         done = len(asked) - len(due)
-        console.print(f"{done} of {len(asked)} stand in {cfg.out} and are kept; --again searches them again")
+        console.print(
+            f"kept {done} of {len(asked)} results that are already in {cfg.out}; --again repeats the searches"
+        )
     with progress_bar(console) as progress:
         bar = progress.add_task("laws tuned", total=len(asked), completed=len(asked) - len(due))
         units = [Unit(f"{search.law} of {search.key}", partial(_tuned, cfg.episodes), search) for search in due]
@@ -126,7 +128,7 @@ def _search(cfg: Tune, asked: Sequence[Search], place: Place) -> None:
             said = f"; spectral radius {radius:.3f}" if radius is not None else ""
             console.print(f"{search.key} {search.law}: {values}; J {entry['J']:.4f}{said}")
             progress.advance(bar)
-    console.print(f"wrote {cfg.out}" if due else f"nothing to search for {cfg.out}")
+    console.print(f"wrote {cfg.out}" if due else f"nothing to do: all results are already in {cfg.out}")
 
 
 def _tuned(episodes: int, search: Search) -> dict[str, Any]:
@@ -144,7 +146,7 @@ def _tuned(episodes: int, search: Search) -> dict[str, Any]:
 
 
 def _identity(search: Search) -> dict[str, Any]:
-    """What tells the scenarios of an entry from others of their names; nothing for presets as they are."""
+    """Return the hashes of an entry's scenarios; empty for unchanged presets."""
     from dcgrid_env.baselines.tuning.tuned import identity
 
     if all(spec.is_preset for spec in search.specs):
@@ -163,23 +165,23 @@ def _command(search: Search, episodes: int) -> str:
 
 
 def _stands(kept: Laws, search: Search, episodes: int) -> bool:
-    """Whether an entry is of this very search."""
+    """Return whether the file has the result of this exact search."""
     entry = kept.get(search.law, {}).get(search.key, {})
     wanted = {"command": _command(search, episodes), **_identity(search)}
     return all(entry.get(name) == value for name, value in wanted.items())
 
 
 def _kept(path: Path) -> Laws:
-    """What stands in the file; ValueError if it cannot be one of tuned parameters."""
+    """Return the contents of the file; raise ValueError if it is not a file of tuned parameters."""
     from dcgrid_env.baselines.tuning.tuned import read_tuned
 
     if path.is_dir():
-        raise ValueError(f"out is {path}, a folder; give a file")
+        raise ValueError(f"out: must be a file, got the folder {path}")
     return read_tuned(path)
 
 
 def _write(path: Path, laws: Laws) -> None:
-    """Laws in the order of ``TUNABLE``, scenarios in that of the presets; others behind them."""
+    """Write laws in the order of ``TUNABLE``, scenarios in the order of the presets; others follow."""
     from dcgrid_env import PRESETS
     from dcgrid_env.baselines.tuning.tunable import TUNABLE
 
@@ -188,6 +190,6 @@ def _write(path: Path, laws: Laws) -> None:
 
 
 def _first(leading: Iterable[str], names: Iterable[str]) -> list[str]:
-    """Names, those of ``leading`` first and in its order."""
+    """Return names, with those of ``leading`` first and in its order."""
     order = {name: place for place, name in enumerate(leading)}
     return sorted(names, key=lambda name: order.get(name, len(order)))

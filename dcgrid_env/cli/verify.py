@@ -13,32 +13,32 @@ from dcgrid_env.cli.terminal import plain_console, say, working
 
 @dataclass(frozen=True)
 class Verify(Command):
-    """Run entries of the leaderboard again and report the scores.
+    """Rerun leaderboard entries and report their scores.
 
-    Runs each entry on its own episodes and on fresh ones.
-
-    The report is verified.json in the folder of the entry. It is signed where the verifier's key is there, and only
-    signed reports are listed.
+    Runs each entry on the claimed episodes and on new ones, and writes the report verified.json to the entry's folder.
+    The report is signed if the verifier's key is available. The leaderboard only lists entries with signed reports.
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders that dcgrid submit wrote."""
+    """Folders written by dcgrid submit."""
     trust: bool = False
-    """Whether code of the submitters' own may run, in confined processes."""
+    """Allow entries with submitted code, which runs in confined processes."""
     fresh: int | None = None
-    """Number of fresh episodes of the test split (default: 100). This command draws their seeds, the same for all
-    folders. They have no hindsight, so the share of the tuned droop's J that is saved is compared."""
+    """Number of new test episodes (default: 100). Their seeds are drawn once for all folders. They have no hindsight
+    costs, so the command compares the savings relative to the tuned droop."""
     again: bool = False
-    """Run on the seeds of the signed report instead, and compare with it. Nothing is written."""
+    """Repeat the episodes of the signed report and compare with it. Nothing is written."""
 
     def run(self) -> None:
-        """Check, run, write, print. ValueError for what does not hold; a verified.json that was there then stays."""
+        """Check, run, write and print; raise ValueError if a claim is wrong, and keep an existing verified.json."""
         from dcgrid_env.agents.leaderboard.verifying import draw_seed
 
         if not self.folders:
-            raise ValueError("folders is empty; give folders that dcgrid submit wrote")
+            raise ValueError("folders: must name at least one folder written by dcgrid submit, got none")
         if self.again and self.fresh is not None:
-            raise ValueError(f"fresh is {self.fresh}; leave it out with --again, which takes the report's episodes")
+            raise ValueError(
+                f"fresh: must not be combined with --again, got {self.fresh}; --again uses the episodes of the report"
+            )
         seed = draw_seed()
         for folder in self.folders:
             self._verify(folder, seed)
@@ -55,23 +55,28 @@ class Verify(Command):
                 entry, found = verify(folder, seed, trust=self.trust, fresh=100 if self.fresh is None else self.fresh)
                 is_equal = False
         value, low, high = found.score
-        say(console, f"{entry.name} on {entry.scenario}: found as claimed, sent: {found.scope}")
+        say(console, f"{entry.name} on {entry.scenario}: the claim is confirmed, information: {found.scope}")
         say(console, f"J {found.found.J:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f})")
         gains = [
             f"{100 * v:.1f} % ({100 * a:.1f} .. {100 * b:.1f})" for v, a, b in (found.found.gain, found.fresh.gain)
         ]
         say(
             console,
-            f"saves {gains[0]} of the tuned droop's J; {gains[1]} on {found.fresh_episodes} fresh episodes, seeds from "
+            f"saves {gains[0]} of the tuned droop's J; {gains[1]} on {found.fresh_episodes} new episodes, seeds from "
             f"{found.fresh_seed}",
         )
         if found.gains_less:
-            say(console, "on fresh episodes it saves less: was it learned or chosen on the test episodes?")
+            say(
+                console,
+                "warning: it saves less on new episodes; it may have been trained or selected on the test episodes",
+            )
         if self.again:
-            equal = "to the last bit" if is_equal else "within the tolerance"
-            say(console, f"the same as the signed report, {equal}; nothing was written")
+            equal = "bit for bit" if is_equal else "within the tolerance"
+            say(console, f"agrees with the signed report {equal}; nothing was written")
         else:
             signed = (
-                "signed" if found.signature else f"not signed (no key in {private_key_file()}), so not to be listed"
+                "signed"
+                if found.signature
+                else f"not signed (no key in {private_key_file()}); the leaderboard will not list it"
             )
             say(console, f"wrote {folder / 'verified.json'}, {signed}")

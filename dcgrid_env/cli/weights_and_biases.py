@@ -1,4 +1,4 @@
-"""Weights & Biases as a mirror of what a training writes for TensorBoard; nothing of it is needed otherwise."""
+"""Send the TensorBoard logs of a training to Weights & Biases, an optional package."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ PROJECT = "dcgrid"
 
 @contextmanager
 def logged(configuration: Any, wanted: bool) -> Iterator[None]:
-    """Have what is written for TensorBoard within the block sent to Weights & Biases too, where that is wanted.
+    """Send TensorBoard logs within the block to Weights & Biases if ``wanted`` is set.
 
-    The account, the address and whether to send at all are wandb's own settings (WANDB_MODE=offline keeps it here).
-    ValueError where wandb is not installed.
+    wandb's settings define the account and the address (WANDB_MODE=offline stores the logs on this machine). Raises
+    ValueError if wandb is not installed.
     """
     if not wanted:
         yield
@@ -24,7 +24,7 @@ def logged(configuration: Any, wanted: bool) -> Iterator[None]:
     try:
         wandb = importlib.import_module("wandb")
     except ImportError:
-        raise ValueError("wandb is not installed; pip install wandb, or leave --wandb out") from None
+        raise ValueError("wandb: package is not installed; run pip install wandb, or remove --wandb") from None
     about = {name: str(value) for name, value in dataclasses.asdict(configuration).items()}
     run = wandb.init(project=PROJECT, config=about, sync_tensorboard=True)
     failed = True

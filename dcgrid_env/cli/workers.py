@@ -1,4 +1,4 @@
-"""Where a command's units of work run: the options that say so, shared by every command that has such units."""
+"""Options for where a command's units of work run: local processes or a Ray cluster."""
 
 from __future__ import annotations
 
@@ -17,37 +17,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class OverWorkers(Command, ABC):
-    """A command whose work comes in units that run side by side."""
+    """A command whose work is split into units that run in parallel."""
 
     workers: Annotated[int | None, tyro.conf.arg(aliases=("--jobs",))] = None
-    """Number of processes on this machine; by default one for each core."""
+    """Number of worker processes on this machine. Default: one per core."""
     ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """Ray cluster that does the work instead: auto for the one that this machine is a node of, HOST:PORT of its head,
-    or ray://HOST:PORT of its client server (takes the extra ray)."""
+    """Ray cluster to run on instead: auto (the cluster of this machine), HOST:PORT of the head node, or
+    ray://HOST:PORT of the client server. Requires the ray extra."""
 
     @cached_property
     def place(self) -> Place:
-        """Where the units run.
+        """Return where the units run.
 
-        ValueError for options that cannot be, or other versions on the cluster's nodes; OSError where none answers.
+        Raises ValueError if an option is invalid or the cluster's nodes have other versions, and OSError if no cluster
+        answers.
         """
         return place(self.workers, self.ray)
 
 
 def place(workers: int | None, ray: str | None) -> Place:
-    """Where units run as the two options say; errors as ``OverWorkers.place``."""
+    """Return where units run with these two options; the errors are those of ``OverWorkers.place``."""
     from dcgrid_env.core.threads import n_threads
     from dcgrid_env.core.work.local_pool import LocalPool
 
     if workers is not None and workers < 1:
-        raise ValueError(f"workers is {workers}; give at least 1")
+        raise ValueError(f"workers: must be at least 1, got {workers}")
     if ray is None:
         return LocalPool(n_threads() if workers is None else workers)
     if workers is not None:
-        raise ValueError(f"workers is {workers} and ray {ray!r}; the cluster's cores do the work, leave one out")
+        raise ValueError(
+            f"workers: must not be combined with --ray, got --workers {workers} and --ray {ray!r}; remove one of them"
+        )
     from dcgrid_env.cli.terminal import plain_console, say
     from dcgrid_env.core.work.cluster import cluster
 
     found = cluster(ray)
-    say(plain_console(), f"Ray cluster at {ray}: cores {found.workers}, nodes with cores {len(found.nodes)}")
+    say(plain_console(), f"Ray cluster at {ray}: cores: {found.workers}, nodes: {len(found.nodes)}")
     return found

@@ -1,12 +1,12 @@
-"""The table of commands: the one place where a command is declared, with its section, its line and its class."""
+"""Table of commands: section, summary and class of every command."""
 
 from dcgrid_command.group import Entry, Group
 
 TRACEBACK = "--traceback"
-"""The one option of every command; it may stand anywhere on the line."""
+"""Option of every command; it may be anywhere on the command line."""
 VERSION = "--version"
 _IMPORT = Group(
-    "Read feeders from the files of other programs.",
+    "Read feeders from files of other programs.",
     {
         "Formats": {
             "opendss": Entry("Read a three-phase feeder from an OpenDSS master file.", "opendss_import:ImportOpenDss"),
@@ -34,16 +34,16 @@ _EXPORT = Group(
 )
 _ALGORITHM = "train:Algorithm"
 _TRAIN = Group(
-    "Train a policy by an algorithm.",
+    "Train a policy with one of several algorithms.",
     {
         "Algorithms": {
-            "ppo": Entry("PPO of Stable-Baselines3, shared or centralised.", _ALGORITHM),
-            "ppo-counterfactual": Entry("PPO on what each agent's action changed in a step.", _ALGORITHM),
-            "sac": Entry("Soft actor-critic of Stable-Baselines3.", _ALGORITHM),
-            "td3": Entry("Twin delayed DDPG of Stable-Baselines3.", _ALGORITHM),
-            "analytic": Entry("Gradients through the power flow.", _ALGORITHM),
-            "safe": Entry("Gradients through the power flow, with bounded gains.", _ALGORITHM),
-            "carry-over": Entry("Corrections of the model-aided law, for any feeder.", _ALGORITHM),
+            "ppo": Entry("PPO (Stable-Baselines3), shared or centralised.", _ALGORITHM),
+            "ppo-counterfactual": Entry("PPO with counterfactual advantages, based on a grid model.", _ALGORITHM),
+            "sac": Entry("Soft actor-critic (Stable-Baselines3).", _ALGORITHM),
+            "td3": Entry("Twin delayed DDPG (Stable-Baselines3).", _ALGORITHM),
+            "analytic": Entry("Policy gradients through the power flow.", _ALGORITHM),
+            "safe": Entry("Policy gradients with bounded controller gains.", _ALGORITHM),
+            "carry-over": Entry("Learned corrections to the model-aided law.", _ALGORITHM),
         }
     },
 )
@@ -60,35 +60,35 @@ _TRACES = Group(
 COMMANDS = Group(
     "Voltage control of distribution feeders with AI data centres.",
     {
-        "Try": {
+        "Get started": {
             "run": Entry("Run controllers on the same episodes and compare them.", "run:Run"),
             "list": Entry("List scenarios, feeders, controllers, traces and fields.", "listing:List"),
             "replay": Entry("Show an episode in the browser, step by step.", "replay:Replay"),
         },
-        "Your grid": {
+        "Your feeder": {
             "import": _IMPORT,
             "check": Entry("Check in a minute whether a scenario is worth learning on.", "check:Check"),
             "capacity": Entry("Find the largest data centre that each bus can carry.", "capacity:Capacity"),
             "export": _EXPORT,
         },
-        "Train": {
+        "Train and evaluate": {
             "train": _TRAIN,
             "evaluate": Entry("Score a policy on held-out episodes.", "evaluate:Evaluate"),
             "tune": Entry("Tune control laws on the validation split of scenarios.", "tune:Tune"),
-            "tune-agent": Entry("Search an algorithm's settings for a scenario.", "agent_search:TuneAgent"),
+            "tune-agent": Entry("Search for an algorithm's best settings on a scenario.", "agent_search:TuneAgent"),
             "hindsight": Entry("Solve episodes with perfect foresight and store the costs.", "hindsight:Hindsight"),
-            "benchmark": Entry("Score controllers over scenarios on the test split.", "benchmark:Benchmark"),
+            "benchmark": Entry("Score controllers on the test split of scenarios.", "benchmark:Benchmark"),
             "curves": Entry("Draw learning curves of training runs.", "curves:Curves"),
             "dataset": Entry("Write episodes as a Minari data set for offline learning.", "dataset:Dataset"),
         },
         "Publish": {
-            "ship": Entry("Score training runs that differ in the seed; write the best.", "ship:Ship"),
-            "submit": Entry("Write an entry of the leaderboard.", "submit:Submit"),
-            "verify": Entry("Run entries of the leaderboard again and report the scores.", "verify:Verify"),
+            "ship": Entry("Score training runs with different seeds; save the best.", "ship:Ship"),
+            "submit": Entry("Create an entry for the leaderboard.", "submit:Submit"),
+            "verify": Entry("Rerun leaderboard entries and report their scores.", "verify:Verify"),
             "export-sb3": Entry("Convert a Stable-Baselines3 model into a policy file.", "sb3_export:ExportSb3"),
             "reproduce": Entry("Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).", "reproduce:Reproduce"),
         },
-        "More": {"traces": _TRACES},
+        "Data": {"traces": _TRACES},
     },
-    {VERSION: "Show the version.", TRACEBACK: "With any command, show the traceback of an error."},
+    {VERSION: "Show the version and exit.", TRACEBACK: "Show the traceback of an error, with any command."},
 )

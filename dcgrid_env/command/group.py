@@ -59,7 +59,7 @@ class Group(NamedTuple):
         sections = {
             title: {name: member.text for name, member in part.items()} for title, part in self.sections.items()
         }
-        sections["Options"] = {", ".join(HELP): "Show this help.", **self.options}
+        sections["Options"] = {", ".join(HELP): "Show this help and exit.", **self.options}
         longest = max(len(name) for part in sections.values() for name in part) + 4
         lines = [f"usage: {prog} COMMAND [OPTIONS]", "", *textwrap.wrap(self.text, width)]
         for title, part in sections.items():
@@ -67,7 +67,7 @@ class Group(NamedTuple):
             for name, text in part.items():
                 start, indent = f"  {name}".ljust(longest), " " * longest
                 lines += textwrap.wrap(text, width, initial_indent=start, subsequent_indent=indent)
-        return "\n".join([*lines, "", f"`{prog} COMMAND --help` shows the options of a command."])
+        return "\n".join([*lines, "", f"Run `{prog} COMMAND --help` for the options of a command."])
 
 
 def found(root: Group, prog: str, words: Sequence[str]) -> tuple[Entry | Group, str, Sequence[str]]:

@@ -119,7 +119,7 @@ def test_one_shared_policy_behind_vecnormalize(tmp_path, capsys):
     file, pkl = str(tmp_path / "model.zip"), str(tmp_path / "rows.pkl")
     out = ("--scenario", SCENARIO, "--out", str(tmp_path / "policy"))
     assert "trained behind VecNormalize" in stopped(capsys, "export-sb3", file, *out)
-    assert "is pickle" in stopped(capsys, "export-sb3", file, *out, "--normalize", pkl)
+    assert "must be trusted, got the pickle file" in stopped(capsys, "export-sb3", file, *out, "--normalize", pkl)
     said = stopped(capsys, "evaluate", file, "--scenario", SCENARIO, "--trust")
     assert "dcgrid export-sb3 --normalize FILE.pkl --trust" in said
     assert not list(tmp_path.glob("policy*"))
@@ -142,7 +142,7 @@ def test_nothing_is_unpickled_without_trust(tmp_path, capsys):
     rewritten(tmp_path / "plain.zip", tmp_path / "model.zip", lambda about: about | {"lr_schedule": pickled(mark)})
     policy = exported(tmp_path / "model.zip", tmp_path)
     said = stopped(capsys, "evaluate", str(tmp_path / "model.zip"), "--scenario", SCENARIO)
-    assert "is pickle, and unpickling runs whatever code it holds" in said
+    assert "policy: must be trusted, got the Stable-Baselines3 zip" in said
     assert "dcgrid export-sb3" in said
     with pytest.raises(ValueError, match="which is pickle"):
         find_controller(str(tmp_path / "model.zip"), dcgrid_env.make_scenario(SCENARIO))
@@ -222,7 +222,7 @@ def test_files_and_scenarios_that_do_not_fit(tmp_path, capsys):
     said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", "ieee33-weak")
     assert "observation and action have 23 and 4 figures; on ieee33-weak they have 55 and 10 (joint), 10 and 2" in said
     said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", SCENARIO, "--out", "policy.pt")
-    assert "ends in .safetensors" in said
+    assert "out: must end in .safetensors, got 'policy.pt'" in said
 
 
 def test_what_acts_otherwise_than_it_says_is_refused(tmp_path, capsys):

@@ -120,7 +120,7 @@ def test_the_episodes_of_a_report_give_the_same_again_to_the_last_bit(copied, ca
     assert is_equal
     assert report.fresh_seed >= 1000
     main(["verify", str(copied), "--again"])
-    assert "the same as the signed report, to the last bit" in capsys.readouterr().out
+    assert "agrees with the signed report bit for bit" in capsys.readouterr().out
     assert (copied / "verified.json").read_bytes() == before
     with pytest.raises(SubmissionError, match="fresh is 1; give at least 2"):
         verify(copied, fresh=1)
@@ -212,7 +212,7 @@ def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch)
     assert {path.name for path in Path("made").iterdir()} == {"controller.py", "submission.json"}
     assert "verifying runs it: read it, and add --trust" in stopped(capsys, "verify", "made")
     main(["verify", "made", "--trust", "--fresh", "2"])
-    assert "found as claimed, sent: joint" in capsys.readouterr().out
+    assert "the claim is confirmed, information: joint" in capsys.readouterr().out
     assert read(Path("made/submission.json"), Submission).policy == "controller.py:Own(q=0.1)"
     text = Path("made/submission.json").read_text()
     changed(Path("made/submission.json"), policy="controller.py")

@@ -197,19 +197,28 @@ def test_the_command(tmp_path, trained, monkeypatch, capsys):
     main(words)
     said = capsys.readouterr().out
     assert "0: J 1.0100, 0 s: learning_rate 0.01, window 40" in said
-    assert "3 trials, 0 of them stopped" in said
+    assert "3 trials, 0 of them stopped early" in said
     assert "[analytic.toy6]\nupdates = 7" in said
     assert (tmp_path / "results/tune-agent/toy6-analytic/journal.log").exists()
     for asked, message in (
-        (["tune-agent", "carry-over"], "algorithm is 'carry-over', which has no search space; there are"),
-        (["tune-agent", "dqn"], "no algorithm 'dqn'; there are search spaces for analytic, safe, ppo"),
-        ([*words[:-1], "colour=1"], "fixed: no analytic setting 'colour'; `dcgrid train analytic --help` lists all"),
+        (["tune-agent", "carry-over"], "algorithm: must have a search space, got 'carry-over'; choose from"),
+        (["tune-agent", "dqn"], "no algorithm 'dqn'; choose from analytic, safe, ppo"),
+        (
+            [*words[:-1], "colour=1"],
+            "fixed: no analytic setting 'colour'; `dcgrid train analytic --help` lists all",
+        ),
         ([*words[:-1], "updates"], "fixed: 'updates' is no field with its value"),
-        ([*words[:-1], "updates=abc", "--out", "other"], "fixed: updates is 'abc'; input should be a valid integer"),
+        (
+            [*words[:-1], "updates=abc", "--out", "other"],
+            "fixed: updates: invalid value 'abc'; input should be a valid integer",
+        ),
         ([*words[:-1], "updates=0", "--out", "other"], "updates is 0; give more than 0"),
-        ([*words[:-1], "hidden=[8, 8]", "act=all", "--out", "other"], "fixed: act is 'all'; input should be 'both'"),
-        ([*words, "--trials", "0"], "trials is 0; give at least 1\n"),
-        ([*words, "--seed", "-1"], "dcgrid: seed is -1; give at least 0\n"),
+        (
+            [*words[:-1], "hidden=[8, 8]", "act=all", "--out", "other"],
+            "fixed: act: invalid value 'all'; input should be 'both'",
+        ),
+        ([*words, "--trials", "0"], "trials: must be at least 1, got 0\n"),
+        ([*words, "--seed", "-1"], "dcgrid: seed: must be at least 0, got -1\n"),
     ):
         with pytest.raises(SystemExit):
             main(asked)

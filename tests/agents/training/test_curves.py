@@ -81,13 +81,12 @@ def test_the_figure_has_a_panel_for_each_scenario(tmp_path):
 @pytest.mark.parametrize(
     ("gains_pct", "said"),
     [
-        ([7.24], "1 run, J at the end 7.24 % below the tuned droop's"),
-        ([-7.24], "1 run, J at the end 7.24 % above the tuned droop's"),
-        ([-1e-9], "1 run, J at the end 0.00 % below the tuned droop's"),
+        ([7.24], "1 run, final J 7.24 % below the tuned droop's"),
+        ([-7.24], "1 run, final J 7.24 % above the tuned droop's"),
+        ([-1e-9], "1 run, final J 0.00 % below the tuned droop's"),
         (
             [1.0, -4.0],
-            "2 runs, J at the end 1.50 % above the tuned droop's on average (the best 1.00 % below, the worst 4.00 % "
-            "above)",
+            "2 runs, final J 1.50 % above the tuned droop's on average (best 1.00 % below, worst 4.00 % above)",
         ),
     ],
 )
@@ -102,14 +101,14 @@ def test_the_command_draws_and_says_where_each_line_ends(tmp_path, monkeypatch, 
     run(tmp_path / "a")
     main(["curves", "a", "--out", "images/curves.png"])
     assert (tmp_path / "images" / "curves.png").read_bytes()[:4] == b"\x89PNG"
-    assert "toy6, ppo: 1 run, J at the end 50.00 % below the tuned droop's" in capsys.readouterr().out
+    assert "toy6, ppo: 1 run, final J 50.00 % below the tuned droop's" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("folders", "said"),
     [
         (["nowhere"], "nowhere: there is no curve.csv; give the folder of a training run"),
-        ([], "folders is empty; give the folder of at least one training run"),
+        ([], "folders: must name at least one folder of a training run, got none"),
     ],
 )
 def test_the_command_refuses_what_is_no_run(folders, said, capsys):

@@ -56,8 +56,8 @@ def test_options_stand_before_what_ships_and_the_line_names_the_rest():
     )
     assert (found.gamma, found.nameplate, found.epochs, found.wait, found.steps) == (0.9, False, 5, 150.0, 4_000_000)
     assert shipped_settings(found) == (
-        "settings that ship for ppo on ieee33-weak: outputs droop, wait 150, log_std -1, steps 4000000 "
-        "(options stand before them)"
+        "bundled settings for ppo on ieee33-weak: outputs droop, wait 150, log_std -1, steps 4000000 "
+        "(options override them)"
     )
 
 

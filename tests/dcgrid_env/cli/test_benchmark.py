@@ -181,7 +181,7 @@ def test_an_interrupted_benchmark_goes_on_and_gives_the_same(tmp_path, capsys, m
     assert len(list(out.rglob("units/*/*/*.json"))) == 4
     assert not (out / "results.json").exists()
     resumed = benchmark(out, "none,droop")
-    assert "4 of 9 units are done already with these settings" in capsys.readouterr().out.replace("\n", " ")
+    assert "4 of 9 units with these settings are already in" in capsys.readouterr().out.replace("\n", " ")
     assert len(calls) == 5 + 5
     for part in ("episodes", "summaries", "failures"):
         assert resumed[part] == whole[part]
@@ -291,7 +291,7 @@ def test_ones_own_scenario_and_arguments_with_commas(tmp_path, own, capsys, monk
     assert len(list((tmp_path / "[/]" / "units").glob("*/*/*.json"))) == 3  # no folder between for the name's slash
     again = benchmark(tmp_path / "[/]", f"none,{spec}", "--set", "background.load_sigma=0.1", **given)
     assert again["episodes"] == results["episodes"]
-    assert "3 of 3 units are done already" in capsys.readouterr().out
+    assert "3 of 3 units with these settings are already in" in capsys.readouterr().out
 
 
 def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsys, monkeypatch):
@@ -315,13 +315,13 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
     ("arguments", "message"),
     [
         ({"scenarios": "toy6,ieee124"}, "no scenario 'ieee124'; did you mean"),
-        ({"scenarios": " , "}, "name at least one, or all"),
+        ({"scenarios": " , "}, "scenarios: must name at least one scenario, or all, got ' , '"),
         ({"controllers": "none,pid"}, "no controller 'pid'; "),
-        ({"controllers": ","}, "name at least one, local, all or policies"),
+        ({"controllers": ","}, "controllers: must name at least one, got ','"),
         ({"controllers": "nowhere.py:Law"}, "there is no file nowhere.py"),
         ({"controllers": "nowhere.safetensors"}, "there is no file nowhere.safetensors"),
-        ({"episodes": 0}, "episodes is 0; give at least 1"),
-        ({"processes": 0}, "workers is 0; give at least 1"),
+        ({"episodes": 0}, "episodes: must be at least 1, got 0"),
+        ({"processes": 0}, "workers: must be at least 1, got 0"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):

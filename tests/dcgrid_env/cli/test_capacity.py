@@ -51,14 +51,17 @@ def test_a_scenario_brings_its_devices_limits_and_all_buses(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((), "feeder is missing; give --feeder"),
-        ((*IEEE33, "--controllers", ""), "name at least one"),
+        ((), "feeder: must be given, or --scenario"),
+        ((*IEEE33, "--controllers", ""), "must name at least one"),
         ((*IEEE33, "--controllers", "nobody"), "nobody"),
-        ((*IEEE33, "--limits", "0.95"), "limits is '0.95'; give the lowest and the highest voltage"),
+        (
+            (*IEEE33, "--limits", "0.95"),
+            "limits: must be the lowest and the highest voltage, such as 0.95,1.05, got '0.95'",
+        ),
         ((*IEEE33, "--limits", "1.05,0.95"), "v_max_pu is 0.95; give a voltage above"),
         ((*IEEE33, "--buses", "18,1"), "the substation '1'"),
         ((*IEEE33, "--buses", "180"), "180"),
-        ((*IEEE33, "--workers", "0"), "workers is 0"),
+        ((*IEEE33, "--workers", "0"), "workers: must be at least 1, got 0"),
         ((*IEEE33, "--trace", "nothing"), "trace"),
         (("--feeder", "nowhere"), "nowhere"),
     ],

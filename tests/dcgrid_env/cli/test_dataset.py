@@ -92,10 +92,12 @@ def test_hindsight_acts_as_it_planned(here, monkeypatch):
 
 
 def test_what_cannot_be_is_one_line_and_writes_nothing(here, capsys, monkeypatch):
-    assert "split is 'test'; choose train or validation" in refused(capsys, "--split", "test")
-    assert "noise is 3.0" in refused(capsys, "--noise", "3")
-    assert "random actions are noise already" in refused(capsys, "--controller", "random", "--noise", "0.1")
-    assert "episodes is 0" in refused(capsys, "--episodes", "0")
+    assert "split: must be train or validation, got 'test'" in refused(capsys, "--split", "test")
+    assert "noise: must be at most 2, the width of the action range, got 3.0" in refused(capsys, "--noise", "3")
+    assert "noise: must be 0 with random actions, got 0.1" in refused(
+        capsys, "--controller", "random", "--noise", "0.1"
+    )
+    assert "episodes: must be at least 1, got 0" in refused(capsys, "--episodes", "0")
     assert "name is 'a b'" in refused(capsys, "--name", "a b")
     assert "observes 'feeder'" in refused(capsys, "--controller", "mpc", *SHORT)
     assert "no controller" in refused(capsys, "--controller", "nobody", *SHORT)

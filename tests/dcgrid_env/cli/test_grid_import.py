@@ -68,8 +68,11 @@ def test_buses_that_switches_join_are_listed_beside_the_tables(tmp_path, capsys)
     [
         (["pandapower", "case4gs"], "gen 0: it keeps a voltage"),
         (["pandapower", "case33bx"], "'case33bx' is no network of pandapower's"),
-        (["pandapower", ""], "net is empty"),
-        (["pandapower", "case33bw", "--arguments", "7"], "'7' is no NAME=VALUE"),
+        (["pandapower", ""], "net: must not be empty"),
+        (
+            ["pandapower", "case33bw", "--arguments", "7"],
+            "arguments: must be NAME=VALUE, such as with_der=all, got '7'",
+        ),
         (["pandapower", "mv_oberrhein.json"], "cannot be read"),
         (["matpower", "missing.m"], "cannot be read (No such file or directory); give a MATPOWER case file"),
         (["matpower", "."], "cannot be read (Is a directory)"),
@@ -86,9 +89,9 @@ def test_what_cannot_be_imported_leaves_nothing(tmp_path, capsys, monkeypatch, w
     ("words", "told"),
     [
         (["matpower", "ieee123"], "branch 18-135 has no impedance"),
-        (["pandapower", "ieee13-3ph"], "ieee13-3ph has three phases"),
+        (["pandapower", "ieee13-3ph"], "feeder: must be balanced, got ieee13-3ph with three phases"),
         (["pandapower", "nowhere"], "nowhere"),
-        (["pandapower", " "], "feeder is empty"),
+        (["pandapower", " "], "feeder: must not be empty"),
     ],
 )
 def test_what_cannot_be_exported_leaves_nothing(tmp_path, capsys, monkeypatch, words, told):

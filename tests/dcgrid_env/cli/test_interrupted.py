@@ -88,7 +88,7 @@ def test_an_interrupted_training_keeps_what_is_whole_and_no_half_of_a_checkpoint
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 130
-    assert capsys.readouterr().err == "dcgrid: interrupted; the same command with --resume goes on\n"
+    assert capsys.readouterr().err == "dcgrid: interrupted; run the same command with --resume to continue\n"
     kept = {name for name in names(here) if not name.startswith("events.out")}
     assert kept == {"config.json", "curve.csv", "policy.json", "policy.safetensors"}
 
@@ -106,7 +106,7 @@ def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done
         time.sleep(0.2)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=120)
-    assert (process.returncode, said) == (130, "dcgrid: interrupted; the same command goes on from there\n")
+    assert (process.returncode, said) == (130, "dcgrid: interrupted; run the same command again to resume\n")
     assert not [name for name in names(here) if name.startswith(".")]
 
 
@@ -141,7 +141,7 @@ def test_a_second_command_that_changes_the_same_files_is_one_line(here, capsys, 
     said = capsys.readouterr().err
     assert stopped.value.code == 2
     assert f"another dcgrid test (process {os.getpid()} on " in said
-    assert said.endswith("writes there; wait until it has ended, or work in another folder\n")
+    assert said.endswith("writes there; wait until it has ended, or use another folder\n")
     assert len(said.splitlines()) == 1
     assert not list(folder.iterdir())
     main([*words])  # free again

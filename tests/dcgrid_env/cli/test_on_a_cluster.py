@@ -102,7 +102,7 @@ def test_a_benchmark_survives_ctrl_c_and_a_killed_node(here, cluster):
     assert cluster.kill_node()  # its workers
     code, said = ended(process)
     assert code == 0, said
-    assert "units are done already" in said
+    assert "units with these settings are already in" in said
     assert all(path.read_bytes() == content for path, content in kept.items())
     local, ray = (json.loads((here / out / "results.json").read_text()) for out in ("local", "ray"))
     assert len(local["episodes"]) == 75 * 7

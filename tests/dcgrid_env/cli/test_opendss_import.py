@@ -34,7 +34,7 @@ def test_a_feeder_is_written_and_compared(master, capsys):
     main(["import", "opendss", str(master), "--out", str(out)])
     text = capsys.readouterr().out
     assert "regcontrol" in text
-    assert "largest voltage difference to OpenDSS" in text
+    assert "largest voltage difference from OpenDSS" in text
     assert "differ by more than" not in text
     assert "ratings known for 3 of 15 elements; not checked: line 650632, " in text
     assert f"wrote {out}: " in text
@@ -50,14 +50,14 @@ def test_what_is_lost_is_said_with_the_difference_that_it_makes(master, capsys):
     assert not out.exists()
     main(["import", "opendss", str(master), "--out", str(out), "--allow", "generator, fuse"])
     text = capsys.readouterr().out
-    assert "what is lost moves them" in text
+    assert "p.u. because of the omitted elements" in text
     assert "lost: it never blows" in text
 
 
 def test_a_power_flow_that_opendss_does_not_find_is_said(master, capsys):
     master.write_text(master.read_text() + "\nEdit Load.671 kw=1e7 vminpu=0.002 vlowpu=0.001")
     main(["import", "opendss", str(master), "--out", str(master.parent / "out")])
-    assert "found no solution, so that voltages are not compared" in capsys.readouterr().out
+    assert "voltages are not compared: no power flow solution from " in capsys.readouterr().out
 
 
 def test_an_existing_folder_is_taken_only_if_it_is_empty(master, capsys):
@@ -66,8 +66,8 @@ def test_an_existing_folder_is_taken_only_if_it_is_empty(master, capsys):
     main(["import", "opendss", str(master), "--out", str(out)])
     capsys.readouterr()
     np.testing.assert_equal((out / "feeder.toml").exists(), True)
-    assert "is there and not an empty folder" in said(capsys, master, "--out", out)
-    assert "is there and not an empty folder" in said(capsys, master, "--out", master)
+    assert "out: must be a new or empty folder" in said(capsys, master, "--out", out)
+    assert "out: must be a new or empty folder" in said(capsys, master, "--out", master)
 
 
 def test_errors_are_one_line_and_leave_nothing(master, capsys, monkeypatch):

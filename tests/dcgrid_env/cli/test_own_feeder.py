@@ -38,7 +38,7 @@ def test_a_folder_or_a_name_runs_with_what_is_chosen(feeder, said, folders, caps
     run("--feeder", feeder)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "kW of load" in line]
     assert said in line
-    assert line.endswith("--set changes any of it")
+    assert line.endswith("use --set to change fields")
 
 
 def test_the_commands_of_the_document_and_the_file_that_runs_again(folders, capsys):
@@ -69,7 +69,7 @@ def test_devices_in_words_are_placed_printed_and_written_as_a_file_for_all_comma
     results = run("--feeder", "changed/", *words)
     printed = capsys.readouterr().out
     assert "3 data centres of 250 kW at buses 27, 65, 35; 2 inverters of 200 kVA at buses " in printed
-    assert "source at 1.04375 p.u. (the feeder's own is 1)" in printed
+    assert "source at 1.04375 p.u. (feeder file: 1 p.u.)" in printed
     assert "run `dcgrid check mine.toml` to see whether control can gain anything there\nopen out/figure.png" in printed
     assert not (folders / "out" / "scenario.toml").exists()
     mine = make_scenario("mine.toml", split="test")
@@ -92,7 +92,7 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
     (folders / "results/tuned.json").write_text(json.dumps({"laws": tuned}))
     main(["evaluate", "droop-q-tuned", *file, *few, "--hindsight", "--workers", "1"])
     said = capsys.readouterr().out
-    assert "droop-q-tuned: gains of on-das69 from results/tuned.json" in said
+    assert "droop-q-tuned: gains for on-das69 from results/tuned.json" in said
     assert "score" in said
     assert "no score" not in said
     short = ("--updates", "1", "--num-envs", "2", "--validation-episodes", "2", "--out", "trained")
@@ -119,14 +119,14 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
         ),
         (
             ["--feeder", "das69", "--scenario", "ieee33", "--inverters", "none"],
-            "inverters is given beside --scenario ieee33, which has its own; leave one of them out",
+            "inverters: must not be combined with --scenario ieee33, which defines the devices; remove one",
         ),
         (["--feeder", "no-folder"], "no feeder 'no-folder'; "),
         (["--feeder", "no-folder"], "or give a folder of your own"),
         (["--feeder", "."], "feeder .: feeder.toml is missing"),
-        (["--feeder", ""], "feeder is empty; give a feeder's name or the folder of one's own"),
+        (["--feeder", ""], "feeder: must not be empty; give a feeder's name or folder"),
         (["--feeder", "broken"], "feeder broken: broken/loads.csv, line 2: "),
-        (["--feeder", "my-feeder", "--set", "feeder=das69"], "set: feeder is an option of its own here; give it once"),
+        (["--feeder", "my-feeder", "--set", "feeder=das69"], "set: must not contain feeder together with --feeder"),
         (["--feeder", "my-feeder", "--set", "power_flow=distflow"], "give 'sweep' for the three-phase feeder"),
         (["--feeder", "my-feeder", "--set", "n_datacenters=9"], "datacenters.count is 9, but only 3 load buses"),
         (["--feeder", "my-feeder", "--set", "inverters.buses=[999]"], "feeder 'ieee13-3ph' has no bus '999'"),
@@ -137,7 +137,7 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
         (
             ["--feeder", "my-feeder", "--scenario", "ieee33"],
             "feeder 'ieee13-3ph' lacks buses 18, 33, 25, 22, where scenario 'ieee33' has devices (datacenters.buses); "
-            "leave out --scenario, and devices are chosen for the feeder, or give --set 'datacenters.buses=[..]'",
+            "remove --scenario to choose devices for the feeder, or pass --set 'datacenters.buses=[..]'",
         ),
         (["--feeder", "ieee33", "--scenario", "ieee123"], "lacks buses 40, 54, 87, 92, 103, where scenario 'ieee123'"),
         (["--feeder", "ieee33", "--scenario", "ieee124"], "no scenario 'ieee124'"),

@@ -72,10 +72,10 @@ def test_a_stored_run_is_replayed_exactly(tmp_path, monkeypatch, capsys, opened)
     stored["episodes"][0]["J"] += 1e-3
     results.write_text(json.dumps(stored))
     main(["replay", "results/run", "--out", "again.html"])
-    assert "none: J is" in capsys.readouterr().out
+    assert "warning: none: J is" in capsys.readouterr().out
     stored["meta"]["scenario_hash"] = "0"
     results.write_text(json.dumps(stored))
-    assert "its scenario is another one now" in refused(capsys, "results/run")
+    assert "scenario has changed since the run" in refused(capsys, "results/run")
 
 
 @drawn
@@ -95,7 +95,7 @@ def test_a_run_of_code_asks_for_trust(tmp_path, monkeypatch, capsys):
     about = {"command": "dcgrid run --scenario toy6 --controllers law.py:Law", "scenario_hash": "0"}
     (tmp_path / "results.json").write_text(json.dumps({"meta": about, "episodes": []}))
     monkeypatch.chdir(tmp_path)
-    assert "'law.py:Law', which a replay would run; if you trust it, add --trust" in refused(capsys, ".")
+    assert "must not name code unless trusted, got 'law.py:Law'; add --trust" in refused(capsys, ".")
     assert not ran.exists()
 
 
@@ -104,26 +104,26 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
         (tmp_path / "results.json").write_text(json.dumps({"meta": meta, "episodes": []}))
         return refused(capsys, str(tmp_path))
 
-    assert "one of them" in refused(capsys)
+    assert "run-folder: must be given, or --scenario, but not both" in refused(capsys)
     said = refused(capsys, str(tmp_path))
-    assert "is no folder of dcgrid run, it has no results.json" in said
-    assert said.endswith("hand what Python has recorded to dcgrid_env.rendering.replay(recorder.lane(0))")
-    assert "is no file of dcgrid run (KeyError: 'command')" in stored({})
-    assert "is no file of dcgrid run (TypeError: " in stored({"command": None, "scenario_hash": ""})
-    assert "not written by dcgrid run" in stored({"command": "dcgrid benchmark", "scenario_hash": ""})
-    assert "cannot read its command" in stored({"command": "dcgrid run --colour red", "scenario_hash": ""})
+    assert "must be an output folder of dcgrid run with results.json" in said
+    assert said.endswith("in Python call dcgrid_env.rendering.replay(recorder.lane(0))")
+    assert "must be a file of dcgrid run (KeyError: 'command')" in stored({})
+    assert "must be a file of dcgrid run (TypeError: " in stored({"command": None, "scenario_hash": ""})
+    assert "must be written by dcgrid run" in stored({"command": "dcgrid benchmark", "scenario_hash": ""})
+    assert "cannot parse the command" in stored({"command": "dcgrid run --colour red", "scenario_hash": ""})
     for words, message in (
         (["--compare", "pid"], "no controller 'pid'"),
-        (["--compare", ","], "name at least one controller"),
+        (["--compare", ","], "compare: must name at least one controller"),
         (["--compare", "none,none,droop,inverters,droop-q,volt-var"], "replay 4 at most"),
         (["--set", "horizon=9000000", "--compare", "none"], "are too much for one page"),
-        (["--gif", "a.gif", "--fps", "nan"], "fps is nan; give at least 0.1"),
-        (["--gif", "a.gif", "--fps", "1e9"], "fps is 1e+09; give at most 100"),
-        (["--out", str(tmp_path)], "which is a folder; give a file"),
-        (["--out", f"{tmp_path}/results.json/a.html"], "out: no folder "),
-        (["--gif", "a.mp4"], "give a file that ends in .gif"),
-        (["--gif", "a.gif", "--out", "a.html"], "give it without --gif and --mp4"),
-        (["--seed", "-1"], "seed is -1"),
+        (["--gif", "a.gif", "--fps", "nan"], "fps: must be at least 0.1, got nan"),
+        (["--gif", "a.gif", "--fps", "1e9"], "fps: must be at most 100, got 1e+09"),
+        (["--out", str(tmp_path)], "out: must be a file, got the folder"),
+        (["--out", f"{tmp_path}/results.json/a.html"], "out: must be in a folder that can be created, got "),
+        (["--gif", "a.mp4"], "gif: must end in .gif, got"),
+        (["--gif", "a.gif", "--out", "a.html"], "out: must not be combined with --gif or --mp4"),
+        (["--seed", "-1"], "seed: must be at least 0, got -1"),
     ):
         assert message in refused(capsys, "--scenario", "toy6", *words)
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
@@ -163,7 +163,10 @@ def test_a_training_is_mirrored_to_weights_and_biases(training, tmp_path, monkey
     assert training == ["begun", "trained", "finished 0"]
     assert opened == [(tmp_path / "curve.csv").as_uri()]
     assert f"tensorboard --logdir {tmp_path}" in capsys.readouterr().out
-    for words, message in ((["--wandb", "--seeds", "2"], "single training"), (["--wandb"], "pip install wandb")):
+    for words, message in (
+        (["--wandb", "--seeds", "2"], "seeds: must not be combined with --open or --wandb"),
+        (["--wandb"], "pip install wandb"),
+    ):
         monkeypatch.setitem(sys.modules, "wandb", None)
         with pytest.raises(SystemExit):
             main(["train", "ppo", *words])
@@ -177,4 +180,4 @@ def test_without_a_display_nothing_is_opened(training, tmp_path, monkeypatch, ca
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(webbrowser, "open", lambda uri: pytest.fail("opened"))
     main(["train", "ppo", "--scenario", "toy6", "--open"])
-    assert "nothing could be opened from here: no display" in capsys.readouterr().out
+    assert "could not open the file: no display" in capsys.readouterr().out

@@ -63,7 +63,7 @@ def test_the_same_command_gives_the_same_records(tmp_path):
             "differs in source_voltage_pu; find its own with `dcgrid tune",
         ),
         (["--controllers", "droop-tuned", "--tuned", "none.json"], "tuned is 'none.json', which is no file"),
-        (["--controllers", "own.py:Law(", "--scenario", "toy6"], "opens a bracket and does not close it"),
+        (["--controllers", "own.py:Law(", "--scenario", "toy6"], "names: brackets must be closed, got 'own.py:Law('"),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, capsys):
@@ -176,7 +176,8 @@ def test_a_controller_that_fails_is_one_line_and_whole_where_that_is_asked_for(w
     assert stopped.value.code == 2
     error = capsys.readouterr().err
     assert error == (
-        "dcgrid: controller 'own.py:Fails' fails in act, own.py line 23: KeyError: 'k'; --traceback shows all of it\n"
+        "dcgrid: controller 'own.py:Fails' fails in act, own.py line 23: KeyError: 'k'; "
+        "add --traceback for the full traceback\n"
     )
     with pytest.raises(SystemExit) as stopped:
         main([*arguments[:where], "--traceback", *arguments[where:]])
@@ -191,20 +192,20 @@ def test_a_run_too_long_to_be_kept_sums_up_and_writes_its_course(tmp_path, monke
     parquet = pytest.importorskip("pyarrow.parquet")
     options = ("--scenario", "toy6", "--horizon", "60", "--episodes", "2", "--controllers", "none,droop")
     kept = run(tmp_path / "kept", *options)
-    assert "are summed up" not in capsys.readouterr().out
+    assert "metrics are computed while streaming" not in capsys.readouterr().out
     assert not (tmp_path / "kept" / "course").exists()
     monkeypatch.setattr(dcgrid_env, "WHOLE_COURSE_BYTES", 0)
     parts = run(tmp_path / "parts", *options)
     said = capsys.readouterr().out
-    assert "2 x 60 steps would take" in said
-    assert f"the course goes to {tmp_path / 'parts' / 'course'}" in said
+    assert "2 x 60 steps need" in said
+    assert f"trajectories are written to {tmp_path / 'parts' / 'course'}" in said
     for one, other in zip(kept["episodes"], parts["episodes"], strict=True):
         assert other == pytest.approx(one)
     for name in ("none", "droop"):
         assert parquet.read_table(tmp_path / "parts" / "course" / name).num_rows == 2 * 60
     assert (tmp_path / "parts" / "figure.png").read_bytes().startswith(b"\x89PNG")
     run(tmp_path / "none", *options, "--course", "none")
-    assert "the course is not written" in capsys.readouterr().out
+    assert "trajectories are not written" in capsys.readouterr().out
     assert not (tmp_path / "none" / "course").exists()
 
 
@@ -228,4 +229,4 @@ def test_a_long_run_without_pyarrow_is_one_line_before_anything_runs(tmp_path, m
 def test_a_horizon_given_twice_is_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         run(tmp_path / "out", "--scenario", "toy6", "--horizon", "5", "--set", "horizon=6")
-    assert "horizon is given by --horizon 5 and by --set; leave one of them out" in capsys.readouterr().err
+    assert "horizon: must be set once, got --horizon 5 and --set horizon" in capsys.readouterr().err

@@ -36,11 +36,20 @@ def test_show_refuses_what_is_too_short_for_the_picture(tmp_path, capsys):
     out, path = tmp_path / "new" / "trace.png", tmp_path / "site.csv"
     path.write_text("0,100\n5,200\n", encoding="utf-8")
     for arguments, message in (
-        (["chat", "--duration-s", "1"], "chat: lasts 1 s, .* 2 steps of --dt-s 1, .*longer trace .--duration-s 2.$"),
-        (["chat", "--dt-s", "700"], r"chat: lasts 600 s, .*--duration-s 1400. or shorter steps .--dt-s 300.$"),
-        (["chat", "--duration-s", "1", "--dt-s", "0.1"], "lasts 1 s, .* 2 s for the spectrum; .*--duration-s 2.$"),
-        ([str(path), "--dt-s", "3"], r"site\.csv: lasts 5 s, .*give a longer recording or shorter steps .--dt-s 2.$"),
-        (["chat", "--against", str(path), "--dt-s", "3"], r"site\.csv: lasts 5 s"),
+        (
+            ["chat", "--duration-s", "1"],
+            "chat: must last at least 2 steps of --dt-s 1 .*got 1 s; .*longer trace .--duration-s 2.$",
+        ),
+        (
+            ["chat", "--dt-s", "700"],
+            r"chat: must last .*, got 600 s; .*--duration-s 1400. or shorter steps .--dt-s 300.$",
+        ),
+        (["chat", "--duration-s", "1", "--dt-s", "0.1"], "and 2 s for the spectrum, got 1 s; .*--duration-s 2.$"),
+        (
+            [str(path), "--dt-s", "3"],
+            r"site\.csv: must last .*, got 5 s; use a longer recording or shorter steps .--dt-s 2.$",
+        ),
+        (["chat", "--against", str(path), "--dt-s", "3"], r"site\.csv: must last .*, got 5 s"),
         (["chat", "--dt-s", "-1"], "--dt-s = -1.0 is not a finite number above 0"),
     ):
         said = " ".join(fails(capsys, "show", *arguments, "--out", str(out)).split())

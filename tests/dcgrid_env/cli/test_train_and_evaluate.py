@@ -66,7 +66,7 @@ def policy(dc=(1.0, 0.3), inv=0.3, scenario="toy6"):
 def test_an_algorithm_gets_its_own_options_and_what_ships_is_said(module, capsys):
     main(["train", "ppo", "--scenario", "toy6", "--seed", "3"])
     assert module.seen == [Ppo.for_scenario("toy6", seed=3)]
-    assert "settings that ship for ppo on toy6: outputs droop, " in capsys.readouterr().out
+    assert "bundled settings for ppo on toy6: outputs droop, " in capsys.readouterr().out
 
 
 def test_bad_training_is_one_line(module, capsys):
@@ -87,7 +87,7 @@ def test_bad_training_is_one_line(module, capsys):
 
     module.main = interrupted
     code, said = stopped(capsys, "train", "ppo")
-    assert (code, said) == (130, "dcgrid: interrupted; the same command with --resume goes on\n")
+    assert (code, said) == (130, "dcgrid: interrupted; run the same command with --resume to continue\n")
     assert stopped(capsys, "train", "ppo", "--colour", "1")[0] == 2
 
 
@@ -140,8 +140,8 @@ def test_evaluate_prints_the_policy_beside_its_rivals(tmp_path, capsys):
         main(["evaluate", named, "--episodes", "3"])
         printed = " ".join(capsys.readouterr().out.split())
         assert "toy6, test split, 3 episodes" in printed
-        assert "work waits longer than under the tuned droop: mean delay" in printed
-        assert "is above that of constant-q-tuned" in printed
+        assert "is longer than the tuned droop's" in printed
+        assert "of constant-q-tuned, which uses no measurements" in printed
         test = make_scenario("toy6", split="test")
         own, droop = (evaluate(c, test, range(3)) for c in (Policy.load(path), make_controller("droop-tuned", test)))
         assert f"J {own.means['J']:.4f} {droop.means['J']:.4f}" in printed
@@ -152,10 +152,13 @@ def test_a_training_s_folder_runs_no_code_and_says_what_is_wrong_with_it(tmp_pat
     folder = policy().save(tmp_path / "run" / "policy").parent
     (tmp_path / "mine.py").write_text("open('ran', 'w')\n")
     for config, message in (
-        ({"scenario": "mine.py:make"}, "names code, scenario 'mine.py:make', which would run; name it yourself with"),
-        ({"scenario": ["toy6"]}, "TypeError: scenario and set are no texts); give --scenario and the policy's file"),
-        ({"scenario": "toy6", "set": 3}, "config.json is none of dcgrid train (TypeError: "),
-        ([], "config.json is none of dcgrid train (AttributeError: "),
+        (
+            {"scenario": "mine.py:make"},
+            "scenario must not be code unless trusted, got 'mine.py:make'; pass it with --scenario",
+        ),
+        ({"scenario": ["toy6"]}, "TypeError: scenario and set must be text); pass --scenario and the policy file"),
+        ({"scenario": "toy6", "set": 3}, "config.json: must be a file of dcgrid train (TypeError: "),
+        ([], "config.json: must be a file of dcgrid train (AttributeError: "),
     ):
         (folder / "config.json").write_text(json.dumps(config))
         code, said = stopped(capsys, "evaluate", str(folder), "--episodes", "2")
@@ -169,11 +172,9 @@ def test_evaluate_off_the_test_split_has_no_score_and_says_so(tmp_path, capsys):
     path = policy().save(tmp_path / "mine")
     main(["evaluate", str(path), "--scenario", "ieee33", "--split", "validation", "--episodes", "2"])
     printed = " ".join(capsys.readouterr().out.split())
-    assert (
-        "no score: hindsight is not known for 2 of the 2 episodes; the same command with --hindsight solves" in printed
-    )
+    assert "no score: hindsight costs are missing for 2 of the 2 episodes; add --hindsight to solve them in " in printed
     assert "95 %" not in printed
-    assert "waits longer" not in printed
+    assert "is longer than" not in printed
 
 
 def test_bad_evaluations_are_one_line(tmp_path, capsys):
@@ -181,10 +182,10 @@ def test_bad_evaluations_are_one_line(tmp_path, capsys):
     joint = Policy({"joint": Network([(np.zeros((23, 4)), [0.0] * 4)])}, scenario="toy6").save(tmp_path / "joint")
     (tmp_path / "cut.safetensors").write_bytes(joint.read_bytes()[:-9])
     for arguments, message in (
-        ([path], "is of no preset of its own; say on which --scenario"),
-        (["mpc"], "say on which --scenario"),
+        ([path], "scenario: must be given for policy "),
+        (["mpc"], "scenario: must be given for policy 'mpc'"),
         ([path, "--scenario", "ieee124"], "no scenario 'ieee124'"),
-        ([path, "--scenario", "toy6", "--episodes", "0"], "episodes is 0; give at least 1"),
+        ([path, "--scenario", "toy6", "--episodes", "0"], "episodes: must be at least 1, got 0"),
         ([path, "--scenario", "toy6", "--split", "exam"], "split is 'exam'"),
         (
             [str(joint), "--scenario", "ieee123"],
@@ -229,7 +230,10 @@ def test_bad_shipping_is_one_line(tmp_path, capsys):
     code, said = stopped(capsys, "ship", str(tmp_path / "nowhere"), "--name", "toy6-ppo", "--out", str(tmp_path))
     assert (code, len(said.strip().splitlines())) == (2, 1)
     assert "nowhere" in said
-    assert "episodes is 1; give at least 2" in stopped(capsys, "ship", "x", "--name", "y", "--episodes", "1")[1]
+    assert (
+        "episodes: must be at least 2 for a score's interval, got 1"
+        in stopped(capsys, "ship", "x", "--name", "y", "--episodes", "1")[1]
+    )
 
 
 OWN = """
@@ -259,13 +263,11 @@ def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, 
     main(command)
     printed = capsys.readouterr().out
     assert "[/], test split, 2 episodes" in printed
-    said = (
-        r"no score: hindsight is not known for 2 of the 2 episodes; the same command with --hindsight solves them, in "
-    )
-    assert re.search(said + r"about \S+ s to \S+ s \(one linear program took \S+ s, an episode takes 2 to 6", printed)
-    assert "constant-q-tuned is left out: no tuned parameters of 'constant-q' for scenario '[/]'" in printed
+    said = r"no score: hindsight costs are missing for 2 of the 2 episodes; add --hindsight to solve them in "
+    assert re.search(said + r"about \S+ s to \S+ s \(one linear program takes \S+ s, an episode needs 2 to 6", printed)
+    assert "constant-q-tuned is omitted: no tuned parameters of 'constant-q' for scenario '[/]'" in printed
     assert "dcgrid tune --laws constant-q --scenarios own.py:make" in printed
-    assert "droop-tuned: gains of [/] from results/tuned.json" in printed
+    assert "droop-tuned: gains for [/] from results/tuned.json" in printed
     assert not (here / "results" / "hindsight").exists()
     main([*command, "--hindsight"])
     assert "\n score " in capsys.readouterr().out
@@ -296,7 +298,7 @@ def test_a_file_of_another_scenario_is_refused_before_anything_is_run(here, caps
     command = ["evaluate", "none", "--scenario", "toy6", "--split", "validation", "--episodes", "2"]
     code, said = stopped(capsys, *command, "--hindsight")
     assert (code, len(said.splitlines())) == (2, 1)
-    assert "toy6.json is of another toy6; move it away" in said
+    assert "toy6.json belongs to a different scenario named toy6; move the file" in said
 
 
 def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
@@ -330,7 +332,7 @@ def test_training_on_ones_own_scenario(options, here, capsys):
     assert about["scenario_hashes"] == [scenario_hash(scenario)]
     assert Policy.load(folder / "policy.safetensors").trained_on == "own.py:make --set background.load_sigma=0.1"
     capsys.readouterr()
-    assert "names code, scenario 'own.py:make'" in stopped(capsys, "evaluate", str(folder))[1]
+    assert "scenario must not be code unless trusted, got 'own.py:make'" in stopped(capsys, "evaluate", str(folder))[1]
     main(["evaluate", str(folder), "--episodes", "2", "--trust"])
     assert "[/], test split, 2 episodes" in capsys.readouterr().out
     # Another content of the file is another scenario.
@@ -380,7 +382,7 @@ def test_several_seeds_of_a_training(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "seed 3: J" in said
     assert "seed 4: J" in said
-    assert "`dcgrid ship runs/seed-3 runs/seed-4 --name NAME`" in said
+    assert "dcgrid ship runs/seed-3 runs/seed-4 --name NAME" in said
     for seed in (3, 4):
         card = Card.load(tmp_path / "runs" / f"seed-{seed}" / "policy.json")
         assert card.seed == seed

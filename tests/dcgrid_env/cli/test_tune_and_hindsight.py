@@ -46,7 +46,9 @@ def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys
     path.write_text(json.dumps(content))
     with pytest.raises(SystemExit):
         main([*arguments, "--episodes", "3"])
-    assert "is of another toy6; move it away, or choose another --out" in capsys.readouterr().err
+    assert (
+        "belongs to a different scenario named toy6; move the file, or choose another --out" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.slow
@@ -99,7 +101,7 @@ def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, cap
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 130
-    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted; the same command goes on from there"]
+    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted; run the same command again to resume"]
     laws = json.loads(out.read_text())["laws"]
     assert {law: list(entries) for law, entries in laws.items()} == {"droop-q": ["ieee123"], "constant-q": ["ieee123"]}
     laws["droop-q"]["ieee123"]["J"] = 123.0
@@ -108,7 +110,7 @@ def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, cap
     searched.clear()
     main(arguments)
     assert searched == [("constant-q", ("toy6",)), ("droop-q", ("toy6",))]
-    assert "2 of 4 stand in" in capsys.readouterr().out
+    assert "kept 2 of 4 results that are already in" in capsys.readouterr().out
     laws = json.loads(out.read_text())["laws"]
     # Laws in the order in which they can be tuned, scenarios in that of the presets.
     ordered = {"droop-q": ["toy6", "ieee123"], "constant-q": ["toy6", "ieee123"], "placement": ["mine"]}
@@ -134,7 +136,7 @@ def test_tune_searches_anew_what_another_command_found_or_what_is_asked_for_agai
     for more in (["1"], ["1"], ["2"], ["2", "--again"]):
         main([*arguments, *more])
     assert len(searched) == 3
-    assert "nothing to search" in capsys.readouterr().out
+    assert "nothing to do: all results are already in" in capsys.readouterr().out
     assert json.loads(out.read_text())["laws"]["droop-q"]["toy6"]["command"].endswith("--episodes 2")
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.tune", _interrupted)
     with pytest.raises(SystemExit):
@@ -164,17 +166,17 @@ def _interrupted(*_, **__):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda path: path.mkdir(), "a folder; give a file"),
+        (lambda path: path.mkdir(), "out: must be a file, got the folder"),
         (lambda path: path.write_text("{"), "is no file that dcgrid tune wrote; name another"),
         (lambda path: path.write_text('{"laws": []}'), "is no file that dcgrid tune wrote"),
         (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file that dcgrid tune wrote"),
-        (lambda path: path.parent.write_text(""), "no folder"),
+        (lambda path: path.parent.write_text(""), "a folder that can be created"),
     ],
 )
 def test_an_out_that_tune_cannot_write_is_refused_before_any_search(make, message, tmp_path, capsys, monkeypatch):
     searched = _searches(monkeypatch)
     out = tmp_path / "folder" / "out"
-    if message != "no folder":
+    if message != "a folder that can be created":
         out.parent.mkdir()
     make(out)
     with pytest.raises(SystemExit) as stopped:
@@ -189,7 +191,7 @@ def test_an_interrupted_hindsight_keeps_its_episodes(tmp_path, capsys, monkeypat
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 130
-    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted; the same command goes on from there"]
+    assert capsys.readouterr().err.splitlines() == ["dcgrid: interrupted; run the same command again to resume"]
     assert [e["seed"] for e in json.loads((tmp_path / "toy6.json").read_text())["episodes"]] == [0, 1]
 
 
@@ -218,7 +220,7 @@ def test_the_command_in_the_file_asks_for_all_its_episodes(tmp_path, capsys, mon
     arguments = ["hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path), "--episodes"]
     main([*arguments, "8"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "8 episodes, mean J 1.5000, largest gap to the bound 2.5e-01 of J, 1 stopped at 6 programs with a" in said
+    assert "8 episodes, mean J 1.5000, largest gap to the bound 2.5e-01 of J, 1 stopped after 6 programs with a" in said
     assert "missing" not in said
     path = tmp_path / "toy6.json"
     content = json.loads(path.read_text())
@@ -264,7 +266,7 @@ def test_an_out_that_hindsight_cannot_write_is_refused_at_once(tmp_path, capsys,
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit) as stopped:
         main(["hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path / "file")])
-    _is_one_line(stopped, capsys, "no folder")
+    _is_one_line(stopped, capsys, "a folder that can be created")
 
 
 def _is_one_line(stopped, capsys, *messages):
@@ -300,21 +302,21 @@ def test_ctrl_c_with_two_processes_is_one_line(tmp_path):
     os.killpg(started.pid, signal.SIGINT)
     _, error = started.communicate(timeout=60)
     assert started.returncode == 130, error
-    assert error.splitlines() == ["dcgrid: interrupted; the same command goes on from there"]
+    assert error.splitlines() == ["dcgrid: interrupted; run the same command again to resume"]
     assert json.loads(path.read_text())["episodes"]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tune", "--laws", "pid"], "laws: no tunable law 'pid'; choose among droop, droop-q"),
-        (["tune", "--laws", ","], "laws is ','; choose among"),
+        (["tune", "--laws", "pid"], "laws: no tunable law 'pid'; choose from droop, droop-q"),
+        (["tune", "--laws", ","], "laws: must name at least one law, got ','; choose from"),
         (["tune", "--scenarios", "ieee124"], "no scenario 'ieee124'; did you mean ieee123"),
-        (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
-        (["tune", "--scenarios", "toy6", "--workers", "0"], "workers is 0; give at least 1"),
-        (["hindsight", "--scenarios", "toy6", "--workers", "-1"], "workers is -1; give at least 1"),
-        (["hindsight", "--scenarios", " , "], "name at least one, or all"),
-        (["hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes is 0"),
+        (["tune", "--scenarios", "toy6", "--episodes", "0"], "episodes: must be at least 1, got 0"),
+        (["tune", "--scenarios", "toy6", "--workers", "0"], "workers: must be at least 1, got 0"),
+        (["hindsight", "--scenarios", "toy6", "--workers", "-1"], "workers: must be at least 1, got -1"),
+        (["hindsight", "--scenarios", " , "], "scenarios: must name at least one scenario, or all, got ' , '"),
+        (["hindsight", "--scenarios", "toy6", "--episodes", "0"], "episodes: must be at least 1, got 0"),
         (["hindsight", "--scenarios", "toy6", "--split", "exam"], "split is 'exam'; choose one of"),
     ],
 )
@@ -355,10 +357,10 @@ def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
     assert found.k_q_mvar_per_pu_s == entry["parameters"]["k_q_mvar_per_pu_s"]  # pyright: ignore
     capsys.readouterr()
     main(["run", "--scenario", "own.py:make", "--controllers", "droop-q-tuned", "--episodes", "1"])
-    assert "droop-q-tuned: gains of mine from results/tuned.json" in capsys.readouterr().out
+    assert "droop-q-tuned: gains for mine from results/tuned.json" in capsys.readouterr().out
     # The same command has nothing to do, until the scenario is another.
     main(command)
-    assert "nothing to search" in capsys.readouterr().out
+    assert "nothing to do: all results are already in" in capsys.readouterr().out
     (here / "own.py").write_text(OWN.replace("1.01", "1.02"))
     main(command)
     assert "wrote results/tuned.json" in capsys.readouterr().out
@@ -377,7 +379,7 @@ def test_overrides_are_part_of_what_was_tuned(here, monkeypatch, capsys):
 def test_two_scenarios_of_one_name_are_refused(here, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["tune", "--laws", "droop", "--scenarios", "own.py:make,./own.py:make"])
-    _is_one_line(stopped, capsys, "own.py:make and ./own.py:make are both called 'mine'; give each a name of its own")
+    _is_one_line(stopped, capsys, "names must differ, got 'mine' for both own.py:make and ./own.py:make")
     assert not (here / "results").exists()
 
 
@@ -397,7 +399,11 @@ def test_hindsight_of_ones_own_scenario(here, capsys, monkeypatch):
     assert published(scenario) is None
     with pytest.raises(SystemExit) as stopped:
         main([*arguments, "background.load_sigma=0.2"])
-    _is_one_line(stopped, capsys, "is of another mine; move it away, or choose another --out or another name")
+    _is_one_line(
+        stopped,
+        capsys,
+        "belongs to a different scenario named mine; move the file, or choose another --out or another name",
+    )
     main([*arguments, "background.load_sigma=0.2", "name=../[x]"])
     (path,) = (p for p in (here / "results" / "hindsight").iterdir() if p.name != "mine.json")
     assert "[x]" not in path.name
@@ -419,6 +425,6 @@ def test_what_ships_stands_though_the_command_had_another_name(tmp_path, capsys)
     (tmp_path / "tuned.json").write_bytes(shipped.read_bytes())
     main(["tune", "--laws", "droop", "--scenarios", "toy6,robust", "--out", str(tmp_path / "tuned.json")])
     printed = " ".join(capsys.readouterr().out.split())
-    assert "2 of 2 stand in" in printed
-    assert "nothing to search" in printed
+    assert "kept 2 of 2 results that are already in" in printed
+    assert "nothing to do: all results are already in" in printed
     assert (tmp_path / "tuned.json").read_bytes() == shipped.read_bytes()

@@ -20,7 +20,7 @@ def test_the_command_prints_a_line_a_scenario_and_refuses_what_cannot_be(capsys)
     assert capsys.readouterr().out.splitlines()[-1].startswith("| `toy6` | ")
     with pytest.raises(ValueError, match=r"gamma is 1\.5; give more than 0 and at most 1"):
         GradientCosine(gamma=1.5).run()
-    with pytest.raises(ValueError, match="seeds is 0; give at least 1"):
+    with pytest.raises(ValueError, match="seeds: must be at least 1, got 0"):
         GradientCosine(seeds=0).run()
     with pytest.raises(ValueError, match="num_envs is 1; give at least 2"):
         GradientCosine(num_envs=1).run()

@@ -72,7 +72,7 @@ def test_generalise_leaves_each_out(here):
     ("arguments", "said"),
     [
         (("pareto", "--scenario", "ieee32"), "no scenario 'ieee32'; did you mean ieee33"),
-        (("pareto", "--scenario", "toy6,ieee33"), "scenario is 'toy6,ieee33'; give one"),
+        (("pareto", "--scenario", "toy6,ieee33"), "scenario: must be one name, got 'toy6,ieee33'"),
         (("pareto", "--delays", "1,-2"), "delays is '1,-2'; give figures above 0, separated by commas"),
         (("pareto", "--delays", "nan"), "delays is 'nan'; give figures above 0"),
         (("pareto", "--updates", "0"), "updates is 0; give at least 1"),
@@ -82,9 +82,9 @@ def test_generalise_leaves_each_out(here):
         (("ablate", "--policies", "none-such"), "no policy 'none-such'; "),
         (("generalise", "--scenarios", "ieee33"), "scenarios is 'ieee33'; give at least two, one is left out"),
         (("generalise", "--vary", "-1"), "vary is -1; give at least 0"),
-        (("generalise", "--workers", "0"), "workers is 0; give at least 1"),
-        (("ablate", "--workers", "0"), "workers is 0; give at least 1"),
-        (("pareto", "--workers", "0"), "workers is 0; give at least 1"),
+        (("generalise", "--workers", "0"), "workers: must be at least 1, got 0"),
+        (("ablate", "--workers", "0"), "workers: must be at least 1, got 0"),
+        (("pareto", "--workers", "0"), "workers: must be at least 1, got 0"),
     ],
 )
 def test_bad_input_is_one_line_before_anything_is_trained(here, capsys, arguments, said):
@@ -113,7 +113,7 @@ def test_an_interruption_says_that_the_same_command_goes_on(here, monkeypatch, c
 
     monkeypatch.setattr(analytic, "main", interrupted)
     code, error = stopped(capsys, "pareto", "--scenario", "toy6", *TINY)
-    assert (code, error) == (130, "dcgrid: interrupted; the same command goes on from there\n")
+    assert (code, error) == (130, "dcgrid: interrupted; run the same command again to resume\n")
 
 
 def test_folders_of_different_settings_differ(tmp_path):

@@ -44,7 +44,7 @@ def test_the_command(tmp_path, capsys):
     assert "wrote" in capsys.readouterr().out
     assert "[0.5" in (tmp_path / "transfer.md").read_text()
     for asked, message in (
-        (["--episodes", "1"], "episodes is 1; give at least 2"),
+        (["--episodes", "1"], "episodes: must be at least 2, got 1"),
         (["--algorithms", "sac"], "no policy of 'sac' ships for these scenarios"),
         (["--scenarios", "toy6", "--episodes", "101"], "not seed 100: give fewer"),
         (["--scenarios", "toy6", "--split", "nosuch"], "split is 'nosuch'"),

@@ -43,9 +43,9 @@ def test_without_ray_it_is_said_how_to_install_it(monkeypatch):
 
 def test_a_cluster_and_workers_of_this_machine_are_not_both_given(capsys):
     error = stopped(capsys, "tune", "--scenarios", "toy6", "--workers", "2", "--ray", "auto")
-    assert "leave one out" in error
+    assert "workers: must not be combined with --ray" in error
     error = stopped(capsys, "train", "analytic", "--ray", "auto")
-    assert error.startswith("dcgrid: seeds is missing: --workers and --ray share out several trainings")
+    assert error.startswith("dcgrid: seeds: must be given with --workers or --ray")
 
 
 def test_a_unit_that_no_node_has_room_for_is_said_to_wait():
