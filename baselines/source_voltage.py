@@ -65,6 +65,6 @@ def _reach(scenario: Scenario, v_pu: float, episodes: int) -> tuple[float, float
     """Lowest and highest of the nodes' mean voltages over episodes without control, p.u."""
     short = scenario.replace(source_voltage_pu=v_pu, split="train", horizon=min(scenario.horizon, LONGEST))
     recorder = rollout(short, NoControl(), range(episodes))
-    each = [recorder.lane(i).v_pu[1:, scenario.feeder.load_slice].mean(axis=0) for i in range(episodes)]
+    each = [recorder.series(i).v_pu[1:, scenario.feeder.load_slice].mean(axis=0) for i in range(episodes)]
     mean = np.mean(each, axis=0)
     return float(mean.min()), float(mean.max())

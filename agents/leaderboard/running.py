@@ -84,7 +84,7 @@ def run(runner: Runner, scenario: Scenario, parts: Sequence[range], name: str) -
     code = None if runner.code is None else runner.code.read_bytes()
     with on_purpose(), remote(runner.spec, scenario, TUNED, runner.scope, code, runner.confined) as controller:
         recorder = rollout(scenario, controller, [seeds[i] for i in order], name=name)
-    metrics = [recorder.lane(int(env_index)).metrics() for env_index in np.argsort(order)]
+    metrics = [recorder.series(int(env_index)).metrics() for env_index in np.argsort(order)]
     ends = np.cumsum([len(part) for part in parts])
     return [_run(scenario, part, metrics[end - len(part) : end]) for part, end in zip(parts, ends, strict=True)]
 

@@ -82,7 +82,7 @@ def replay(task: Replay) -> tuple[bytes, ...] | str:
         except (Exception, SystemExit) as error:  # in a batch it worked; the user's code, so anything
             return f"{name} failed when this was run again: {described(error)}"
     return tuple(
-        png(run_figure(scenario, {name: recorder.lane(i) for name, recorder in runs.items()}, seed), dpi=80)
+        png(run_figure(scenario, {name: recorder.series(i) for name, recorder in runs.items()}, seed), dpi=80)
         for i, seed in enumerate(task.seeds)
     )
 

@@ -180,7 +180,7 @@ def _figures(recorder: Recorder, n_env: int) -> tuple[list[dict[str, float]], np
     """Metrics of each environment, and counts of all voltages in the bins of ``V_EDGES_PU``."""
     metrics, counts = [], np.zeros(len(V_EDGES_PU) - 1, dtype=np.int64)
     for env_index in range(n_env):
-        series = recorder.lane(env_index)
+        series = recorder.series(env_index)
         metrics.append(series.metrics())
         inside = np.clip(series.v_pu[1:, series.scenario.feeder.load_slice], V_EDGES_PU[0], V_EDGES_PU[-1])
         counts += np.histogram(inside, V_EDGES_PU)[0]

@@ -55,7 +55,7 @@ class Trajectory:
 
     def follow(self, replayed: Recorder) -> None:
         """Take the taps and switches of a three-phase feeder's equipment as they were in a replay."""
-        phases: Any = replayed.lane(0).three_phase
+        phases: Any = replayed.series(0).three_phase
         missing = self.scenario.horizon + 1 - len(phases.equipment.regulators.tap)  # the replay ended in a collapse
         taps, on = (
             np.concatenate((rows[1:], np.repeat(rows[-1:], missing, axis=0)))

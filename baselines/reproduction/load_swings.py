@@ -84,7 +84,7 @@ def dips(runs: Runs) -> list[dict[str, float]]:
             dt_s=DIP_STEP_S,
             horizon=round(DIP_END_S / DIP_STEP_S),
         )
-        run = rollout(scenario, NoControl(), [0]).lane(0)
+        run = rollout(scenario, NoControl(), [0]).series(0)
         first = round(DIP_AT_S / DIP_STEP_S)
         at = [node for bus in DIP_SITES for node in scenario.feeder.nodes_at(scenario.feeder.index(bus))]
         change = np.abs(run.v_pu[first + 1, at] - run.v_pu[first, at])

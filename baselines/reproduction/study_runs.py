@@ -137,13 +137,13 @@ class Runs:
         key = (_hash_of(scenario), law)
         if key not in self.done:
             recorder = rollout(scenario, law.controller(), range(self.setting.episodes))
-            episodes = (recorder.lane(i) for i in range(self.setting.episodes))
+            episodes = (recorder.series(i) for i in range(self.setting.episodes))
             self.done[key] = Run(tuple(series.metrics() | _more(series) for series in episodes))
         return self.done[key]
 
     def series(self, scenario: Scenario, law: Law, seed: int) -> Series:
         """The course of one episode."""
-        return rollout(scenario, law.controller(), [seed]).lane(0)
+        return rollout(scenario, law.controller(), [seed]).series(0)
 
 
 @lru_cache(maxsize=1024)

@@ -160,7 +160,7 @@ def _largest_k_q(scenario: Scenario) -> float:
 def _lowest_bus(recorder: Recorder, n_env: int) -> str:
     """The bus with the lowest voltage on average over an episode."""
     each = []
-    for series in map(recorder.lane, range(n_env)):
+    for series in map(recorder.series, range(n_env)):
         feeder = series.scenario.feeder
         v_pu = series.v_pu[:, feeder.load_slice].mean(axis=0)
         node = np.arange(feeder.n_node)[feeder.load_slice][np.argmin(v_pu)]

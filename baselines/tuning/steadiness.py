@@ -46,7 +46,7 @@ def has_limit_cycle(scenario: Scenario, droop: Droop, episodes: int) -> bool:
     held = with_held_inputs(scenario)
     recorder = rollout(held, droop, range(episodes))
     reactive = np.where(held.q_scale_kvar > 0.0, 2.0 * held.q_scale_kvar, np.inf)
-    for series in map(recorder.lane, range(episodes)):
+    for series in map(recorder.series, range(episodes)):
         settings = [series.q_kvar[:, : len(reactive)] / reactive]
         if held.datacenters.count:
             settings.append(

@@ -158,7 +158,7 @@ def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:
 def _episode(asked: _Asked, name: str, controller: Any, on_step: Callable[[], None]) -> Series:
     from dcgrid_env.baselines import rollout
 
-    return rollout(asked.scenario, controller, [asked.seed], on_step, name).lane(0)
+    return rollout(asked.scenario, controller, [asked.seed], on_step, name).series(0)
 
 
 def _cost(run: Series) -> float:

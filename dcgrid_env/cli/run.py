@@ -228,8 +228,8 @@ def linear_difference(scenario: Scenario, seeds: range) -> str:
     from dcgrid_env.baselines import NoControl, rollout
 
     runs = [rollout(scenario.replace(power_flow=flow), NoControl(), seeds) for flow in ("distflow", "lindistflow")]
-    lengths = [min(len(run.lane(i).v_pu) for run in runs) for i in range(len(seeds))]
-    apart = [np.abs(runs[0].lane(i).v_pu[:n] - runs[1].lane(i).v_pu[:n]) for i, n in enumerate(lengths)]
+    lengths = [min(len(run.series(i).v_pu) for run in runs) for i in range(len(seeds))]
+    apart = [np.abs(runs[0].series(i).v_pu[:n] - runs[1].series(i).v_pu[:n]) for i, n in enumerate(lengths)]
     mean, most = np.mean([a.mean() for a in apart]), np.max([a.max() for a in apart])
     return (
         f"error of LinDistFlow, which neglects losses: mean {mean:.4f} p.u., largest {most:.4f} p.u. (controller none)"

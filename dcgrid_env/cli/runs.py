@@ -84,9 +84,9 @@ class Runs:
                 run = streaming_rollout(self.scenario, controller, self.seeds, sinks, on_step, name)
             else:
                 run = rollout(self.scenario, controller, self.seeds, on_step, name)
-                self._drawn[name] = run.lane(0)
+                self._drawn[name] = run.series(0)
                 for sink in sinks:
-                    sink.add([run.lane(i) for i in range(len(self.seeds))], 0)
+                    sink.add([run.series(i) for i in range(len(self.seeds))], 0)
             self.metrics[name] = with_figures(controller, run.metrics())
 
     def draw(self, path: Path) -> None:

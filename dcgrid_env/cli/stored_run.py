@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dcgrid_env import Scenario
 
 RESULTS = "results.json"
-OTHERWISE = "pass --scenario, or in Python call dcgrid_env.rendering.replay(recorder.lane(0))"
+OTHERWISE = "pass --scenario, or in Python call dcgrid_env.rendering.replay(recorder.series(0))"
 """Alternatives to replaying a folder of ``dcgrid run``."""
 
 

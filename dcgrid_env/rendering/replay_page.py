@@ -116,7 +116,7 @@ def _named(history: Any) -> dict[str, Series]:
     if isinstance(history, Mapping):
         return {str(name): run for name, run in history.items()}
     if isinstance(history, str) or not isinstance(history, Sequence):
-        raise ValueError(f"history is a {type(history).__name__}; give what Recorder.lane returns, one or several")
+        raise ValueError(f"history is a {type(history).__name__}; give what Recorder.series returns, one or several")
     return {f"episode {i + 1}": run for i, run in enumerate(history)}
 
 
@@ -125,7 +125,7 @@ def _check(runs: dict[str, Series]) -> None:
         raise ValueError("history is empty; give at least one episode")
     for name, run in runs.items():
         if not isinstance(run, Series):
-            raise ValueError(f"history {name!r} is a {type(run).__name__}; give what Recorder.lane returns")
+            raise ValueError(f"history {name!r} is a {type(run).__name__}; give what Recorder.series returns")
     first = next(iter(runs.values()))
     check_size(first.scenario, len(runs))
     for name, run in runs.items():

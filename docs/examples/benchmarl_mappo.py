@@ -32,7 +32,7 @@ class DcgridClass(TaskClass):
 
     def get_env_fun(self, num_envs, continuous_actions, seed, device):
         """A function that makes the environment."""
-        return lambda: DcgridTensorEnv(lanes=num_envs, seed=seed or 0, device=device, **self.config)
+        return lambda: DcgridTensorEnv(num_envs=num_envs, seed=seed or 0, device=device, **self.config)
 
     def supports_continuous_actions(self):
         """All setpoints are continuous."""
@@ -109,7 +109,7 @@ def main(
     algorithm: Literal["mappo", "ippo"] = "mappo",
     task: str = "IEEE33_WEAK",
     frames: int = 230_400,
-    lanes: int = 32,
+    num_envs: int = 32,
     learning_rate: float = 1e-3,
     gamma: float = 0.5,
     episodes: int = 20,
@@ -120,10 +120,10 @@ def main(
     torch.set_num_threads(1)
     scenario = task.lower().replace("_", "-")
     chosen = DcgridTask[task].get_task({"scenario": scenario})
-    batch = lanes * dcgrid_env.make_scenario(scenario).horizon
+    batch = num_envs * dcgrid_env.make_scenario(scenario).horizon
     config = ExperimentConfig.get_from_yaml()
     config.max_n_frames, config.gamma, config.lr = max(frames, batch), gamma, learning_rate
-    config.on_policy_collected_frames_per_batch, config.on_policy_n_envs_per_worker = batch, lanes
+    config.on_policy_collected_frames_per_batch, config.on_policy_n_envs_per_worker = batch, num_envs
     config.on_policy_minibatch_size, config.on_policy_n_minibatch_iters = batch // 4, 4
     config.loggers, config.evaluation, config.create_json = [], False, False
     validation = dcgrid_env.make_scenario(scenario, split="validation")

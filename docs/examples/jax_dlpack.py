@@ -28,7 +28,7 @@ def to_jax(tensor: torch.Tensor) -> jax.Array:
 
 @jax.jit
 def policy(weights, joint):
-    """Joint actions in [-1, 1] of joint observations, (lane, n)."""
+    """Joint actions in [-1, 1] of joint observations, (env, n)."""
     for w, b in weights[:-1]:
         joint = jnp.tanh(joint @ w + b)
     w, b = weights[-1]
@@ -75,7 +75,7 @@ def adam(weights, moments, slopes, update, rate):
     return moved, (first, second)
 
 
-def main(updates: int = 40, lanes: int = 32, learning_rate: float = 3e-3, hidden: int = 64) -> tuple[float, float]:
+def main(updates: int = 40, num_envs: int = 32, learning_rate: float = 3e-3, hidden: int = 64) -> tuple[float, float]:
     """Train, and give the mean J of 20 validation episodes before and after."""
     torch.set_num_threads(1)
     env = dcgrid_env.TensorEnv(SCENARIO, like=torch.empty(0))
@@ -95,7 +95,7 @@ def main(updates: int = 40, lanes: int = 32, learning_rate: float = 3e-3, hidden
     before = judged()
     for update in range(1, updates + 1):
         by_step = []
-        episode_cost(env, range(update * lanes, (update + 1) * lanes), weights, by_step).backward()
+        episode_cost(env, range(update * num_envs, (update + 1) * num_envs), weights, by_step).backward()
         slopes = jax.tree.map(lambda *own: sum(own), *by_step)
         weights, moments = adam(weights, moments, slopes, update, learning_rate)
     after = judged()

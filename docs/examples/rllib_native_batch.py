@@ -1,10 +1,10 @@
-"""RLlib on the native batch: PPO with one policy that holds all actuators, many env runners, many lanes each.
+"""RLlib on the native batch: PPO with one policy that holds all actuators, many env runners, many environments each.
 
-Each env runner, a process of its own, makes one ``DcgridVectorEnv`` and steps all its lanes at once
+Each env runner, a process of its own, makes one ``DcgridVectorEnv`` and steps all its environments at once
 (``gym_env_vectorize_mode="vector_entry_point"``). ``autoreset_mode="next_step"`` is what RLlib expects of a batch:
 with another it would lose the first transition of each episode and say nothing.
 
-    python docs/examples/rllib_native_batch.py --runners 2 --lanes 32 --save results/rllib
+    python docs/examples/rllib_native_batch.py --runners 2 --num-envs 32 --save results/rllib
 
 ``--address auto`` joins a running cluster, where Ray places the env runners on whatever nodes have CPUs free; each
 needs ``pip install -e '.[frameworks]'`` in a clone of the repository. ``--restore`` goes on from what ``--checkpoint``
@@ -38,7 +38,7 @@ def exported(module) -> Policy:
 def main(
     iterations: int = 12,
     runners: int = 2,
-    lanes: int = 32,
+    num_envs: int = 32,
     learning_rate: float = 1e-3,
     episodes: int = 20,
     seed: int = 0,
@@ -50,13 +50,13 @@ def main(
     """Train, and give the mean J of validation episodes before and after."""
     here = {"num_cpus": max(runners, 1), "include_dashboard": False} if address == "local" else {}
     ray.init(address, **here)
-    batch = max(runners, 1) * lanes * dcgrid_env.make_scenario(SCENARIO).horizon
+    batch = max(runners, 1) * num_envs * dcgrid_env.make_scenario(SCENARIO).horizon
     config = (
         PPOConfig()
         .environment(NAME, env_config={"autoreset_mode": "next_step", "info": "none"})
         .env_runners(
             num_env_runners=runners,
-            num_envs_per_env_runner=lanes,
+            num_envs_per_env_runner=num_envs,
             gym_env_vectorize_mode="vector_entry_point",
             batch_mode="complete_episodes",
         )

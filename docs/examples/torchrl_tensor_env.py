@@ -1,11 +1,10 @@
 """TorchRL on ``TensorEnv``: collectors and losses take its tensors as they are, and no figure leaves torch.
 
 ``DcgridTensorEnv`` is TorchRL's ``EnvBase`` around ``dcgrid_env.TensorEnv``: a batch of episodes in step with each
-other, the agents of a kind stacked as a group, each with its own observation, all paid by the team's cost. A lane whose
-power flow has no solution has been charged for the rest of its episode and waits, at no further cost, for the others'
-end. As a script it compares what a collector takes through it and through ``PettingZooWrapper``:
+other, the agents of a kind stacked as a group, each with its own observation, all paid by the team's cost. If the power
+flow of an environment has no solution, the rest of its episode is charged at once, and it waits for the others to end. As a script it compares what a collector takes through it and through ``PettingZooWrapper``:
 
-    python docs/examples/torchrl_tensor_env.py --lanes 64
+    python docs/examples/torchrl_tensor_env.py --num-envs 64
 """
 
 import time
@@ -28,13 +27,13 @@ KINDS = {"datacenter": "dc_", "inverter": "inv_"}
 class DcgridTensorEnv(EnvBase):
     """Lanes of a scenario of data centres and inverters as one TorchRL environment of that batch size.
 
-    Episodes are those of the seeds ``seed, seed + 1, ..``, a new one for each lane at each reset.
+    Episodes are those of the seeds ``seed, seed + 1, ..``, a new one for each environment at each reset.
     """
 
     batch_locked = True
 
-    def __init__(self, scenario=SCENARIO, lanes=64, seed=0, device="cpu", **overrides):
-        super().__init__(device=torch.device(device), batch_size=torch.Size([lanes]))
+    def __init__(self, scenario=SCENARIO, num_envs=64, seed=0, device="cpu", **overrides):
+        super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))
         self.grid = dcgrid_env.TensorEnv(scenario, like=torch.empty(0, device=device), **overrides)
         self.group_map, self._columns, self._bounds, cuts = {}, {}, {}, [0, 0]
         spaces = dcgrid_env.parallel_env(self.grid.scenario)
@@ -55,29 +54,32 @@ class DcgridTensorEnv(EnvBase):
             self._columns[kind] = tuple(torch.tensor(own, device=device) for own in columns)
             self._bounds[kind] = tuple(torch.tensor(np.array(own), device=device) for own in self._bounds[kind])
         self._n_action, self._next_seed = cuts[1], seed
-        self._make_specs(lanes)
+        self._make_specs(num_envs)
 
-    def _make_specs(self, lanes):
+    def _make_specs(self, num_envs):
         seen, acted, paid = {}, {}, {}
         for kind, agents in self.group_map.items():
-            low, high = (limit.expand(lanes, *limit.shape) for limit in self._bounds[kind])
-            shape = (lanes, len(agents))
+            low, high = (limit.expand(num_envs, *limit.shape) for limit in self._bounds[kind])
+            shape = (num_envs, len(agents))
             seen[kind] = Composite(observation=Bounded(low, high, device=self.device), shape=shape)
             box = Bounded(-1.0, 1.0, (*shape, self._columns[kind][1].shape[-1]), self.device)
             acted[kind] = Composite(action=box, shape=shape)
             paid[kind] = Composite(reward=Unbounded((*shape, 1), self.device), shape=shape)
-        end = Categorical(2, (lanes, 1), self.device, torch.bool)
+        end = Categorical(2, (num_envs, 1), self.device, torch.bool)
         ends = {name: end.clone() for name in ("done", "terminated", "truncated")}
-        self.observation_spec, self.action_spec = Composite(seen, shape=(lanes,)), Composite(acted, shape=(lanes,))
-        self.reward_spec, self.done_spec = Composite(paid, shape=(lanes,)), Composite(ends, shape=(lanes,))
+        self.observation_spec, self.action_spec = (
+            Composite(seen, shape=(num_envs,)),
+            Composite(acted, shape=(num_envs,)),
+        )
+        self.reward_spec, self.done_spec = Composite(paid, shape=(num_envs,)), Composite(ends, shape=(num_envs,))
 
     def _set_seed(self, seed):
         self._next_seed = seed or 0
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_) -> TensorDictBase:
-        lanes = self.batch_size[0]
-        seeds = range(self._next_seed, self._next_seed + lanes)
-        self._next_seed += lanes
+        num_envs = self.batch_size[0]
+        seeds = range(self._next_seed, self._next_seed + num_envs)
+        self._next_seed += num_envs
         return self._seen(self.grid.reset(list(seeds)), over=False)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -100,11 +102,11 @@ class DcgridTensorEnv(EnvBase):
         return out
 
 
-def main(lanes: int = 64, steps: int = 120) -> None:
+def main(num_envs: int = 64, steps: int = 120) -> None:
     """Steps a second of a collector with random actions, through ``TensorEnv`` and through PettingZoo."""
     torch.set_num_threads(1)  # tensors as small as these lose with more
     ways = {
-        f"TensorEnv, {lanes} lanes": (partial(DcgridTensorEnv, lanes=lanes), lanes * steps),
+        f"TensorEnv, {num_envs} environments": (partial(DcgridTensorEnv, num_envs=num_envs), num_envs * steps),
         "PettingZooWrapper": (lambda: PettingZooWrapper(dcgrid_env.parallel_env(SCENARIO)), steps),
     }
     for name, (make, frames) in ways.items():

@@ -33,7 +33,7 @@ REST = 18
 
 def episodes(scenario: Scenario, seed: int) -> dict[str, Series]:
     """Return the same episode under each controller."""
-    return {name: rollout(scenario, find_controller(name, scenario), [seed]).lane(0) for name in SHOWN}
+    return {name: rollout(scenario, find_controller(name, scenario), [seed]).series(0) for name in SHOWN}
 
 
 def animate(path: str, preset: str = "ieee33-weak", seed: int = 0) -> None:

@@ -14,7 +14,7 @@ from dcgrid_env.rendering import replay
 
 scenario = make_scenario("ieee33-weak", split="test")
 names = ("none", "droop-tuned", "ieee33-weak-analytic")
-runs = {name: rollout(scenario, find_controller(name, scenario), [0]).lane(0) for name in names}
+runs = {name: rollout(scenario, find_controller(name, scenario), [0]).series(0) for name in names}
 with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
     page = replay(runs).write(Path(folder) / "replay.html")
     browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])

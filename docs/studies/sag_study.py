@@ -162,7 +162,7 @@ def _driven(name: str, recorder: Recorder, seed: int, load_kw: float) -> Driven:
 
 
 def _course(recorder: Recorder, env_index: int) -> Course:
-    own, scenario = recorder.lane(env_index), recorder.scenario
+    own, scenario = recorder.series(env_index), recorder.scenario
     n_dc, n_inv = scenario.datacenters.count, scenario.inverters.count
     v = own.v_pu[1:, scenario.feeder.load_slice]
     return Course(

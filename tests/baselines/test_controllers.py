@@ -132,7 +132,7 @@ def test_one_object_drives_every_interface(name, law):
         observations, rewards, *_ = many.step(actions)
         apart.append(rewards["dc_0"])
 
-    assert [step[1] for step in joined] == apart == (-recorder.lane(1).cost_j).tolist()
+    assert [step[1] for step in joined] == apart == (-recorder.series(1).cost_j).tolist()
 
 
 @pytest.mark.parametrize("scope", ["neighbours", "feeder"])
@@ -207,4 +207,4 @@ def test_rollout_counts_each_environment_once():
     assert [m["steps"] for m in recorder.metrics()] == [5.0, 5.0]
     env = DcgridVectorEnv(2, scenario)
     env.reset(seed=[4, 5])
-    assert recorder.lane(1).v_pu[0] == pytest.approx(env.transition.state.v_pu[1])
+    assert recorder.series(1).v_pu[0] == pytest.approx(env.transition.state.v_pu[1])

@@ -75,7 +75,7 @@ def test_names_modules_files_and_policies(here, toy6):
     with_q = []
     for spec in ("own.laws:Still", "mine:Still", "mine.py:Still", f"{here / 'own' / 'laws.py'}:Still", "p.safetensors"):
         recorder = rollout(toy6, find_controller(spec, toy6), [0])
-        with_q.append(recorder.lane(0).q_kvar)
+        with_q.append(recorder.series(0).q_kvar)
     assert with_q[0].any()
     for other in with_q[1:]:
         np.testing.assert_array_equal(other, with_q[0])

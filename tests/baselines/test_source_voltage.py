@@ -15,7 +15,7 @@ def test_the_mean_voltages_reach_as_far_up_as_down(name):
     assert not found.is_own
     assert (found.v_pu - 1.0) / TAP_PU == pytest.approx(round((found.v_pu - 1.0) / TAP_PU), abs=1e-9)
     recorder = rollout(scenario.replace(source_voltage_pu=found.v_pu, split="train"), NoControl(), range(4))
-    mean = np.mean([recorder.lane(i).v_pu[1:, 1:].mean(axis=0) for i in range(4)], axis=0)
+    mean = np.mean([recorder.series(i).v_pu[1:, 1:].mean(axis=0) for i in range(4)], axis=0)
     assert (found.lowest_pu, found.highest_pu) == pytest.approx((mean.min(), mean.max()))
     assert abs(0.5 * (mean.min() + mean.max()) - 1.0) <= 0.75 * TAP_PU
 

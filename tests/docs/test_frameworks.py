@@ -279,8 +279,8 @@ from torchrl.envs.utils import check_env_specs
 from torchrl_tensor_env import DcgridTensorEnv
 
 for name in ("toy6", "ieee33-weak", "mixed", "fault"):
-    check_env_specs(DcgridTensorEnv(name, lanes=3, horizon=4))
-    batch = DcgridTensorEnv(name, lanes=3, seed=5, horizon=4)
+    check_env_specs(DcgridTensorEnv(name, num_envs=3, horizon=4))
+    batch = DcgridTensorEnv(name, num_envs=3, seed=5, horizon=4)
     data = batch.rollout(8, break_when_any_done=False)
     assert data["next", "done"].squeeze(-1).tolist() == [[False, False, False, True] * 2] * 3
     for env_index, seed in ((0, 5), (2, 7)):  # the first episode of an environment, and 3 seeds later its second
@@ -298,7 +298,7 @@ for name in ("toy6", "ieee33-weak", "mixed", "fault"):
                     given = data["next", kind, "reward"][env_index, t, :, 0].numpy()
                     np.testing.assert_allclose(given, [paid[a] for a in agents], rtol=2e-3)
 frames = 0
-for data in Collector(lambda: DcgridTensorEnv(lanes=4, horizon=4), None, frames_per_batch=16, total_frames=48):
+for data in Collector(lambda: DcgridTensorEnv(num_envs=4, horizon=4), None, frames_per_batch=16, total_frames=48):
     frames += data.numel()
     assert data["next", "done"].sum() == 4
 assert frames == 48
@@ -318,7 +318,7 @@ def test_benchmarl_example(tmp_path):
 @pytest.mark.slow
 @needs("ray", "tree")
 def test_rllib_example_on_the_native_batch_and_its_checkpoint(tmp_path):
-    options = ["--runners", "1", "--lanes", "4", "--episodes", "2"]
+    options = ["--runners", "1", "--num-envs", "4", "--episodes", "2"]
     more = ["--iterations", "1", "--save", "made", "--checkpoint", "results/rllib"]
     before, after, _ = figures(run(EXAMPLES / "rllib_native_batch.py", *options, *more, home=tmp_path))
     assert before != after

@@ -149,7 +149,7 @@ class Recorder:
         """Whether the episode has ended in every environment."""
         return bool(self._over.all())
 
-    def lane(self, env_index: int) -> Series:
+    def series(self, env_index: int) -> Series:
         """The course of one environment's episode; ValueError before its first step."""
         if self._length[env_index] == 0:
             raise ValueError("no step has been recorded yet")
@@ -169,7 +169,7 @@ class Recorder:
         """The figures of each environment's episode; ValueError before all have ended."""
         if not self.over:
             raise ValueError("metrics of an episode that has not ended; step until every environment is over")
-        return [self.lane(i).metrics() for i in range(len(self._over))]
+        return [self.series(i).metrics() for i in range(len(self._over))]
 
 
 class JoinedRecorder(Recorder):
@@ -201,10 +201,10 @@ class JoinedRecorder(Recorder):
         """Whether the episode has ended in every environment."""
         return all(part.over for _, part in self._parts)
 
-    def lane(self, env_index: int) -> Series:
+    def series(self, env_index: int) -> Series:
         """The trajectory of one environment's episode, on its feeder."""
         part, part_index = self._place[env_index]
-        return self._parts[part][1].lane(part_index)
+        return self._parts[part][1].series(part_index)
 
     def costs(self) -> np.ndarray:
         """J of each environment's episode, (row,)."""
@@ -215,4 +215,4 @@ class JoinedRecorder(Recorder):
 
     def metrics(self) -> list[dict[str, float]]:
         """The figures of each environment's episode."""
-        return [self.lane(i).metrics() for i in range(len(self._place))]
+        return [self.series(i).metrics() for i in range(len(self._place))]

@@ -33,7 +33,7 @@ def constant(q_share, **more):
 
 def courses(scenario, controller, n=2):
     run = rollout(scenario, controller, range(n))
-    return np.stack([run.lane(i).v_pu for i in range(n)])
+    return np.stack([run.series(i).v_pu for i in range(n)])
 
 
 def test_at_home_and_within_the_range_it_is_the_policy_itself(toy6):
@@ -76,7 +76,7 @@ def test_in_new_places_the_deviation_is_bounded(toy6, monkeypatch):
     ranges["inverter"] = own._replace(low=tuple(low), high=tuple(high))
     own = GuardedPolicy(policy, ranges, NoControl())
     run = rollout(toy6, own, [0])
-    share = run.lane(0).q_kvar[1:] / toy6.q_scale_kvar
+    share = run.series(0).q_kvar[1:] / toy6.q_scale_kvar
     assert share[:, 0].max() == pytest.approx(DEVIATION["q"], abs=1e-6)  # the data centre's, within range
     np.testing.assert_array_equal(share[:, 1:], 0.0)  # the inverters', whose place is unknown
     assert own.episode_figures()[0]["guard_new_places_pct"] == 100.0

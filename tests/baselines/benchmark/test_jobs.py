@@ -43,7 +43,7 @@ def test_a_units_record_is_its_episodes_and_all_its_voltages():
     assert record["observes"] == "local"
     counts = record["voltage"]["counts"]
     assert sum(counts) == 3 * 100 * 5
-    v = np.concatenate([recorder.lane(i).v_pu[1:, 1:].ravel() for i in range(3)])
+    v = np.concatenate([recorder.series(i).v_pu[1:, 1:].ravel() for i in range(3)])
     first = record["voltage"]["first_bin"]
     assert V_EDGES_PU[first] <= v.min() < V_EDGES_PU[first + 1]
     assert V_EDGES_PU[first + len(counts) - 1] <= v.max() < V_EDGES_PU[first + len(counts)]

@@ -138,7 +138,7 @@ def test_adaptive_alpha_does_not_grow_with_work_done_ahead():
 def test_alpha_that_does_not_grow_is_the_plain_droop():
     plain, still, grows = Droop(10.0), Droop(10.0, alpha_growth_per_s=0.0), Droop(10.0, alpha_growth_per_s=0.5)
     scenario = make_scenario("ieee33-weak")
-    runs = [rollout(scenario, droop, [5]).lane(0).cost_j for droop in (plain, still, grows)]
+    runs = [rollout(scenario, droop, [5]).series(0).cost_j for droop in (plain, still, grows)]
     assert np.array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0], runs[2])
 
@@ -172,7 +172,7 @@ def test_a_controller_sees_physical_voltages_and_sensitivities_whatever_the_band
 
     watching = Watching(0.0)
     scenario = make_scenario("toy6", cost={"band_pu": band_pu}, horizon=1, weights=CostWeights(violation=0.0))
-    before = rollout(scenario, watching, [0]).lane(0).v_pu[0]
+    before = rollout(scenario, watching, [0]).series(0).v_pu[0]
     at = [scenario.feeder.index(bus) for bus in (4, 3, 5)]
     r, x = sensitivity(scenario.feeder)
     assert watching.seen.r_pu_per_mw[0] == pytest.approx(r[at, at], rel=1e-6)

@@ -44,7 +44,7 @@ def test_what_a_storage_draws(seen, kw):
 
 def test_it_holds_the_voltage_and_leaves_clocks_and_reactive_power_to_the_droop():
     s = ieee33_weak_ups(split="validation", horizon=40)
-    by_hand, shaved = (rollout(s, law, [1]).lane(0) for law in (Droop(), PeakShaving()))
+    by_hand, shaved = (rollout(s, law, [1]).series(0) for law in (Droop(), PeakShaving()))
     np.testing.assert_array_equal(shaved.f_mhz[0], by_hand.f_mhz[0])
     assert not by_hand.storage_kw.any()
     assert shaved.storage_kw.min() < -100.0

@@ -16,7 +16,7 @@ HEAVY = {"datacenters.p_rated_kw": 1500.0, "trace": "step", "workload.window": "
 
 
 def taps_of(scenario, law):
-    phases: Any = rollout(scenario, law, [0]).lane(0).three_phase
+    phases: Any = rollout(scenario, law, [0]).series(0).three_phase
     return phases.equipment.regulators.tap
 
 
@@ -59,7 +59,7 @@ def test_controllers_of_the_other_agents_do_the_same_whoever_moves_the_taps(cont
     weights = {"switching": 10.0} if controller == "ieee13-3ph-ppo" else {}
     controlled, agents = twins(make_scenario("ieee13-3ph").replace(**HEAVY, horizon=60, weights=weights))
     other = agents.replace(weights={"switching": 10.0})
-    runs = [rollout(scenario, make_controller(controller), [0]).lane(0) for scenario in (controlled, other)]
+    runs = [rollout(scenario, make_controller(controller), [0]).series(0) for scenario in (controlled, other)]
     phases: Any = [run.three_phase for run in runs]
     assert np.abs(np.diff(phases[0].equipment.regulators.tap, axis=0)).sum() >= 1.0
     np.testing.assert_array_equal(phases[0].equipment.regulators.tap, phases[1].equipment.regulators.tap)
@@ -71,7 +71,7 @@ def test_no_control_leaves_taps_and_every_law_capacitors_at_rest():
         **HEAVY, horizon=40, **{"grid_control.regulators": "agent", "grid_control.capacitors": "agent"}
     )
     assert (taps_of(scenario, NoControl()) == scenario.feeder.base_tap).all()
-    phases: Any = rollout(scenario, make_controller("droop-q"), [0]).lane(0).three_phase
+    phases: Any = rollout(scenario, make_controller("droop-q"), [0]).series(0).three_phase
     assert np.abs(np.diff(phases.equipment.regulators.tap, axis=0)).sum() >= 3.0
     assert (phases.equipment.banks.on == 1.0).all()
 

@@ -12,7 +12,7 @@ from helpers.riding import ride_through_34
 
 def first_back_s(law):
     """When each site first has power again after the lock-out at the third sag, s from the first that has."""
-    ups = rollout(ride_through_34(), law, [2]).lane(0).devices[0].ups
+    ups = rollout(ride_through_34(), law, [2]).series(0).devices[0].ups
     locked = np.flatnonzero(ups.locked.all(axis=1))[0]
     back = locked + (ups.share[locked:] > 0.0).argmax(axis=0)
     return (back - back.min()).tolist()
@@ -40,7 +40,7 @@ def test_agents_apart_are_driven_as_one():
     while env.agents:
         observations, rewards, _, _, _ = env.step(law.act(observations))
         apart.append(rewards["dc_0"])
-    together = rollout(scenario, StaggeredReturn(), [2]).lane(0).cost_j
+    together = rollout(scenario, StaggeredReturn(), [2]).series(0).cost_j
     assert -np.array(apart) == pytest.approx(together, rel=1e-9)
 
 
@@ -53,7 +53,7 @@ def test_times_and_pace_may_be_set_apart_from_the_rule():
     """Site 1 returns 25 s after the only event, and site 2 four seconds later, both at half the pace."""
     scenario = ride_through_34(sags=({"begin_s": 5.5, "duration_s": 0.05, "retained_pu": 0.3},))
     law = StaggeredReturn(return_delay_s=25.0, stagger_s=4.0, pace=0.5)
-    share = rollout(scenario, law, [2]).lane(0).devices[0].ups.share
+    share = rollout(scenario, law, [2]).series(0).devices[0].ups.share
     gone, back = (share == 0.0).argmax(axis=0), ((share > 0.0) & (np.arange(len(share)) > 20)[:, None]).argmax(axis=0)
     assert gone.tolist() == [6, 6]
     assert (back[1] - back[0], share[back, [0, 1]].tolist()) == (4, pytest.approx([0.05, 0.05]))

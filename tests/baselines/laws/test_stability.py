@@ -102,7 +102,7 @@ def steady(name, **overrides):
 
 def last_steps_pu(scenario, droop):
     """Largest change of any voltage from step to step over the last ten steps of seed 0."""
-    v = rollout(scenario, droop, [0]).lane(0).v_pu
+    v = rollout(scenario, droop, [0]).series(0).v_pu
     return np.abs(np.diff(v[-11:], axis=0)).max()
 
 

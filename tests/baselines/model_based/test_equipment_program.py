@@ -23,7 +23,7 @@ def followed(kind, scenario, **more):
 
 
 def equipment_of(found):
-    phases: Any = found.recorder.lane(0).three_phase
+    phases: Any = found.recorder.series(0).three_phase
     return phases.equipment
 
 

@@ -79,7 +79,7 @@ def test_work_that_waits_is_served_again():
 def moves(**parameters):
     """Mean movement of the voltages in a second at the end of a quiet toy6 on a linear grid."""
     scenario = make_scenario("toy6", background={"load_sigma": 0.0}, power_flow="lindistflow")
-    v = rollout(scenario, FeedbackOptimisation(**parameters), [0]).lane(0).v_pu
+    v = rollout(scenario, FeedbackOptimisation(**parameters), [0]).series(0).v_pu
     return np.abs(np.diff(v[-30:], axis=0)).mean()
 
 
@@ -98,7 +98,7 @@ def test_it_beats_the_droop_and_conserves_work(spoiled):
     droop = rollout(make_scenario("ieee33-weak", split="validation"), Droop(), range(6)).metrics()
     assert np.mean([m["J"] for m in ours.metrics()]) < np.mean([m["J"] for m in droop]) - 0.1
     for env_index in range(6):
-        series = ours.lane(env_index)
+        series = ours.series(env_index)
         served, arrived = (np.cumsum(x, axis=0) for x in (series.served_kw, series.arrived_kw))
         assert (served <= arrived + 1e-6).all()
         np.testing.assert_allclose((arrived - served) * scenario.dt_s, series.backlog_kws[1:], atol=1e-6)

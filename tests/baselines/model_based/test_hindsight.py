@@ -40,7 +40,7 @@ def test_toy6_against_a_direct_nonlinear_solution():
     """Nothing waits on toy6, so each step stands alone: three reactive injections against the exact power flow."""
     scenario = make_scenario("toy6", split="validation")
     best, known = hindsight(scenario, 3), forecast(scenario, 3)
-    series, feeder, w = best.recorder.lane(0), scenario.feeder, scenario.cost.weights
+    series, feeder, w = best.recorder.series(0), scenario.feeder, scenario.cost.weights
     assert series.backlog_kws.max() < 1e-6
     rated = np.array([2750.0, 1000.0, 1000.0])
     for k in (5, 30, 77):
@@ -103,17 +103,17 @@ def test_on_a_linear_grid_one_program_is_enough():
 def test_what_is_served_has_arrived_and_what_is_left_is_charged():
     scenario = make_scenario("ieee33-weak", split="validation", weights=CostWeights(backlog=0.01, leftover=0.0))
     best = hindsight(scenario, 0)
-    series = best.recorder.lane(0)
+    series = best.recorder.series(0)
     assert (np.cumsum(series.served_kw, axis=0) <= np.cumsum(series.arrived_kw, axis=0) + 1e-6).all()
     # Where waiting is almost free, more waits than at the benchmark's price.
-    dear = hindsight(scenario.replace(weights=CostWeights()), 0).recorder.lane(0)
+    dear = hindsight(scenario.replace(weights=CostWeights()), 0).recorder.series(0)
     assert series.backlog_kws.mean() > 1.5 * dear.backlog_kws.mean()
 
 
 def test_the_forecast_is_what_the_environment_draws():
     scenario = make_scenario("ieee123", split="validation", horizon=20)
     known = forecast(scenario, 5)
-    series = rollout(scenario, make_controller("none"), [5]).lane(0)
+    series = rollout(scenario, make_controller("none"), [5]).series(0)
     idle_kw = scenario.datacenters.parameters.p_idle_kw
     np.testing.assert_allclose(np.maximum(known.p_ref_kw - idle_kw, 0.0), series.arrived_kw, atol=1e-9)
     p, q = known.p_load_kw.copy(), known.q_load_kvar
@@ -130,7 +130,7 @@ def test_what_is_lost_is_foreseen():
         "ieee33-weak", split="validation", horizon=30, faults=faults, inverters={"s_rated_kva": 600.0}
     )
     best = hindsight(scenario, 0)
-    series = best.recorder.lane(0)
+    series = best.recorder.series(0)
     assert abs(best.gap) < 2e-3 * best.J
     assert not series.p_kw[5:15, 1].any()
     assert not series.q_kvar[12:, 5].any()
@@ -155,7 +155,7 @@ def test_a_boost_beyond_the_converters_rating_is_foreseen():
     top = best.actions.copy()
     top[:, 0:8:2] = 1.0
     assert replay(scenario, top, 0).metrics()[0]["J"] > best.bound - 1e-6
-    assert best.recorder.lane(0).p_kw[:, :4].max() > 1.02 * 60.0
+    assert best.recorder.series(0).p_kw[:, :4].max() > 1.02 * 60.0
     assert abs(best.gap) < 0.02 * best.J
 
 
@@ -163,7 +163,7 @@ def test_the_band_is_kept_where_it_can_be_and_told_where_it_cannot():
     scenario = make_scenario("ieee33-weak", split="validation", horizon=40)
     free, kept = hindsight(scenario, 0), hindsight(scenario, 0, keep_band=True)
     assert kept.bound >= free.bound - 1e-9
-    v = kept.recorder.lane(0).v_pu[1:]
+    v = kept.recorder.series(0).v_pu[1:]
     assert v.min() > 0.95 - 1e-4
     with pytest.raises(
         ValueError, match=r"keep_band cannot be met; at bus 18 .* 0\.\d+ p\.u\. beyond the band at step \d+"

@@ -42,7 +42,7 @@ class Restless(ModelController):
 
 
 def course(recorder, n_env):
-    return np.stack([recorder.lane(i).v_pu[:, 1:] for i in range(n_env)], axis=1)
+    return np.stack([recorder.series(i).v_pu[:, 1:] for i in range(n_env)], axis=1)
 
 
 def test_slopes_by_hand():
@@ -141,7 +141,7 @@ def test_the_gain_is_that_of_what_the_loads_do_in_a_step(changed):
 def test_p_ref_is_reconstructed_from_draw_and_queue():
     scenario = make_scenario("ieee33-weak", horizon=30, sensing={"preview": False})
     restless = Restless()
-    series = rollout(scenario, restless, [3]).lane(0)
+    series = rollout(scenario, restless, [3]).series(0)
     assert series.backlog_kws.max() > 10.0
     idle_kw = scenario.datacenters.parameters.p_idle_kw
     arrived = np.maximum(np.array(restless.arrived)[1:, 0] - idle_kw, 0.0)

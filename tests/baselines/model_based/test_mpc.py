@@ -157,7 +157,7 @@ def test_one_step_by_hand():
     500, 700 and 400 kvar of it, with slopes 1 : 1 : 2 but for their voltages, of which the third is the lowest.
     """
     scenario = make_scenario("toy6", background={"load_sigma": 0.0}, power_flow="lindistflow", horizon=6)
-    series = rollout(scenario, Mpc(horizon=1, rounds=2000), [0]).lane(0)
+    series = rollout(scenario, Mpc(horizon=1, rounds=2000), [0]).series(0)
     site_kw = series.p_kw[-1, 0]
     # Bus 5: 0.01 * 100 + 0.02 * (50 - q_5) = 0. Bus 4: 0.01 * (site + 100) + 0.02 * (50 - q_4 - q_5) = 0.
     expected = [0.5 * (site_kw + 100.0) + 50.0 - 100.0, 400.0, 100.0]
@@ -272,7 +272,7 @@ def test_one_object_drives_every_interface(make):
         observations, rewards, *_ = many.step(controller.act(observations))
         apart.append(rewards["dc_0"])
 
-    assert joined == apart == (-recorder.lane(1).cost_j).tolist()
+    assert joined == apart == (-recorder.series(1).cost_j).tolist()
 
 
 @pytest.mark.parametrize("make", CONTROLLERS)
@@ -296,7 +296,7 @@ def test_they_beat_the_droop_and_conserve_work(make, spoiled):
     recorder = rollout(plain.replace(**spoiled), make(), range(4))
     assert np.mean([m["J"] for m in recorder.metrics()]) < np.mean(droop) - 0.1
     for row in range(4):
-        series = recorder.lane(row)
+        series = recorder.series(row)
         served, arrived = (np.cumsum(x, axis=0) for x in (series.served_kw, series.arrived_kw))
         assert (served <= arrived + 1e-6).all()
         assert series.backlog_kws[-1].sum() < 10.0 * 3000.0

@@ -24,7 +24,7 @@ def test_the_environment_agrees_with_the_program(solved):
     for seed, best in found.items():
         assert abs(best.gap) < 1e-4 * best.J
         assert replay(scenario, best.actions, seed).metrics()[0]["J"] == best.J
-        assert np.abs(best.recorder.lane(0).storage_kw).max() > 50.0
+        assert np.abs(best.recorder.series(0).storage_kw).max() > 50.0
 
 
 def test_nothing_beats_hindsight_and_storage_is_worth_something(solved):
@@ -50,7 +50,7 @@ def test_the_programs_energy_is_the_environments():
     program = EpisodeProgram(scenario, forecast(scenario, 1), keep_band=False)
     program.solve()
     _, actions = program.solve()
-    series = replay(scenario, actions, 1).lane(0)
+    series = replay(scenario, actions, 1).series(0)
     np.testing.assert_allclose(series.storage_kw, program.storage_kw, atol=1e-3)
     assert series.stored_kwh[1:].min() < 1e-6  # run empty on the way
     assert program.storage_kw.min() < -10.0
@@ -74,7 +74,7 @@ def test_a_storage_that_is_lost_is_not_counted_on():
     lost = Fault(("sto_0",), begin_s=(2.0, 2.0))
     scenario = ieee33_weak_ups(split="validation", horizon=20, faults=(lost,))
     best = hindsight(scenario, 0)
-    drawn = best.recorder.lane(0).storage_kw
+    drawn = best.recorder.series(0).storage_kw
     assert not drawn[2:, 0].any()
     assert np.abs(drawn[2:, 1:]).max() > 10.0
     assert abs(best.gap) < 2e-4 * best.J

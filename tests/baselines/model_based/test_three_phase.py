@@ -60,7 +60,7 @@ def test_hindsight_is_the_best_of_the_courses_of_taps():
 
 
 def _regulators(found):
-    three_phase: Any = found.recorder.lane(0).three_phase
+    three_phase: Any = found.recorder.series(0).three_phase
     return three_phase.equipment.regulators
 
 

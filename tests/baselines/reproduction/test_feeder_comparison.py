@@ -57,7 +57,7 @@ def test_sites_that_are_not_drawn_have_three_phases():
 
 def test_settled_on_three_phases_is_the_first_voltage_of_the_environment_without_noise(true):
     scenario = true.setting.pinned((13,), background={"load_sigma": 0.0}, grid_control={"regulators": "fixed"})
-    start = rollout(scenario, NoControl(), [0]).lane(0)
+    start = rollout(scenario, NoControl(), [0]).series(0)
     drawn = {13: float(start.p_kw[0, 0])}
     # The load of a data centre moves; the base load is still.
     np.testing.assert_allclose(levers.settled(scenario, drawn), start.v_pu[1], atol=1e-6)

@@ -36,7 +36,7 @@ def test_the_whole_recording_is_drawn_from():
     load = choose_load(str(GPU_RECORDING))
     assert load.kind == "recorded"
     run = rollout(Setting(load, episodes=20).scenario(5), NoControl(), range(20))
-    starts = np.concatenate([run.lane(i).trace_start for i in range(20)])
+    starts = np.concatenate([run.series(i).trace_start for i in range(20)])
     # 555 s less the 122 s of a window, not the 333 s or 111 s of a split's part.
     assert starts.min() < 60
     assert 380 < starts.max() <= 555 - 122

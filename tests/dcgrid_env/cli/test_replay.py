@@ -107,7 +107,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
     assert "run-folder: must be given, or --scenario, but not both" in refused(capsys)
     said = refused(capsys, str(tmp_path))
     assert "must be an output folder of dcgrid run with results.json" in said
-    assert said.endswith("in Python call dcgrid_env.rendering.replay(recorder.lane(0))")
+    assert said.endswith("in Python call dcgrid_env.rendering.replay(recorder.series(0))")
     assert "must be a file of dcgrid run (KeyError: 'command')" in stored({})
     assert "must be a file of dcgrid run (TypeError: " in stored({"command": None, "scenario_hash": ""})
     assert "must be written by dcgrid run" in stored({"command": "dcgrid benchmark", "scenario_hash": ""})

@@ -30,7 +30,7 @@ def test_a_lost_inverter_is_gone_for_good():
     recorder = played(scenario, 8)
     begins = set()
     for env_index in range(8):
-        p, q = recorder.lane(env_index).p_kw[:, at], recorder.lane(env_index).q_kvar[:, at]
+        p, q = recorder.series(env_index).p_kw[:, at], recorder.series(env_index).q_kvar[:, at]
         first = int(np.flatnonzero(p == 0.0)[0])
         assert 10 <= first <= 20
         assert (p[:first] < 0.0).all()
@@ -46,7 +46,7 @@ def test_a_tripped_data_centre_goes_on_with_its_work_and_returns():
     recorder, calm = played(scenario, 6), played(scenario.replace(faults=()), 6)
     struck = set()
     for env_index in range(6):
-        with_fault, without = recorder.lane(env_index), calm.lane(env_index)
+        with_fault, without = recorder.series(env_index), calm.series(env_index)
         away = with_fault.p_kw[:, :3] == 0.0
         assert (away.any(axis=0)).sum() == 1
         site = int(np.argmax(away.any(axis=0)))

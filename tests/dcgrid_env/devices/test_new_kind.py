@@ -87,7 +87,7 @@ def test_energy_is_conserved_and_the_grid_feels_the_draw():
             assert charging[2] < discharging[2] - 1e-3
             np.testing.assert_allclose(env.transition.state.p_kw[:, 1], [500.0, -500.0])
     for env_index, sign in ((0, 1.0), (1, -1.0)):
-        series = recorder.lane(env_index)
+        series = recorder.series(env_index)
         gained = np.where(series.charged_kw > 0, 0.95 * series.charged_kw, series.charged_kw / 0.95)
         np.testing.assert_allclose(2.5 + np.cumsum(gained, axis=0) / 3600.0, series.stored_kwh[1:], atol=1e-9)
         assert series.stored_kwh.min() >= 0.0
@@ -166,10 +166,10 @@ MADE_FOR_TWO_KINDS = ("feedback", "mpc-one-step", "mpc", "model-aided")
 @pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_A_DEVICE)])
 def test_a_law_leaves_the_channels_that_it_does_not_know_at_rest(name):
     s = scenario()
-    run = rollout(s, make_controller(name), [0]).lane(0)
+    run = rollout(s, make_controller(name), [0]).series(0)
     assert not run.charged_kw.any()
     sites, _, inverters = s.devices
-    without = rollout(s.replace(devices=(sites, inverters)), make_controller(name), [0]).lane(0)
+    without = rollout(s.replace(devices=(sites, inverters)), make_controller(name), [0]).series(0)
     np.testing.assert_array_equal(run.f_mhz[0], without.f_mhz[0])
     np.testing.assert_allclose(run.q_kvar[1, [0, 2, 3]], without.q_kvar[1], rtol=1e-6)
     assert run.q_kvar[1, 1] == 0.0
@@ -232,7 +232,7 @@ def test_a_policy_has_a_network_for_it():
         for name, (n_in, n_out) in {"datacenter": (9, 2), "battery": (8, 1), "inverter": (7, 1)}.items()
     }
     recorder = rollout(scenario(), Policy(networks, channels={"battery": ["power"]}), [0])
-    np.testing.assert_allclose(recorder.lane(0).charged_kw[1:, 0], 0.25 * 500.0)
+    np.testing.assert_allclose(recorder.series(0).charged_kw[1:, 0], 0.25 * 500.0)
 
 
 def test_a_bus_is_taken_once_however_it_is_written():

@@ -35,7 +35,7 @@ def test_a_step_of_a_second_draws_the_mean_of_ten(source):
     # The window begins with the row, where step k covers the times from k dt to (k + 1) dt.
     same = {"trace": source, "workload.window": "start", "datacenters.clock_law": PrefillDecodeDvfs()}
     coarse, fine = (
-        rollout(make_scenario("ieee33-weak", dt_s=dt_s, horizon=horizon, **same), NoControl(), [4]).lane(0)
+        rollout(make_scenario("ieee33-weak", dt_s=dt_s, horizon=horizon, **same), NoControl(), [4]).series(0)
         for dt_s, horizon in ((1.0, 60), (0.1, 609))
     )
     tenths = fine.p_kw[9:, :3].reshape(60, 10, 3).mean(axis=1)

@@ -48,7 +48,7 @@ def test_the_recorded_sags_lock_out_at_the_third_and_all_return(name):
 def test_work_is_conserved_whether_it_goes_on_or_waits():
     for on_battery in ("serves", "waits"):
         rule = {"curve": "itic", "by_hand_s": 20.0, "battery_s": 10.0, "on_battery": on_battery}
-        series = episode(riding(datacenters={"ride_through": rule}))[0].lane(0)
+        series = episode(riding(datacenters={"ride_through": rule}))[0].series(0)
         arrived, served = series.arrived_kw.sum(), series.served_kw.sum()
         assert arrived == pytest.approx(served + series.backlog_kws[-1].sum(), rel=1e-9)
         state = series.devices[0]
@@ -62,7 +62,7 @@ def test_work_is_conserved_whether_it_goes_on_or_waits():
 
 def test_energy_of_the_batteries_is_conserved_and_what_is_missing_is_charged():
     scenario = riding(horizon=60)
-    series = episode(scenario)[0].lane(0)
+    series = episode(scenario)[0].series(0)
     battery, rule = series.devices[0].battery, scenario.datacenters.ride_through
     assert rule
     full = scenario.datacenters.parameters.p_rated_kw * rule.battery_s
@@ -156,7 +156,7 @@ def test_without_events_the_episode_is_that_without_a_rule():
         sags=(), datacenters={"ride_through": {"curve": {"under": [[0.2, 1.0]]}}}, inverters={"ride_through": None}
     )
     plain = make_scenario("ieee33-weak", horizon=quiet.horizon)
-    with_rule, without = (episode(scenario)[0].lane(0) for scenario in (quiet, plain))
+    with_rule, without = (episode(scenario)[0].series(0) for scenario in (quiet, plain))
     assert np.array_equal(with_rule.v_pu, without.v_pu)
     assert np.array_equal(with_rule.cost_j, without.cost_j)
 

@@ -42,7 +42,7 @@ def episode(scenario, rng=None, action=None):
     given_action = np.array([(action or {}).get(channel, 1.0) for _, channel in layout.names])
     for _ in range(scenario.horizon):
         recorder.add(simulation.step(given_action[None] if rng is None else rng.uniform(-1.0, 1.0, (1, layout.n))))
-    return recorder.lane(0)
+    return recorder.series(0)
 
 
 @settings(max_examples=15, deadline=None)

@@ -20,7 +20,7 @@ def recorded(scenario, steps, **changes):
     for _ in range(steps):
         env.step(rng.uniform(-1, 1, env.action_space.shape))
         recorder.add(env.transition)
-    return recorder.lane(0), env.render()
+    return recorder.series(0), env.render()
 
 
 @pytest.mark.parametrize(("scenario", "steps"), [("toy6", 4), pytest.param("ieee34-3ph", 2, marks=pytest.mark.slow)])

@@ -19,7 +19,7 @@ def test_intervals_hold_every_peak_and_mean(few):
     scenario = make_scenario("ieee33-weak", split="test", horizon=100)
     found = Envelope(scenario, env_index=1)
     recorder = streaming_rollout(scenario, Droop(), [0, 1], [found])
-    own = rollout(scenario, Droop(), [0, 1]).lane(1)
+    own = rollout(scenario, Droop(), [0, 1]).series(1)
     assert found.steps_each == 13
     np.testing.assert_allclose(found.t_s, [6.5, 19.5, 32.5, 45.5, 58.5, 71.5, 84.5, 95.5])
     v, f = own.v_pu[1:, scenario.feeder.load_nodes], own.f_mhz
@@ -39,7 +39,7 @@ def test_intervals_hold_every_peak_and_mean(few):
 
 def test_parts_of_any_length_give_the_same_intervals(few):
     scenario = make_scenario("toy6", split="test")
-    series = rollout(scenario, NoControl(), [0]).lane(0)
+    series = rollout(scenario, NoControl(), [0]).series(0)
     whole, parts = Envelope.of(series), Envelope(scenario)
     recorder = rollout(scenario, NoControl(), [0])
     transitions = recorder._transitions
@@ -57,7 +57,7 @@ def test_parts_of_any_length_give_the_same_intervals(few):
 def test_a_long_run_is_drawn_with_all_its_rows(few, monkeypatch, scenario):
     s = toy6_storage(60) if scenario == "storage" else make_scenario(scenario, split="test", horizon=60)
     monkeypatch.setattr(side_by_side, "MOST_STEPS", 50)
-    series = {name: rollout(s, law, [0]).lane(0) for name, law in (("none", NoControl()), ("droop", Droop()))}
+    series = {name: rollout(s, law, [0]).series(0) for name, law in (("none", NoControl()), ("droop", Droop()))}
     figure = run_figure(s, series, 0)
     labels = [ax.get_ylabel() for ax in figure.axes if ax.get_ylabel()]
     assert {"drawn by sites (kW)", "GPU clock (MHz)", "backlog (kW s)"} <= set(labels)
@@ -76,7 +76,7 @@ def test_time_is_in_a_unit_that_reads_well(steps, dt_s, unit, mark, monkeypatch)
     s = make_scenario("toy6").replace(horizon=steps, dt_s=dt_s)
     few_steps = rollout(make_scenario("toy6").replace(horizon=3, dt_s=dt_s), NoControl(), [0])
     empty = Envelope(s)
-    empty.add([few_steps.lane(0)], 0)
+    empty.add([few_steps.series(0)], 0)
     time = long_figure(s, {"none": empty}, 0).axes[-1]
     assert time.get_xlabel() == f"time since the reset ({unit})"
     assert np.diff(time.get_xticks())[0] == pytest.approx(mark)

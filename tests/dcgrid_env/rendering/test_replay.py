@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(
 
 def episode(scenario="toy6", controller="none", seed=0, **changes):
     s = make_scenario(scenario, split="test", **changes)
-    return rollout(s, make_controller(controller), [seed]).lane(0)
+    return rollout(s, make_controller(controller), [seed]).series(0)
 
 
 def held(page):
@@ -73,7 +73,7 @@ def test_phases_taps_storages_and_trips_are_there():
     faulty = make_scenario("fault", split="test")
     lost = rollout(faulty, make_controller("none"), range(8))
     for env_index in range(8):
-        run = lost.lane(env_index)
+        run = lost.series(env_index)
         away = np.array([own["on_grid_pct"] == 0.0 for own in agent_figures(run)]).T
         assert (run.p_kw_from_reset[away] == 0.0).all()
         assert away.any() == bool((run.fault[:, 0] < faulty.n_agents).any())
@@ -87,8 +87,8 @@ def test_what_cannot_be_replayed_is_refused(monkeypatch):
     run = episode(horizon=3)
     refused: Any = (
         ([], "history is empty"),
-        (None, "history is a NoneType; give what Recorder.lane returns, one or several"),
-        (Path("results/run"), "history is a .*Path; give what Recorder.lane returns"),
+        (None, "history is a NoneType; give what Recorder.series returns, one or several"),
+        (Path("results/run"), "history is a .*Path; give what Recorder.series returns"),
         ({"a": "b"}, "history 'a' is a str"),
         ([run] * 5, "5 episodes do not fit side by side; replay 4 at most"),
         ([run, episode(horizon=4)], "history 'episode 2' is of another episode"),

@@ -35,7 +35,7 @@ def page(browser, tmp_path, request):
     """A replay opened from disk without a network, and what its console said."""
     scenario, controllers, width, height = request.param
     s = make_scenario(scenario, split="test")
-    runs = {name: rollout(s, make_controller(name, s), [0]).lane(0) for name in controllers}
+    runs = {name: rollout(s, make_controller(name, s), [0]).series(0) for name in controllers}
     path = replay(runs).write(tmp_path / "replay.html")
     context = browser.new_context(viewport={"width": width, "height": height}, offline=True)
     opened, said = context.new_page(), []

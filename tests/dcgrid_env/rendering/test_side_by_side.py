@@ -11,7 +11,7 @@ from helpers.storages import toy6_storage
 
 
 def figure_of(scenario, *names):
-    runs = {name: rollout(scenario, make_controller(name, scenario), [0]).lane(0) for name in names}
+    runs = {name: rollout(scenario, make_controller(name, scenario), [0]).series(0) for name in names}
     return runs, run_figure(scenario, runs, 0)
 
 

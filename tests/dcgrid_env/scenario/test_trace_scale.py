@@ -52,7 +52,7 @@ def test_sites_of_different_ratings_follow_the_same_kilowatts():
         workload={"trace_scale": "as-recorded", "window": "start"},
         horizon=50,
     )
-    course = rollout(scenario, NoControl(), [0]).lane(0)
+    course = rollout(scenario, NoControl(), [0]).series(0)
     np.testing.assert_allclose(course.p_kw[:, :3], recording().resample(1.0)[1:51, None] * np.ones(3), rtol=1e-9)
 
 

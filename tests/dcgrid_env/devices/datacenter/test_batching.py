@@ -16,7 +16,7 @@ def course(batch: float, **changes):
     while not recorder.over:
         env.step(action)
         recorder.add(env.transition)
-    return recorder.lane(0).metrics(), recorder.lane(0)
+    return recorder.series(0).metrics(), recorder.series(0)
 
 
 def test_at_rest_it_is_the_scenario_without_batches():

@@ -96,7 +96,7 @@ def test_late_work_and_what_is_left_at_the_end_are_charged(order):
     while not recorder.over:
         env.step(np.where(clock, -1.0, 0.0)[None].astype(np.float32))
         recorder.add(env.transition)
-    metrics, state = recorder.lane(0).metrics(), env.transition.state
+    metrics, state = recorder.series(0).metrics(), env.transition.state
     assert metrics["cost_late"] > 0.0 == metrics["cost_backlog"]
     assert metrics["cost_leftover"] == pytest.approx(9.0 * state.backlog_kws.sum() / 2400.0 / 30)
     assert metrics["unserved_kws"] == pytest.approx(state.backlog_kws.sum())

@@ -87,7 +87,7 @@ def test_what_is_charged_is_throughput_and_what_is_missing_at_the_end():
     while not recorder.over:
         env.step(action)
         recorder.add(env.transition)
-    metrics = recorder.lane(0).metrics()
+    metrics = recorder.series(0).metrics()
     given = 150.0 * 10 / 3600.0
     assert metrics["storage_throughput_kwh"] == pytest.approx(given)
     assert metrics["storage_missing_kwh"] == pytest.approx(given / 0.8)

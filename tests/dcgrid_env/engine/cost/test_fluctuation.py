@@ -19,7 +19,7 @@ TENTHS: dict[str, Any] = {"dt_s": 0.1, "horizon": 6000}
 @pytest.fixture(scope="module")
 def training():
     """A training episode of 600 s in which nothing is done."""
-    return rollout(make_scenario("training", horizon=6000), NoControl(), [0]).lane(0)
+    return rollout(make_scenario("training", horizon=6000), NoControl(), [0]).series(0)
 
 
 def test_pst_max_is_that_of_the_node_that_flickers_most(training):
@@ -74,7 +74,7 @@ def test_steps_of_a_tenth_of_a_second_for_600_s_show_flicker(overrides, shown):
     ],
 )
 def test_asked_for_where_it_cannot_be_had_is_one_clear_error(overrides, message):
-    series = rollout(make_scenario("toy6", **{**overrides, "horizon": 20}), NoControl(), [0]).lane(0)
+    series = rollout(make_scenario("toy6", **{**overrides, "horizon": 20}), NoControl(), [0]).series(0)
     assert "pst_max" not in series.metrics()
     with pytest.raises(ValueError, match=message):
         series.worst_flicker()

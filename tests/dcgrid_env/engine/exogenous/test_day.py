@@ -118,7 +118,7 @@ def test_a_batch_a_tensor_environment_and_a_forecast_have_the_same_day(name):
     top[:, 0 : 2 * scenario.datacenters.count : 2] = 1.0
     cost = sum(env.step(top).cost_j for _ in range(130))
     np.testing.assert_allclose(recorder.costs(), cost / 130, rtol=1e-9)
-    np.testing.assert_allclose(recorder.lane(1).v_pu[-1], env.state.v_pu[1], rtol=1e-9)
+    np.testing.assert_allclose(recorder.series(1).v_pu[-1], env.state.v_pu[1], rtol=1e-9)
 
 
 @pytest.mark.slow

@@ -542,7 +542,7 @@ def test_a_period_of_full_load_asks_for_the_rating_and_changes_nothing_else():
     np.testing.assert_array_equal(asked[~inside], without[~inside])
     np.testing.assert_array_equal(asked[inside], np.maximum(without[inside], plain.site_rated_kw))
     assert (without[inside] < plain.site_rated_kw).any()
-    course, before = (rollout(s, NoControl(), [0]).lane(0) for s in (full, plain))
+    course, before = (rollout(s, NoControl(), [0]).series(0) for s in (full, plain))
     assert course.metrics()["unserved_kws"] == 0.0
     np.testing.assert_allclose(course.p_kw[5, : plain.datacenters.count], plain.site_rated_kw)
     assert "ttft_mean_s" in before.metrics()

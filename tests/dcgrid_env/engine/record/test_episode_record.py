@@ -161,7 +161,7 @@ def test_series_has_the_reset_as_its_first_row():
     scenario = make_scenario("ieee33-weak", horizon=7)
     recorder, course = record(scenario, 2, random_action(scenario, 2))
     for env_index in range(2):
-        series = recorder.lane(env_index)
+        series = recorder.series(env_index)
         assert series.v_pu.shape == (8, 33)
         assert series.backlog_kws.shape == (8, 3)
         for k, t in enumerate(course):
@@ -184,7 +184,7 @@ def test_work_is_conserved_in_an_episode():
     scenario = make_scenario("ieee33-weak", horizon=40)
     recorder, _ = record(scenario, 4, random_action(scenario, 4))
     for env_index, found in enumerate(recorder.metrics()):
-        series = recorder.lane(env_index)
+        series = recorder.series(env_index)
         assert found["unserved_kws"] == pytest.approx(series.backlog_kws[-1].sum(), rel=1e-9, abs=1e-6)
         served = series.served_kw.sum() * scenario.dt_s
         assert found["arrived_kws"] == pytest.approx(served + found["unserved_kws"], rel=1e-9)
@@ -285,8 +285,8 @@ def test_a_collapsed_environment_counts_its_own_steps_alone():
     for env_index, last in enumerate((31, 21, 31)):
         assert found[env_index] == pytest.approx(reckoned(scenario, course[:last], env_index), rel=1e-6, abs=1e-7)
     assert all(math.isfinite(value) for m in found for value in m.values())
-    assert recorder.lane(1).v_pu.shape == (21, 6)
-    assert recorder.lane(1).converged is False
+    assert recorder.series(1).v_pu.shape == (21, 6)
+    assert recorder.series(1).converged is False
     # The charge for what would have followed is in J, which is over the horizon and dearer than any other one's.
     assert found[1]["J"] > max(found[0]["J"], found[2]["J"])
 

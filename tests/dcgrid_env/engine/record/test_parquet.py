@@ -38,7 +38,7 @@ def test_every_step_of_every_episode_stands_there_once(tmp_path):
     assert table["t_s"].to_pylist() == [*map(float, range(1, 41))] * 2
     whole = rollout(S, Droop(), SEEDS)
     for env_index in (0, 1):
-        own, rows = whole.lane(env_index), slice(40 * env_index, 40 * env_index + 40)
+        own, rows = whole.series(env_index), slice(40 * env_index, 40 * env_index + 40)
         column = lambda name, rows=rows: table[name].to_numpy()[rows]  # noqa: E731
         np.testing.assert_array_equal(column("cost_j"), own.cost_j)
         for i, bus in enumerate(S.feeder.bus_ids):

@@ -79,7 +79,7 @@ def test_on_three_phases_each_conductor_transformer_and_regulator_counts():
 def test_metrics_are_of_the_rated_branches_alone():
     s = rated(rating_a=360.0)
     recorder = rollout(s, NoControl(), [3])
-    series = recorder.lane(0)
+    series = recorder.series(0)
     over = series.loading[1:, [1, 4]]
     own = recorder.metrics()[0]
     assert own["loading_max_pct"] == pytest.approx(100.0 * over.max())
@@ -95,10 +95,10 @@ def test_the_cost_is_the_mean_excess_times_its_weight(reward):
     plain = rated(rating_a=40.0, reward=reward)
     s = plain.replace(weights={"overload": weight})
     recorder, without = (rollout(one, NoControl(), [3]) for one in (s, plain))
-    loading = recorder.lane(0).loading[1:, [1, 4]]
+    loading = recorder.series(0).loading[1:, [1, 4]]
     excess = np.clip(loading - 1.0, 0.0, MOST_EXCESS).mean(axis=1)
     assert excess.max() > 0.0
-    np.testing.assert_allclose(recorder.lane(0).costs["overload"], weight * excess)
+    np.testing.assert_allclose(recorder.series(0).costs["overload"], weight * excess)
     assert recorder.costs()[0] == pytest.approx(without.costs()[0] + weight * excess.mean())
     assert largest_costs(s)._asdict()["overload"] == weight * MOST_EXCESS
     assert mean_overload(s, 100.0 * np.ones((1, 6)))[0] <= 6.0 / 2.0 * MOST_EXCESS
