@@ -16,8 +16,13 @@ COMMANDS = Group(
                 "best_known.best_known_values:BestKnownValues",
             ),
             "rescore": _entry("Score bundled policies again and write their cards.", "rescore:Rescore"),
-            "benchmark-data": _entry("Write the data file of a benchmark's page.", "benchmark_data:PublishBenchmark"),
-            "leaderboard": _entry("Check that verified folders can be listed.", "leaderboard:Leaderboard"),
+            "benchmark-data": _entry(
+                "Write the data file of a benchmark's page from results.json of a run.",
+                "benchmark_data:PublishBenchmark",
+            ),
+            "leaderboard": _entry(
+                "Check that verified folders can be listed on the leaderboard.", "leaderboard:Leaderboard"
+            ),
             "entries": _entry(
                 "Make, verify and sign our own entries of the leaderboard.", "leaderboard:LeaderboardEntries"
             ),
