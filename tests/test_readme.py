@@ -18,9 +18,8 @@ from docs.studies import agents
 from docs.studies.benchmark_data import all_data
 from helpers.places import ROOT
 
-ENVIRONMENTS, SCENARIOS, RESULTS, CONTROLLERS, TRAINING = (
-    (ROOT / "docs" / f"{page}.md").read_text()
-    for page in ("environments", "scenarios", "results", "controllers", "training")
+SCENARIOS, RESULTS, CONTROLLERS, TRAINING = (
+    (ROOT / "docs" / f"{page}.md").read_text() for page in ("scenarios", "results", "controllers", "training")
 )
 
 
@@ -91,19 +90,19 @@ def test_scores_come_out_again(scenario):
 
 
 def test_overrides_of_the_text_work_on_the_presets_they_are_for():
-    made = re.findall(r"`gymnasium\.make\((id|\"dcgrid/\w+-v0\"), ([^`]*)\)`", ENVIRONMENTS)
-    assert len(made) == 3
-    for name, overrides in made:
-        for preset in dcgrid_env.IDS if name == "id" else [name.strip('"')]:
-            env = eval(f"gymnasium.make({preset!r}, {overrides})", {"gymnasium": gymnasium})
-            env.reset(seed=0)
+    rows = SCENARIOS[SCENARIOS.index("| change | fields |") :].split("\n\n")[0].splitlines()[2:]
+    assert len(rows) == 5
+    for overrides in (row.split("`")[1] for row in rows):
+        name = "dcgrid/IEEE33Weak-v0" if "n_datacenters" not in overrides else "dcgrid/IEEE123-v0"
+        names = {"gymnasium": gymnasium, "Fault": dcgrid_env.Fault}
+        eval(f"gymnasium.make({name!r}, {overrides})", names).reset(seed=0)
     env = gymnasium.make("dcgrid/IEEE33-v0", n_datacenters=3, datacenters={"buses": None})
     assert env.get_wrapper_attr("scenario").datacenters.count == 3
 
 
 def test_every_id_and_scenario_is_named():
     for name, scenario in dcgrid_env.IDS.items():
-        assert f"| `{name}` | `{scenario}` |" in ENVIRONMENTS
+        assert f"| `{scenario}` | `{name.removeprefix('dcgrid/').removesuffix('-v0')}` |" in SCENARIOS
 
 
 def test_agents_are_those_of_the_cards():

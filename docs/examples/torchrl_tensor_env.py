@@ -1,8 +1,9 @@
 """TorchRL on ``TensorEnv``: collectors and losses take its tensors as they are, and no figure leaves torch.
 
 ``DcgridTensorEnv`` is TorchRL's ``EnvBase`` around ``dcgrid_env.TensorEnv``: a batch of episodes in step with each
-other, the agents of a kind stacked as a group, each with its own observation, all paid by the team's cost. If the power
-flow of an environment has no solution, the rest of its episode is charged at once, and it waits for the others to end. As a script it compares what a collector takes through it and through ``PettingZooWrapper``:
+other, the agents of a kind stacked as a group, each with its own observation, all paid by the team's cost. If the
+power flow of an environment has no solution, the rest of its episode is charged at once, and it waits for the others to
+end. As a script it compares what a collector takes through it and through ``PettingZooWrapper``:
 
     python docs/examples/torchrl_tensor_env.py --num-envs 64
 """

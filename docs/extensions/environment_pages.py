@@ -207,7 +207,7 @@ def cost(scenario: Scenario) -> str:
     ]
     return (
         "The cost of a step is the sum of these terms, each multiplied by its weight. J is the mean cost per step. "
-        "[The model](../model.md#cost-reward-score) has the formula.\n\n" + table(("in `info`", "weight", "of"), rows)
+        "[The model](../model.md#cost) has the formula.\n\n" + table(("in `info`", "weight", "of"), rows)
     )
 
 

@@ -196,7 +196,10 @@ def all_data(folder: Path = FOLDER) -> dict[str, BenchmarkData]:
 
 @dataclass(frozen=True)
 class PublishBenchmark(Command):
-    """Write the data file of a benchmark's page from results.json of a run."""
+    """Write the data file of a benchmark's page.
+
+    The source is results.json of a run of dcgrid benchmark.
+    """
 
     results: tyro.conf.Positional[Path]
     """File results.json of dcgrid benchmark."""

@@ -16,13 +16,8 @@ COMMANDS = Group(
                 "best_known.best_known_values:BestKnownValues",
             ),
             "rescore": _entry("Score bundled policies again and write their cards.", "rescore:Rescore"),
-            "benchmark-data": _entry(
-                "Write the data file of a benchmark's page from results.json of a run.",
-                "benchmark_data:PublishBenchmark",
-            ),
-            "leaderboard": _entry(
-                "Check that verified folders can be listed on the leaderboard.", "leaderboard:Leaderboard"
-            ),
+            "benchmark-data": _entry("Write the data file of a benchmark's page.", "benchmark_data:PublishBenchmark"),
+            "leaderboard": _entry("Check that verified folders can be listed.", "leaderboard:Leaderboard"),
             "entries": _entry(
                 "Make, verify and sign our own entries of the leaderboard.", "leaderboard:LeaderboardEntries"
             ),
@@ -35,7 +30,7 @@ COMMANDS = Group(
             "pareto": _entry("Draw voltage against delay of policies with delay limits.", "pareto:Pareto"),
             "random-feeders": _entry("Compare random feeders with published ones.", "random_feeders:RandomFeederTable"),
             "sags": _entry("Compare controllers during a recorded sequence of sags.", "sag_study:Sags"),
-            "transfer": _entry("Score bundled policies on presets that they were not trained on.", "transfer:Transfer"),
+            "transfer": _entry("Score bundled policies on other presets.", "transfer:Transfer"),
             "unseen-feeders": _entry("Score controllers on feeders they never saw.", "unseen_feeders:UnseenFeeders"),
         },
         "Speed": {

@@ -150,7 +150,7 @@ def _gain(gain: tuple[float, float, float]) -> str:
 
 @dataclass(frozen=True)
 class Leaderboard(Command):
-    """Check that verified folders can be listed on the leaderboard.
+    """Check that verified folders can be listed.
 
     Checks the signatures of their reports, and runs nothing. The page of the site is made from docs/leaderboard.
     """

@@ -170,7 +170,10 @@ BALANCED = "toy6,ieee123,ieee33-weak,ieee33,das69,khodr141,bursty,sync,training,
 
 @dataclass(frozen=True)
 class Transfer(Command):
-    """Score bundled policies on presets that they were not trained on, unchanged and under guard."""
+    """Score bundled policies on other presets.
+
+    Each policy runs unchanged and under guard on presets that it was not trained on.
+    """
 
     scenarios: str = BALANCED
     """Names of presets separated by commas, or all (dcgrid list)."""

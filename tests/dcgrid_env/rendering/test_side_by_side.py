@@ -7,7 +7,6 @@ from matplotlib.text import Text
 from dcgrid_env import make_scenario, sag_times
 from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.rendering import run_figure
-from helpers.storages import toy6_storage
 
 
 def figure_of(scenario, *names):
@@ -20,11 +19,12 @@ def labels(figure):
 
 
 def test_storages_have_a_row_with_a_curve_each():
-    scenario = toy6_storage(6)
+    scenario = make_scenario("ieee33-weak-ups", horizon=40)
     runs, figure = figure_of(scenario, "peak-shaving")
-    assert labels(figure) == ["voltage (p.u.)", "data centres (kW)", "stored (%)"]
-    curves = [np.asarray(line.get_ydata()) for line in figure.axes[-1].get_lines()]
-    np.testing.assert_allclose(np.array(curves).T, runs["peak-shaving"].stored_kwh / 5.0 * 100.0)
+    (axes,) = [ax for ax in figure.axes if ax.get_ylabel() == "stored (%)"]
+    curves = [np.asarray(line.get_ydata()) for line in axes.get_lines()]
+    energy_kwh = next(device for device in scenario.devices if device.kind == "storage").parameters.energy_kwh
+    np.testing.assert_allclose(np.array(curves).T, 100.0 * runs["peak-shaving"].stored_kwh / energy_kwh)
 
 
 def test_rows_in_which_nothing_changes_are_left_out():
