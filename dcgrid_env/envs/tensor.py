@@ -1,7 +1,7 @@
 """A batch of episodes as arrays of any kind: for gradients through the grid, and for devices other than the CPU.
 
-The episodes are those of the other environments, drawn by the same code. Exogenous series are drawn when
-they begin and moved to the device once. Every step is ``dynamics.step``, so that a cost has a derivative by every action
+The episodes are those of the other environments, drawn by the same code. Exogenous series are drawn when they begin
+and moved to the device once. Every step is ``dynamics.step``, so that a cost has a derivative by every action
 that led to it.
 """
 
@@ -165,7 +165,7 @@ class TensorEnv:
         self._measured = tuple(a.detach() for a in self._measured)
 
     def _torch_threads(self) -> Any:
-        """Use one torch thread on the CPU, in addition to those of the power flow; on other devices keep the setting."""
+        """Use one torch thread on the CPU, in addition to the power flow's; keep the setting on other devices."""
         if not is_torch_array(self.like) or self.like.device.type != "cpu":
             return nullcontext()
         from dcgrid_env.core.torch_threads import one_torch_thread  # imports torch
@@ -220,7 +220,7 @@ class TensorEnv:
 
 
 def _is_floating_array(values: Any) -> bool:
-    """Return whether ``x`` is an array of float32 or float64, and neither a number nor a masked array."""
+    """Return whether ``values`` is an array of float32 or float64, and neither a number nor a masked array."""
     if not is_array_api_obj(values) or isinstance(values, np.generic | np.ma.MaskedArray):
         return False
     array: Array = values
