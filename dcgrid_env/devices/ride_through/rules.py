@@ -58,14 +58,14 @@ class RideThrough(PickledByFields):
     """
 
     curve: Any
-    """Ride-through curve: a name (``voltage_curve``), a RideThroughCurve, a mapping of one, or a list, one for each slot."""
+    """Ride-through curve: a name (``voltage_curve``), RideThroughCurve or mapping; or a list, one for each slot."""
     return_delay_s: float = number(0.0, LONGEST_S, default=300.0)
     """Time that the voltage must be within the mildest thresholds before the device returns, s. The default is that
     of IEEE 1547 for entering service."""
     walk_in_s: float = number(0.0, LONGEST_S, default=300.0)
     """Duration of the ramp from zero to full power on return, s; 0 for no ramp."""
     trip_weight: float = number(0.0, 1e9, default=0.0)
-    """Weight of the cost term ``trips`` of sites, ``inverter_trips`` of inverters: the share that disconnects in a step."""
+    """Weight of the cost term ``trips`` of sites, ``inverter_trips`` of inverters: share that disconnects in a step."""
 
     lockout_events = 0
     returns_per_minute = 0
@@ -156,7 +156,7 @@ class UpsRideThrough(RideThrough):
     on_battery: Literal["serves", "waits"] = choice("serves", "waits", default="serves")
     """Whether work continues on battery, or waits while the battery supplies only the idle draw."""
     battery_s: float = number(0.0, LONGEST_S, default=300.0)
-    """Energy of the battery as seconds at the site's rating; a site with an empty battery is off, and its work waits."""
+    """Energy of the battery, seconds at the site's rating; a site with an empty battery is off, and its work waits."""
     recharge_share: float = number(0.0, 1.0, default=0.1)
     """Highest draw to recharge as a share of the rating, on top of the site's own, both at most the rating."""
     charge_efficiency: float = number(0.01, 1.0, default=0.95)

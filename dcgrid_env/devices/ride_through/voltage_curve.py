@@ -36,7 +36,7 @@ Threshold = tuple[float, float]
 
 @dataclass(frozen=True)
 class RideThroughCurve:
-    """Custom ride-through curve; FieldError for one that is not monotone. Plain form: a name, or a mapping of the fields."""
+    """Custom curve; FieldError for one that is not monotone. Plain form: a name, or a mapping of the fields."""
 
     under: tuple[Threshold, ...] = ()
     """Undervoltage: pairs (p.u., s), voltages falling from below 1, times not rising."""
