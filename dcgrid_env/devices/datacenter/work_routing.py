@@ -30,7 +30,7 @@ from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
 
 TINY_KW = 1e-30
-"""What a sum that is divided by is at least, kW."""
+"""Lower limit of a sum used as a divisor, kW."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class Routing:
     movable_share: float = number(0.0, 1.0, default=1.0)
     """Share of the arriving work that may be served at another site."""
     move_latency_s: float = number(0.0, 3600.0, default=0.05)
-    """How much longer moved work takes to where it is served, s; at most one step."""
+    """Additional latency of moved work, s; at most one step."""
     move_weight: float = number(0.0, 1e9, default=0.3)
     """Weight of the cost term ``moving``: seconds of latency of the work moved in a step, at the sites' rating."""
 
