@@ -1,9 +1,10 @@
 """Interface of a group of devices: frozen parameters, a state, a pure step, and descriptions of its data.
 
 Parameters are arrays over the group's slots, a state is a NamedTuple of arrays (row, slot), and functions run on NumPy
-arrays and tensors alike, writing nothing in place. Every device has its own converter at the grid. It returns its active power, and
-the engine limits the reactive setpoint to the remaining capacity of the converter (``converter``). The engine loops
-over a scenario's devices. Code above this folder does not depend on a kind, except for controllers made for one.
+arrays and tensors alike, writing nothing in place. Every device has its own converter at the grid. It returns its
+active power, and the engine limits the reactive setpoint to the remaining capacity of the converter (``converter``).
+The engine loops over a scenario's devices. Code above this folder does not depend on a kind, except for controllers
+made for one.
 """
 
 from __future__ import annotations
