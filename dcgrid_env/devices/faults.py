@@ -3,7 +3,7 @@
 A lost inverter injects nothing. A data centre that trips goes on with its work on its own supply and draws nothing from
 the grid until it returns (so did some 1,500 MW of data centres in July 2024, NERC, "Incident review: considering
 simultaneous voltage-sensitive load reductions", 2025). A lost capacitor injects nothing. A lost storage
-neither charges nor discharges, and keeps its energy but for what stand-by costs.
+neither charges nor discharges, and keeps its energy except for stand-by losses.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ class _Workers:
 
 @contextlib.contextmanager
 def _settings_of_a_worker() -> Iterator[None]:
-    """Initialize a process: one thread for each library, and Ctrl-C ignored from the start."""
+    """Start processes in the block with one thread for each library, and without Ctrl-C from the start."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:

@@ -57,7 +57,7 @@ class Lost:
 
 
 class LostUnits(ValueError):
-    """Some units have no result; the message names them, says why, and how to go on."""
+    """Error for units without a result; the message names them, the reasons and how to continue."""
 
     @property
     def traced(self) -> bool:
