@@ -1,8 +1,8 @@
-"""Dataclass fields that say which values they take, and the error that names field, value and remedy.
+"""Dataclass fields that define their allowed values, and an error with the field, value and remedy.
 
     noise_pu: float = number(0.0, 1.0, default=0.0)
 
-A class calls :func:`check_fields` in its ``__post_init__``; whoever puts it into something larger adds the path.
+A class calls :func:`check_fields` in its ``__post_init__``; a class that contains it adds the path.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from dcgrid_env.core.suggestions import unknown
 
 _LARGEST = sys.float_info.max
-"""Largest finite number; whole numbers in Python may be larger, and are then no number of ours."""
+"""Largest finite number; larger whole numbers are refused."""
 _SMALLEST = sys.float_info.min
 """Smallest number above 0 of full precision."""
 
@@ -35,7 +35,7 @@ class FieldError(ValueError):
     name, value
         Field and value.
     remedy
-        What would do; all that is to be said of the field where ``value`` is ``...``.
+        Allowed values; the whole message for the field if ``value`` is ``...``.
     """
 
     def __init__(self, owner: str, name: str, value: Any, remedy: str):
@@ -83,7 +83,7 @@ class UnknownFieldError(FieldError):
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a real number, no bool, and not so small that arithmetic loses its digits (subnormal)."""
+    """Return whether ``value`` is a real number, not a bool and not subnormal, which would lose digits."""
     return isinstance(value, Real) and not isinstance(value, bool) and not _is_subnormal(value)
 
 
@@ -92,28 +92,29 @@ def _is_subnormal(value: Any) -> bool:
 
 
 def number(low: float, high: float | str, default: Any = MISSING) -> Any:
-    """A finite number in [low, high]; ``high`` may name another field of the class."""
+    """Return a field for a finite number in [low, high]; ``high`` may name another field of the class."""
     return field(default=default, metadata={"check": _check_number, "bounds": (low, high)})
 
 
 def count(low: int, high: int, default: Any = MISSING) -> Any:
-    """A whole number from ``low`` to ``high``."""
+    """Return a field for a whole number from ``low`` to ``high``."""
     return field(default=default, metadata={"check": _check_count, "bounds": (low, high)})
 
 
 def choice(*options: Any, default: Any = MISSING) -> Any:
-    """One of some values, of their type."""
+    """Return a field for one of some values, of their type."""
     return field(default=default, metadata={"check": _check_choice, "options": options})
 
 
 def as_plain(value: Any) -> Any:
-    """A NumPy scalar as Python's own number; any other value as it is."""
+    """Return a NumPy scalar as a Python number; any other value unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
-    """Make lists and arrays in the fields of a frozen dataclass instance tuples, NumPy's scalars Python's own, and
-    plain data what they stand for: ``conversions`` gives a function for each field that has a plain form."""
+    """Convert the fields of a frozen dataclass instance: lists and arrays to tuples, NumPy scalars to Python numbers.
+
+    ``conversions`` has a function for each field with a plain form, which converts plain data."""
     for f in dataclasses.fields(owner):
         given = getattr(owner, f.name)
         value = conversions[f.name](given) if f.name in conversions else given
@@ -127,9 +128,9 @@ def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
 
 
 def from_mapping(kind: type[Any], value: Any) -> Any:
-    """A dataclass instance out of its plain form, a mapping of its fields; any other value as it is.
+    """Return a dataclass instance for its plain form, a mapping of its fields; any other value unchanged.
 
-    FieldError for a field that there is not, or one without a default that is missing.
+    FieldError for an unknown field, or a missing one without a default.
     """
     if not isinstance(value, Mapping):
         return value
@@ -144,20 +145,20 @@ def from_mapping(kind: type[Any], value: Any) -> Any:
 
 
 def changed_fields(instance: Any) -> dict[str, Any]:
-    """The fields of a dataclass instance that are not at their default, by name."""
+    """Return the fields of a dataclass instance that are not at their default, by name."""
     given = ((f, getattr(instance, f.name)) for f in dataclasses.fields(instance))
     return {f.name: value for f, value in given if f.default is MISSING or value != f.default}
 
 
 def check_fields(owner: Any) -> None:
-    """Raise FieldError at the first field of a dataclass instance that was made with one of the above and is wrong."""
+    """Raise FieldError for the first invalid field of a dataclass instance among the fields made with this module."""
     for f in dataclasses.fields(owner):
         if check := f.metadata.get("check"):
             check(owner, f)
 
 
 def refuse(owner: Any, name: str, remedy: str) -> FieldError:
-    """The error of a field of a dataclass instance, to be raised."""
+    """Return the error of a field of a dataclass instance."""
     return FieldError(type(owner).__name__, name, getattr(owner, name), remedy)
 
 
@@ -190,5 +191,5 @@ def _check_choice(owner: Any, f: dataclasses.Field[Any]) -> None:
 
 
 def finite(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
-    """Whether it is a finite number within bounds."""
+    """Return whether it is a finite number within bounds."""
     return is_number(value) and -_LARGEST <= value <= _LARGEST and low <= value <= high

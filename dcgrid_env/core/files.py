@@ -20,9 +20,9 @@ _PREFIX, _SUFFIX = ".dcgrid-", ".part"
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Make a folder and those above it; where what follows fails, those that it made and that are empty go again.
+    """Make a folder and those above it; if the block fails, delete the created folders that are empty.
 
-    OSError where it cannot be made.
+    OSError if it cannot be made.
     """
     missing = _missing(folder)
     try:
@@ -34,7 +34,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def require_folder(folder: Path) -> None:
-    """OSError unless a folder is there or can be made; it is not left behind."""
+    """Raise OSError unless a folder exists or can be made; a folder made for the check is deleted."""
     missing = _missing(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -43,7 +43,7 @@ def require_folder(folder: Path) -> None:
 
 
 def _missing(folder: Path) -> list[Path]:
-    """The folder and those above it that are not there, the innermost first."""
+    """Return the missing ones among the folder and those above it, the innermost first."""
     return [one for one in (folder, *folder.parents) if not one.exists()]
 
 
@@ -65,7 +65,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def require_space(folder: Path, n_bytes: int, behind: int = 0) -> None:
-    """OSError unless so many bytes can be added to a file there that has ``behind`` already."""
+    """Raise OSError unless that many bytes can be added to a file there that has ``behind`` already."""
     part = folder / f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}"
     try:
         with part.open("xb") as file:
@@ -81,8 +81,8 @@ def require_space(folder: Path, n_bytes: int, behind: int = 0) -> None:
 def whole(path: Path) -> Iterator[IO[bytes]]:
     """Open a file to be written: ``path`` is there, with all of it, once the block has ended without an error.
 
-    It is written under a name of its own in the same folder, so that two who write at once do not meet; folders are
-    made. OSError where it cannot be written.
+    It is written under a unique name in the same folder, so two simultaneous writers do not collide. Missing folders
+    are made. OSError if it cannot be written.
     """
     with naming(path), new_folder(path.parent):
         part = path.with_name(f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}")
@@ -100,12 +100,12 @@ def whole(path: Path) -> Iterator[IO[bytes]]:
 def whole_folder(folder: Path) -> Iterator[Path]:
     """Fill a folder: ``folder`` is there, with all of it, once the block has ended without an error.
 
-    The block is given a folder of another name beside it to write to; folders above are made.
+    The block writes to a sibling folder with another name; folders above are made.
 
     Raises
     ------
     OSError
-        Where it cannot be made, or is there and not empty.
+        If it cannot be made, or exists and is not empty.
     """
     folder = folder.absolute()
     with new_folder(folder.parent):
@@ -121,7 +121,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file's bytes, as hexadecimal."""
+    """Return the SHA-256 of a file's bytes, as hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -153,6 +153,6 @@ def write_figure(path: Path, figure: Any, dpi: float) -> None:
 
 
 def clear_parts(folder: Path) -> None:
-    """Delete what a killed process left in a folder that nobody else writes to now."""
+    """Delete the temporary files of a killed process in a folder; no other process may write to it."""
     for part in folder.glob(f"{_PREFIX}*{_SUFFIX}"):
         part.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""How what is optional is installed: the package is on no registry, so that every hint is for a clone."""
+"""Installation hints for optional dependencies: the package is not on a registry, so every hint is for a clone."""
 
 
 def from_clone(extra: str) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 
 class LockedError(OSError):
-    """Another process holds what is asked for; the message says which, since when, and what to do."""
+    """Error of a lock that another process has; the message names the process, the time and the remedy."""
 
 
 @contextmanager

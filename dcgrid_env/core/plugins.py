@@ -1,4 +1,4 @@
-"""Registries of what can be asked for by name, filled by this package and by others, which declare entry points.
+"""Registries of objects by name, with the entries of this package and of others, which declare entry points.
 
 An entry point of a registry's group (``dcgrid.controllers``, ``dcgrid.scenarios``, ``dcgrid.feeders``,
 ``dcgrid.devices``) hands over a mapping: each name, with a pair of what it is, in a few words, and a function that
@@ -26,33 +26,33 @@ from dcgrid_env.core.suggestions import unknown
 
 OWN_DISTRIBUTION = "dcgrid-env"
 Entry = tuple[str, Callable[..., Any]]
-"""What it is, in a few words, and what makes it."""
+"""Short description of an entry, and the function that makes it."""
 
 
 class PluginWarning(UserWarning):
-    """What another package's entry point hands over is left out, or some of it."""
+    """Warning that another package's entry point is skipped, completely or in part."""
 
 
 class PluginError(ValueError):
-    """What another package's entry point hands over does not work; the message is one line."""
+    """Error of another package's entry point; the message is one line."""
 
     traced = True
-    """Whether a traceback says more than the message."""
+    """Whether a traceback adds information to the message."""
 
 
 class Registry(Mapping[str, Entry]):
-    """Entries by name: this package's own, and those that entry points hand over.
+    """Entries by name: those of this package, and those from entry points.
 
     Parameters
     ----------
     group
         The entry points' group.
     kind
-        What the entries make, in words, as messages have it.
+        Word for the objects that the entries make, for messages.
     made
-        The type of what the entries make, or several.
+        Type of the objects that the entries make, or several types.
     own
-        This package's own entries that no import stands in the way of. They need no installed metadata.
+        Entries of this package, which need no installed metadata.
     """
 
     def __init__(self, group: str, kind: str, made: type | tuple[type, ...], own: Mapping[str, Entry]):
@@ -79,14 +79,14 @@ class Registry(Mapping[str, Entry]):
         return len(list(iter(self)))
 
     def make(self, name: str, *arguments: Any) -> Any:
-        """Make what a name stands for.
+        """Make the object with a name.
 
         Raises
         ------
         KeyError
-            For a name that nothing stands for, see ``unknown``.
+            For an unknown name, see ``unknown``.
         PluginError
-            Where another package's function fails or makes something else, naming the package.
+            If another package's function fails or makes another type; the message names the package.
         """
         _, make = self[name]
         if name not in self._origins:
@@ -102,11 +102,11 @@ class Registry(Mapping[str, Entry]):
         return made
 
     def origin(self, name: str) -> str | None:
-        """Name and version of the other package that a name comes from; None for one of this package's own."""
+        """Return the name and version of the other package that defines a name; None for this package's names."""
         return self._origins.get(name)
 
     def unknown(self, name: Any) -> str:
-        """Message for a name that does not exist: the nearest names, and entry points that failed to load."""
+        """Return the message for an unknown name: similar names, and entry points that failed to load."""
         listed = f"`dcgrid list {self.group.removeprefix('dcgrid.')}` lists all"
         said = [unknown(self.kind, name, filter(is_name, self), listed), *self._refused]
         if not self._is_installed:
@@ -147,12 +147,12 @@ class Registry(Mapping[str, Entry]):
 
 
 def is_name(entry: str) -> bool:
-    """Whether an entry is a name by itself, not an ending of files or what stands before another name."""
+    """Return whether an entry is a full name, not a file ending or a prefix of another name."""
     return not (entry.startswith(".") or entry.endswith(":"))
 
 
 def _check(handed_over: Any) -> None:
-    """TypeError unless an entry point has handed over entries by name."""
+    """Raise TypeError unless an entry point returns entries by name."""
     if not isinstance(handed_over, Mapping):
         raise TypeError(f"it is of type {type(handed_over).__name__}, not a mapping of names")
     for name, entry in handed_over.items():

@@ -12,7 +12,7 @@ import numpy as np
 from dcgrid_env.core.compiled import compiled
 
 PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT, HOUR, SAG = range(1, 11)
-"""Streams: what a draw is for."""
+"""Random streams, one for each purpose of a draw."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _M1, _M2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)

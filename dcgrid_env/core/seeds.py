@@ -15,5 +15,5 @@ def whole_seed(seed: Any) -> int:
 
 
 def as_seed(seed: Any) -> int | None:
-    """A seed as an int, None as it is; ValueError unless it is a whole number of at least 0."""
+    """Return a seed as an int, None unchanged; ValueError unless it is a whole number of at least 0."""
     return None if seed is None else whole_seed(seed)

@@ -1,4 +1,4 @@
-"""What stands behind a result: the command, the versions and the machine."""
+"""Provenance of a result: the command, the versions and the machine."""
 
 from __future__ import annotations
 

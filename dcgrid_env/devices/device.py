@@ -1,9 +1,10 @@
-"""What a group of devices is: frozen parameters, a state, and a pure step; and what it says of itself.
+"""Interface of a group of devices: frozen parameters, a state, a pure step, and descriptions of its data.
 
 Parameters are arrays over the group's slots, a state is a NamedTuple of arrays (row, slot), and functions run on NumPy
-arrays and tensors alike, writing nothing in place. Every device meets the grid through a converter of its own: it says
-what active power it draws, and the engine cuts the reactive setpoint at what the converter has left (``converter``).
-The engine loops over a scenario's devices; nothing above this folder knows a kind, but a controller made for it.
+arrays and tensors alike, writing nothing in place. Every device has its own converter at the grid. It returns its
+active power, and the engine limits the reactive setpoint to the remaining capacity of the converter (``converter``).
+The engine loops over a scenario's devices. Code above this folder does not depend on a kind, except for controllers
+made for one.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ class Channel(NamedTuple):
     name: str
     unit: str
     lowest: np.ndarray
-    """What -1 stands for, (slot,)."""
+    """Setpoint at action -1, (slot,)."""
     highest: np.ndarray
-    """What 1 stands for, (slot,)."""
+    """Setpoint at action 1, (slot,)."""
     rest: np.ndarray
     """Setpoint at t = 0, (slot,)."""
 
 
 class Field(NamedTuple):
-    """A figure that an agent observes beside what all agents see of the grid."""
+    """Figure that an agent observes in addition to the grid fields of all agents."""
 
     name: str
     unit: str
     lowest: float
     highest: float
     share_of: np.ndarray
-    """What the raw figure is divided by, (slot,)."""
+    """Divisor of the raw figure, (slot,)."""
     of_preview: bool = False
     """Whether it is 0 unless the scenario grants the preview."""
     of_band: bool = False
@@ -54,15 +55,15 @@ class CostTerm(NamedTuple):
 
     name: str
     amount: str
-    """Field of the device's state that is charged, or a name that its ``amount`` understands."""
+    """Field of the device's state that is charged, or a name that its ``amount`` accepts."""
     own_scale: np.ndarray
-    """What an agent's amount is divided by in its own cost, (slot,)."""
+    """Divisor of an agent's amount in its own cost, (slot,)."""
     team_scale: float
-    """What the sum of the amounts is divided by in the team's."""
+    """Divisor of the sum of the amounts in the team's cost."""
     largest: float
     """Upper bound of the share in a step: charged once the power flow has no solution."""
     at_end: bool = False
-    """Whether it is charged after the last step alone."""
+    """Whether it is charged only after the last step."""
     weight: float | None = None
     """Weight of a term that ``CostWeights`` does not have."""
     is_constraint: bool = False
@@ -70,7 +71,7 @@ class CostTerm(NamedTuple):
 
 
 class GridChange(NamedTuple):
-    """What a device changes of the grid itself over an interval; None for what it leaves alone."""
+    """Changes of a device to the grid itself over an interval; None where it changes nothing."""
 
     shunt_kvar: Array | None = None
     """Reactive injection of a switched shunt at the device's nodes, kvar, (row, slot)."""
@@ -79,7 +80,7 @@ class GridChange(NamedTuple):
 
 
 class Work(NamedTuple):
-    """What a device is asked to do over one interval, where ``Device.input`` is "workload"."""
+    """Work that a device receives over one interval if ``Device.input`` is "workload"."""
 
     p_ref_kw: Array
     """Draw at the top clock with nothing queued, kW, (row, slot)."""
@@ -94,17 +95,18 @@ class Device(Protocol):
     """A group of devices of one kind."""
 
     kind: ClassVar[str]
-    """Its name in scenario files, faults and messages."""
+    """Name in scenario files, faults and messages."""
     prefix: ClassVar[str]
-    """What its agents' ids begin with."""
+    """Prefix of its agents' ids."""
     input: ClassVar[str | None]
-    """What drives it from outside: "workload" (:class:`Work`), "injection" (kW, (row, slot)), "connection" (1 where
-    it is connected to the grid and 0 where not, (row, slot), or None where all are), or None."""
+    """Exogenous input: "workload" (:class:`Work`), "injection" (kW, (row, slot)), "connection" or None.
+
+    "connection" is 1 where it is connected to the grid and 0 where not, (row, slot), or None where all are."""
     levels: ClassVar[tuple[str, ...]]
-    """Fields of the state that are amounts at an instant, and so have a value at t = 0; the others are of a step."""
+    """Fields of the state at an instant, which have a value at t = 0; the others belong to a step."""
 
     changes_grid: ClassVar[bool]
-    """Whether ``grid_change`` is to be asked."""
+    """Whether the engine calls ``grid_change``."""
 
     @property
     def count(self) -> int:
@@ -143,23 +145,23 @@ class Device(Protocol):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What controls it."""
+        """Channels of its actions."""
         ...
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """What it observes, in the order of ``observe``."""
+        """Observed fields, in the order of ``observe``."""
         ...
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """What it is charged for."""
+        """Cost terms of the group."""
         ...
 
     def check_episode(self, horizon: int) -> None:
-        """Raise FieldError for what cannot serve an episode of so many steps."""
+        """Raise FieldError for settings that do not allow an episode of that many steps."""
         ...
 
     def initial(self, parameters: Any, zero: Array) -> Any:
-        """State before t = 0; ``zero`` is 0, (row, slot)."""
+        """Return the state before t = 0; ``zero`` is 0, (row, slot)."""
         ...
 
     def step(
@@ -170,11 +172,11 @@ class Device(Protocol):
         Parameters
         ----------
         parameters, state
-            Those of before, arrays of one kind.
+            Parameters and the state before the interval, arrays of one kind.
         setpoints
-            What each channel but the reactive one is set to, (row, slot) each, in the order and units of ``channels``.
+            Setpoint of each channel except the reactive one, (row, slot) each, in the order and units of ``channels``.
         given
-            What comes from outside, see ``input``.
+            Exogenous input, see ``input``.
         dt_s
             Length of the interval, s.
 
@@ -186,23 +188,23 @@ class Device(Protocol):
         ...
 
     def grid_change(self, parameters: Any, state: Any) -> GridChange:
-        """What the grid is like over the interval that ``state`` ends, beside what the device draws."""
+        """Return changes to the grid over the interval that ends in ``state``, in addition to the device's draw."""
         ...
 
     def observe(self, parameters: Any, state: Any, given_next: Any) -> tuple[Array, ...]:
-        """Raw figures of the fields, (row, slot) each; ``given_next`` is what comes over the coming interval."""
+        """Return the raw figures of the fields, (row, slot) each; ``given_next`` is the input of the next interval."""
         ...
 
     def amount(self, name: str, parameters: Any, state: Any) -> Array:
-        """What a cost term charges, (row, slot)."""
+        """Return the amount that a cost term charges, (row, slot)."""
         ...
 
     def totals(self, state: Any) -> dict[str, Array]:
-        """Figures of all slots together in ``info``, (row,) each."""
+        """Return figures of all slots together for ``info``, (row,) each."""
         ...
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
-        """Figures of an episode.
+        """Return the figures of an episode.
 
         Parameters
         ----------
@@ -211,17 +213,17 @@ class Device(Protocol):
         dt_s
             Length of a step, s.
         requests
-            For each slot, the requests behind its work and the time among them, s, at which the episode begins; None
-            where no slot's work is made of requests.
+            For each slot, the requests behind its work and the time in their series, s, at which the episode begins;
+            None if no slot's work is made of requests.
         """
         ...
 
 
 def may_leave(device: Any) -> bool:
-    """Whether devices of a group may leave the grid by themselves: those that have a rule, ``ride_through``.
+    """Return whether devices of a group may disconnect by themselves: those with a rule, ``ride_through``.
 
-    Such a group's ``step`` is given a ``ride_through.connection.Supply`` around what it is given in any case, and has a
-    method ``connected``: from its state to the share of its power that is on the grid, (row, slot), which its reactive
-    power is cut by.
+    The ``step`` of such a group receives its usual input inside a ``ride_through.connection.Supply``. The group has a
+    method ``connected`` from its state to the share of its power that is on the grid, (row, slot), by which its
+    reactive power is reduced.
     """
     return getattr(device, "ride_through", None) is not None

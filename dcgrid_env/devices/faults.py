@@ -1,9 +1,9 @@
-"""Faults of an episode: a device is lost at a time drawn anew in each episode, and may return.
+"""Faults of an episode: a device is lost at a time drawn in each episode, and may return.
 
 A lost inverter injects nothing. A data centre that trips goes on with its work on its own supply and draws nothing from
 the grid until it returns (so did some 1,500 MW of data centres in July 2024, NERC, "Incident review: considering
 simultaneous voltage-sensitive load reductions", 2025). A lost capacitor injects nothing. A lost storage
-neither charges nor discharges, and keeps its energy but for what stand-by costs.
+neither charges nor discharges, and keeps its energy except for stand-by losses.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from dcgrid_env.devices.registry import DEVICE_REGISTRY
 
 CAPACITOR = "capacitor"
-"""A kind of what a fault may strike, beside the kinds of devices."""
+"""Kind of equipment that a fault may affect, in addition to the kinds of devices."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,11 @@ class Fault:
     """One device is lost for a while."""
 
     among: tuple[str, ...]
-    """Which: one drawn evenly among all of these kinds (of devices, or capacitor) or agent ids (dc_0, inv_2)."""
+    """Candidates: one is drawn evenly among these kinds (of devices, or capacitor) or agent ids (dc_0, inv_2)."""
     begin_s: tuple[float, float]
-    """Earliest and latest beginning, s from the episode's; one that would begin after its end does not happen."""
+    """Earliest and latest beginning, s from the episode's; a fault after its end does not happen."""
     duration_s: tuple[float, float] = (math.inf, math.inf)
-    """Shortest and longest; infinite is until the episode's end."""
+    """Shortest and longest duration, s; infinite lasts until the episode's end."""
 
     def __post_init__(self) -> None:
         if isinstance(self.among, str) or not self.among:

@@ -1,4 +1,4 @@
-"""What groups of agents have in common that command equipment of the feeder itself: no bus taken, no converter."""
+"""Base of groups of agents that command equipment of the feeder itself: without a bus or a converter."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dcgrid_env.devices.device import CostTerm, GridChange
 
 
 class GridEquipment(PickledByFields):
-    """A group that a scenario gets by itself for the equipment that is to be agents; a base class.
+    """Base class of the group that a scenario adds for equipment controlled by agents.
 
-    What such a group commands is read out of its state and set beside the equipment that has a control of its own
+    The commands of such a group are read from its state and applied with those of equipment with its own control
     (``engine.physics.equipment``), so ``grid_change`` is empty. Its moves are counted, charged and shown there too.
     """
 
@@ -29,48 +29,48 @@ class GridEquipment(PickledByFields):
 
     @property
     def p_scale_kw(self) -> np.ndarray:
-        """A unit: there is no active power to be a share of."""
+        """Ones: equipment has no active power."""
         return np.ones(self.count)
 
     @property
     def converter_kva(self) -> np.ndarray:
-        """A unit: there is no converter."""
+        """Ones: equipment has no converter."""
         return np.ones(self.count)
 
     @property
     def q_limit_kvar(self) -> np.ndarray:
-        """No reactive power."""
+        """Zeros: equipment has no reactive power."""
         return np.zeros(self.count)
 
     @property
     def largest_draw_share(self) -> float:
-        """It draws nothing."""
+        """Zero: equipment draws nothing."""
         return 0.0
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """Nothing of its own: the term ``switching`` is the grid's."""
+        """Empty: the term ``switching`` belongs to the grid."""
         return ()
 
     def check_episode(self, horizon: int) -> None:
-        """Nothing: it serves any episode."""
+        """Accept any number of steps."""
 
     def grid_change(self, parameters: Any, state: Any) -> GridChange:
-        """Nothing, see the class."""
+        """Return no change, see the class."""
         return GridChange()
 
     def amount(self, name: str, parameters: Any, state: Any) -> Array:
-        """KeyError: it has no cost term of its own."""
+        """Raise KeyError: the group has no cost term."""
         raise KeyError(name)
 
     def totals(self, state: Any) -> dict[str, Array]:
-        """Nothing to add to ``info``."""
+        """Return no figures for ``info``."""
         return {}
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
-        """Nothing beside what is measured of all equipment."""
+        """Return no metrics in addition to those of all equipment."""
         return {}
 
 
 def is_equipment(device: Any) -> bool:
-    """Whether a group stands for equipment of the feeder, which takes no bus and has no converter."""
+    """Return whether a group represents equipment of the feeder, which has no bus and no converter."""
     return isinstance(device, GridEquipment)

@@ -22,7 +22,7 @@ from dcgrid_env.traces import SUN, PowerTrace, TraceError, is_recording, recorde
 
 @dataclass(frozen=True, kw_only=True)
 class Inverters(PickledByFields):
-    """Inverters alike but for their ratings. A rating is one number for all of them, or one for each."""
+    """Inverters that differ only in their ratings. A rating is one number for all of them, or one for each."""
 
     kind: ClassVar[str] = "inverter"
     prefix: ClassVar[str] = "inv"
@@ -31,22 +31,22 @@ class Inverters(PickledByFields):
     changes_grid: ClassVar[bool] = False
 
     buses: tuple[int | str, ...] = ()
-    """Their buses, one each."""
+    """Buses of the inverters, one each."""
     s_rated_kva: Rating = 0.0
     """Apparent-power rating, kVA."""
     injection: PowerTrace | tuple[float, ...] | str | None = None
     """Active injection of every inverter; none by default.
 
-    "pv": generated PV under passing clouds, a window drawn in each episode, the same for all inverters. Or, from the
-    episode's beginning, a recording in which 1 kW stands for the inverter's rating, or shares of the rating from -1 to
-    1, one for t = 0 and one for each step (storage following a schedule; negative charges). Plain form: "pv", a list of
-    shares, or a recording's name or file.
+    "pv": generated PV under passing clouds, a window drawn in each episode, the same for all inverters. A recording
+    starts with the episode; 1 kW in it is the inverter's rating. Shares of the rating from -1 to 1, one for t = 0 and
+    one for each step, are a schedule, for instance of a storage (negative charges). Plain form: "pv", a list of shares,
+    or a recording's name or file.
     """
     phases: Phases | None = None
     """Phases of a three-phase feeder that an inverter feeds in equal parts, such as "abc" or "b"; by default all that
     its bus has."""
     ride_through: RideThrough | None = None
-    """When an inverter trips, and how it returns; None for inverters that stay connected whatever the voltage."""
+    """Rule for trips and returns; None for inverters that stay connected at any voltage."""
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text, injection=_injection, ride_through=_rule)
@@ -102,25 +102,25 @@ class Inverters(PickledByFields):
 
     @property
     def largest_draw_share(self) -> float:
-        """An inverter that charges draws its rating at most."""
+        """Highest draw as a share of the rating, when an inverter charges: 1."""
         return 1.0
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Reactive power alone."""
+        """Channels: reactive power only."""
         q = self.q_limit_kvar
         return (Channel(Q, "kvar", -q, q, rest=0.0 * q),)
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """Where the connection stands, if it may trip; nothing else beside what every agent observes."""
+        """Observed fields in addition to those of every agent: the state of the connection, if it may trip."""
         return riding_inverter.fields(self.ride_through, self.count) if self.ride_through else ()
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """Trips, where they can trip; nothing else beside what every agent is charged."""
+        """Cost terms in addition to those of every agent: trips, if inverters can trip."""
         return riding_inverter.cost_terms(self.ride_through, self.count) if self.ride_through else ()
 
     def initial(self, parameters: InverterParams, zero: Array) -> Any:
-        """An inverter that cannot trip has no state."""
+        """Return the initial state; an inverter that cannot trip has none."""
         if self.ride_through is None:
             return ()
         return riding_inverter.RidingInverterState(connection.initial(self.ride_through, zero))
@@ -128,35 +128,35 @@ class Inverters(PickledByFields):
     def step(
         self, parameters: InverterParams, state: Any, setpoints: tuple[Array, ...], given: Any, dt_s: float
     ) -> tuple[Any, Array]:
-        """Inject what the schedule says, as far as it is connected."""
+        """Inject the scheduled power times the connected share."""
         if self.ride_through is None:
             return (), -given
         return riding_inverter.step(self.ride_through, state, given, dt_s)
 
     def connected(self, state: Any) -> Array:
-        """Share of each inverter's power that is on the grid, see ``device.may_leave``."""
+        """Return the share of each inverter's power that is on the grid, see ``device.may_leave``."""
         return state.connection.share
 
     def grid_change(self, parameters: InverterParams, state: Any) -> GridChange:
-        """Leave the grid as it is."""
+        """Change nothing in the grid."""
         return GridChange()
 
     def observe(self, parameters: InverterParams, state: Any, given_next: Array) -> tuple[Array, ...]:
-        """Raw figures of ``fields``."""
+        """Return the raw figures of ``fields``."""
         return riding_inverter.observe(self.ride_through, state) if self.ride_through else ()
 
     def amount(self, name: str, parameters: InverterParams, state: Any) -> Array:
-        """What ``cost_terms`` charges; KeyError for a name that is not theirs."""
+        """Return the amount of a cost term; KeyError for a name that is not in ``cost_terms``."""
         if self.ride_through is None or name != "tripped":
             raise KeyError(name)
         return state.connection.tripped
 
     def totals(self, state: Any) -> dict[str, Array]:
-        """Trips in the step and inverters that are away, where they can trip."""
+        """Return the trips in the step and the disconnected inverters, if they can trip."""
         return riding_inverter.totals(state) if self.ride_through else {}
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
-        """Trips and time away, where they can trip."""
+        """Return the trips and the disconnected time, if inverters can trip."""
         return riding_inverter.metrics(history, dt_s) if self.ride_through else {}
 
     def check_episode(self, horizon: int) -> None:

@@ -1,4 +1,4 @@
-"""Kinds of devices by name, as plain data name them: ours, those that were registered, and those of other packages."""
+"""Kinds of devices by their name in plain data: bundled, registered, and from other packages."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ ENTRIES: dict[str, Entry] = {
 }
 """What a kind is, in a few words, and its class: this package's own, and what ``register_device`` adds."""
 DEVICE_REGISTRY = Registry("dcgrid.devices", "kind of device", Device, ENTRIES)
-"""All kinds of devices that have a name, those of other packages too."""
+"""All named kinds of devices, including those of other packages."""
 
 INPUTS = ("workload", "injection", "connection", None)
-"""What may drive a device from outside."""
+"""Exogenous inputs that a device may have."""
 RESERVED = (
     "capacitor", "workload", "background", "sensing", "cost", "grid_control", "tap_changer", "capacitor_bank",
 )  # fmt: skip
@@ -30,7 +30,7 @@ _Kind = TypeVar("_Kind", bound=Device)
 
 
 def register_device(kind: type[_Kind]) -> type[_Kind]:
-    """Make a class of devices known by its ``kind``, so that scenario files can name it; may decorate the class.
+    """Register a class of devices by its ``kind`` for use in scenario files; may decorate the class.
 
     ValueError where another class has that name, or the class lacks something of ``device.Device``.
     """
@@ -64,7 +64,7 @@ def is_known(kind: type[Any]) -> bool:
 
 
 def _require_device(kind: type[Any]) -> None:
-    """ValueError for what is no class of devices, or has a name that means something else."""
+    """Raise ValueError for a value that is not a class of devices, or whose name is already used."""
     if not isinstance(kind, type):
         raise ValueError(f"{kind!r} is no class; give a class of devices")
     lacking = [name for name in _MEMBERS if not hasattr(kind, name) and name not in _fields_of(kind)]

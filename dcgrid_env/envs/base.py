@@ -1,4 +1,4 @@
-"""What the three interfaces share: a simulation, its spaces, saving and restoring, rendering."""
+"""Shared base of the three interfaces: a simulation, its spaces, saving and restoring, rendering."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Simulation, Snapshot, Transition
 
 HUGE = 1000
-"""Nodes of the largest feeder whose every voltage is shown to each agent without a word."""
+"""Number of nodes above which a warning is given that each agent observes every voltage."""
 
 
 class HugeObservationWarning(UserWarning):
@@ -30,7 +30,7 @@ class HugeObservationWarning(UserWarning):
 
 
 def warn_if_huge(scenario: Scenario, what: str, remedy: str) -> None:
-    """Warn that ``what`` grows with a feeder that is very large."""
+    """Warn that ``what`` grows with the feeder if the feeder is very large."""
     n = len(scenario.feeder.load_nodes)
     if n > HUGE:
         warnings.warn(f"{what} holds the voltages of {n:,} nodes; {remedy}", HugeObservationWarning, stacklevel=4)
@@ -47,14 +47,14 @@ def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
 
 
 def check_running(env: BaseEnvironment) -> None:
-    """RuntimeError unless the (first environment's) episode goes on."""
+    """Raise RuntimeError unless the episode of the (first) environment is running."""
     last = env._simulation.transition
     if last.truncated[0] or last.terminated[0]:
         raise RuntimeError("the episode is over; call reset()")
 
 
 class BaseEnvironment:
-    """Mixed into the environment classes; holds one simulation and nothing else of substance."""
+    """Mixin of the environment classes, which contains one simulation."""
 
     scenario: Scenario
     render_mode: str | None
@@ -103,11 +103,11 @@ class BaseEnvironment:
         return self._simulation.transition if self._last is None else self._last
 
     def save(self) -> Snapshot:
-        """All that is needed to go on from here; ``restore`` takes it, in this or another environment of the kind."""
+        """Return the complete state; ``restore`` accepts it, in this or another environment of the same kind."""
         return self._simulation.now
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from where ``save`` was called; ValueError for another scenario or number of environments."""
+        """Continue from a saved state; ValueError for another scenario or number of environments."""
         self._simulation.restore(snapshot)
         self._arrived()
 
@@ -127,7 +127,7 @@ class BaseEnvironment:
         return self._viewer
 
     def close(self, **kwargs: Any) -> None:
-        """Close the window, if there is one."""
+        """Close the window, if one is open."""
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
@@ -139,7 +139,7 @@ class BaseEnvironment:
         mask: np.ndarray | None = None,
         given: EpisodeOptions | None = None,
     ) -> Transition:
-        """Begin episodes; where there was never a seed one is drawn."""
+        """Begin episodes; draw a seed if none was ever given."""
         if not self._simulation.begun:
             seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
         transition = self._simulation.reset(seeds, mask, given)
@@ -153,7 +153,7 @@ class BaseEnvironment:
         return transition
 
     def _arrived(self) -> None:
-        """After a reset or restore: where the agents stand, and the picture."""
+        """Update the agents' buses and the picture after a reset or restore."""
         self._last = None
         self._bus_names = self.buses()
         if self.render_mode is not None:

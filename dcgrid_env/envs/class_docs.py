@@ -1,4 +1,4 @@
-"""What the docstrings of the environment classes share: problem, spaces, reward, start, end and ``info``.
+"""Shared parts of the environment classes' docstrings: problem, spaces, reward, start, end and ``info``.
 
 ``documented`` fills the places that the docstring of a class has for these parts. The cost terms and the observation
 fields of the grid come from their records; tests compare the rest with the code.
@@ -68,7 +68,7 @@ FEATURES = (
     ("device tap_changer", "tap", "tap, since_tap, relay", ""),
     ("device capacitor_bank", "on", "on, since_switching", ""),
 )
-"""What features and further devices add: channels, observation fields and cost terms."""
+"""Additions of features and further devices: channels, observation fields and cost terms."""
 COSTS = tuple((term.name, f"{term.weight:g}", re.sub(r"\|(.+?)\|", r"abs(\1)", term.meaning)) for term in TERMS)
 """Cost terms: name, default weight and meaning; bars would be markup of reStructuredText."""
 INFO = (

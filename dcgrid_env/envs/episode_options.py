@@ -1,4 +1,4 @@
-"""What a reset may be given of its episodes instead of drawing it: the agents' buses and the time of day."""
+"""Options of a reset that replace a draw: the agents' buses and the time of day."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 
 def episode_options(scenario: Scenario, num_envs: int, options: Mapping[str, Any]) -> EpisodeOptions | None:
-    """What ``options`` of a reset say of its episodes; None where they say nothing.
+    """Return the buses and the time of day in the ``options`` of a reset; None for those that are missing.
 
     Raises
     ------
     ValueError
-        For ``buses`` that are no positions of buses but the substation's, (num_envs, n_agents), or a ``begin_h`` that
-        is no time of day, (num_envs,), or one of a scenario that does not follow the day.
+        If ``buses`` are not positions of buses other than the substation, (num_envs, n_agents); if ``begin_h`` is not
+        a time of day, (num_envs,), or the scenario does not follow the day.
     """
     buses, begin_h = options.get("buses"), options.get("begin_h")
     if buses is None and begin_h is None:

@@ -1,4 +1,4 @@
-"""What stands in ``info``: flat, finite, the same keys at every step."""
+"""Contents of ``info``: flat, finite, the same keys at every step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Transition
 
 InfoLevel = Literal["none", "costs", "full"]
-"""How much stands in ``info``: nothing, the cost terms and J, or all figures and the agents' buses."""
+"""Levels of ``info``: nothing, the cost terms and J, or all figures and the agents' buses."""
 
 INFO_LEVELS: tuple[InfoLevel, ...] = get_args(InfoLevel)
 
@@ -54,7 +54,7 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
 
 
 def _of_equipment(scenario: Scenario, equipment: Any) -> dict[str, np.ndarray]:
-    """Moves in the step, and where each regulator and capacitor bank of a three-phase feeder stands."""
+    """Return the moves in the step, and the position of each regulator and capacitor bank of a three-phase feeder."""
     feeder: Any = scenario.feeder
     (regulators, banks), network = equipment, feeder.network
     figures = {

@@ -132,11 +132,11 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         self._rng, _ = seeding.np_random()
 
     def observation_space(self, agent: str) -> spaces.Space[np.ndarray]:
-        """Space of an agent's observation, the same object at each call."""
+        """Return an agent's observation space, the same object at each call."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[np.ndarray]:
-        """Space of an agent's action, the same object at each call."""
+        """Return an agent's action space, the same object at each call."""
         return self.action_spaces[agent]
 
     def reset(
@@ -168,12 +168,12 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         )
 
     def restore(self, snapshot: Any) -> None:
-        """Go on from where ``save`` was called."""
+        """Continue from a saved state."""
         super().restore(snapshot)
         self.agents = [] if self._simulation.now.over[0] else list(self.possible_agents)
 
     def state(self) -> np.ndarray:
-        """Global state, float32.
+        """Return the global state, float32.
 
         In turn: (V - 1) / band of every node but the substation's; draw and reactive injection of every agent as shares
         of its rating and limit; the fields of every device, each over its slots, the preview among them whether or not
@@ -221,7 +221,7 @@ def parallel_env(
     info: InfoLevel = "full",
     **overrides: Any,
 ) -> DcgridParallelEnv:
-    """The multi-agent environment of a scenario, see :class:`DcgridParallelEnv`."""
+    """Make the multi-agent environment of a scenario, see :class:`DcgridParallelEnv`."""
     return DcgridParallelEnv(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
 
 
@@ -233,6 +233,6 @@ def env(
     info: InfoLevel = "full",
     **overrides: Any,
 ) -> AECEnv[str, Any, Any]:
-    """The environment of a scenario in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
+    """Make the environment in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
     turns = parallel_env(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
     return parallel_to_aec(turns)

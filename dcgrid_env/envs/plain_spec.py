@@ -12,9 +12,10 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class PlainSpec:
-    """Mixed into Gymnasium environments, before their base: a spec given to them keeps its keyword arguments as plain
-    data, so that ``spec.to_json()`` loses nothing whatever objects the environment was made with. An object without a
-    plain form, a recording made in Python say, stays as it is, and ``to_json`` refuses it by its name."""
+    """Mixin of Gymnasium environments, placed before their base, that keeps a spec's keyword arguments as plain data.
+
+    ``spec.to_json()`` is then complete, whatever objects the environment was made with. An object without a plain
+    form, such as a recording made in Python, is unchanged, and ``to_json`` raises an error with its name."""
 
     _spec: Any = None
 
@@ -35,17 +36,17 @@ class PlainSpec:
 
 
 class _WithObjects(EnvSpec):
-    """A spec with keyword arguments that JSON cannot hold."""
+    """Spec with keyword arguments that have no JSON form."""
 
     def to_json(self) -> str:
-        """ScenarioError, naming the argument, its type and the remedy."""
+        """Raise a ScenarioError that names the argument, its type and the remedy."""
         for name, value in self.kwargs.items():
             refuse_objects(self.id, name, value)
         return super().to_json()
 
 
 def _plain(value: Any) -> Any:
-    """The plain form of a keyword argument; of a scenario its preset's name, or a mapping of its fields."""
+    """Return a keyword argument in plain form; for a scenario, its preset's name or a mapping of its fields."""
     if not isinstance(value, Scenario):
         return to_plain(value)
     return value.preset or {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}

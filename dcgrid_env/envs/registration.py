@@ -7,7 +7,7 @@ from dcgrid_env.scenario.presets import IDS
 
 
 def register() -> None:
-    """Register an environment for each id of ``IDS``; those that are registered already stay as they are."""
+    """Register an environment for each id of ``IDS``; those that are registered already are unchanged."""
     for gym_id, scenario in IDS.items():
         if gym_id not in gymnasium.registry:
             gymnasium.register(

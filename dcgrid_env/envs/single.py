@@ -1,4 +1,4 @@
-"""Gymnasium environment: one agent holds all actuators."""
+"""Gymnasium environment: one agent controls all actuators."""
 
 from __future__ import annotations
 

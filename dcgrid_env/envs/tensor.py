@@ -1,7 +1,7 @@
 """A batch of episodes as arrays of any kind: for gradients through the grid, and for devices other than the CPU.
 
-The episodes are those of the other environments, drawn by the same code; what comes from outside is drawn when they
-begin and moved to the device once. Every step is ``dynamics.step``, so that a cost has a derivative by every action
+The episodes are those of the other environments, drawn by the same code. Exogenous series are drawn when they begin
+and moved to the device once. Every step is ``dynamics.step``, so that a cost has a derivative by every action
 that led to it.
 """
 
@@ -30,7 +30,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class TensorStep(NamedTuple):
-    """What a step led to; arrays over environments."""
+    """Result of a step; arrays over environments."""
 
     observation: Array
     """Joint observation, (row, n_observation), not cut to its bounds."""
@@ -42,7 +42,7 @@ class TensorStep(NamedTuple):
 
 
 class Outside(NamedTuple):
-    """All that comes from outside in some episodes, (0 .. T, episode, ..) each."""
+    """Exogenous series of some episodes, (0 .. T, episode, ..) each."""
 
     p_load_kw: Array
     q_load_kvar: Array
@@ -101,9 +101,9 @@ class TensorEnv:
     def reset(self, seeds: Sequence[int] | np.ndarray, copies: int = 1) -> Array:
         """Begin the first episode of each seed and return the joint observation, (row, n_observation).
 
-        With ``copies`` that many environments have each episode: environment i has that of seeds[i % len(seeds)].
-        On random feeders all must be on one of them. ValueError for no episode, for seeds or copies that are no whole
-        numbers, and for episodes on several feeders.
+        ``copies`` is the number of environments for each episode: environment i has that of seeds[i % len(seeds)].
+        On random feeders, all episodes must be on the same feeder. ValueError for no episode, for seeds or copies
+        that are not whole numbers, and for episodes on several feeders.
         """
         if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str):
             raise ValueError(f"seeds is {seeds!r}; give a list of whole numbers of at least 0, one for each episode")
@@ -160,12 +160,12 @@ class TensorEnv:
         return TensorStep(self._observe(), reward.total(costs), costs, self.state)
 
     def cut(self) -> None:
-        """Forget how the state came about: derivatives of later costs stop here (torch tensors)."""
+        """Detach the state from earlier steps: derivatives of later costs stop here (torch tensors)."""
         self.state = self.state.map(lambda array: array.detach())
         self._measured = tuple(a.detach() for a in self._measured)
 
     def _torch_threads(self) -> Any:
-        """On the CPU one thread of torch, beside those of the power flow; elsewhere its setting is left alone."""
+        """Use one torch thread on the CPU, in addition to the power flow's; keep the setting on other devices."""
         if not is_torch_array(self.like) or self.like.device.type != "cpu":
             return nullcontext()
         from dcgrid_env.core.torch_threads import one_torch_thread  # imports torch
@@ -213,14 +213,14 @@ class TensorEnv:
         return observation.observe(self._on, self.state, self._placed, coming, self._measured[1], self._measured[0])
 
     def _index(self, positions: np.ndarray) -> Array:
-        """Positions as integers of the wanted kind, on the wanted device."""
+        """Return positions as integers of the wanted kind, on the wanted device."""
         if isinstance(self.like, np.ndarray):
             return positions
         return namespace(self.like).asarray(positions.copy(), device=self.like.device)
 
 
 def _is_floating_array(values: Any) -> bool:
-    """Whether it is an array of float32 or float64, and neither a number nor a masked array."""
+    """Return whether ``values`` is an array of float32 or float64, and neither a number nor a masked array."""
     if not is_array_api_obj(values) or isinstance(values, np.generic | np.ma.MaskedArray):
         return False
     array: Array = values
@@ -228,7 +228,7 @@ def _is_floating_array(values: Any) -> bool:
 
 
 def _fits(action: Array, like: Array) -> bool:
-    """Whether an action is an array of the kind, precision and device of ``like``; NumPy's floats all go together."""
+    """Return whether an action has the kind, precision and device of ``like``; all NumPy floats match."""
     if isinstance(like, np.ndarray):
         return type(action) is np.ndarray and action.dtype.kind == "f"
     same = (getattr(action, "dtype", None), getattr(action, "device", None)) == (like.dtype, like.device)
@@ -243,7 +243,7 @@ def _kind(values: Array) -> str:
 
 
 def drawn_outside(scenario: Scenario, seeds: np.ndarray) -> tuple[Outside, np.ndarray]:
-    """Everything from outside over the first episode of each seed, and the positions of the agents' buses."""
+    """Return the exogenous series of the first episode of each seed, and the positions of the agents' buses."""
     from dcgrid_env.engine.exogenous import episode  # brings the compiler with it, so not on import
 
     s = scenario

@@ -17,10 +17,10 @@ from dcgrid_env.scenario.errors import ScenarioError
 
 
 def with_horizon(overrides: dict[str, Any], name: str, steps: int | None) -> dict[str, Any]:
-    """The overrides of a scenario with ``steps``, given by this ``name``, as its horizon; as they are for None.
+    """Return a scenario's overrides with ``steps``, the argument called ``name``, as the horizon; unchanged for None.
 
-    Gymnasium's -1, no limit, leaves the scenario's own horizon too. ScenarioError for other numbers below 1, and where
-    the overrides hold another horizon.
+    Gymnasium's -1, no limit, keeps the scenario's horizon too. ScenarioError for other numbers below 1, and if the
+    overrides contain another horizon.
     """
     if steps is None or (steps == -1 and name == "max_episode_steps"):
         return overrides
@@ -35,7 +35,7 @@ def with_horizon(overrides: dict[str, Any], name: str, steps: int | None) -> dic
 
 
 def refuse_shorter_limit(env: Any) -> None:
-    """ScenarioError if one of the resets that led here is a TimeLimit's that ends ``env`` before its horizon."""
+    """Raise ScenarioError if this reset was called through a TimeLimit that ends ``env`` before its horizon."""
     frame: FrameType | None = sys._getframe(1)
     while frame is not None:
         if frame.f_code is TimeLimit.reset.__code__:

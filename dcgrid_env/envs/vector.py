@@ -247,7 +247,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         return tuple(viewer.draw(env_index) for env_index in range(self.num_envs))
 
     def _begin_anew(self, transition: Transition, done: np.ndarray) -> tuple[Transition, dict[str, Any]]:
-        """The first transition of the next episode where one is over, and infos with the last of the old."""
+        """Return the first transition of the next episode where one is over, and infos with the last one."""
         final_info = self._infos(transition, done)
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(done):
@@ -259,7 +259,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         return begun, infos
 
     def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
-        """Arrays over environments, each with its mask of valid ones, as gymnasium's vector environments give them."""
+        """Return arrays over environments, each with its mask of valid entries, in gymnasium's format."""
         figures = info_arrays(self.scenario, transition, self.info_level)
         # Rows of one array are made several times faster than arrays one by one, and share nothing either.
         infos: dict[str, Any] = dict(zip(figures, np.array(list(figures.values())), strict=True))
@@ -275,7 +275,7 @@ def _mask_keys(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def as_autoreset_mode(mode: Any) -> AutoresetMode:
-    """Gymnasium's mode, given itself or by name; ValueError for what is neither."""
+    """Return Gymnasium's mode for a mode or its name; ValueError otherwise."""
     if isinstance(mode, AutoresetMode):
         return mode
     chosen = AUTORESET_MODES.get(mode) if isinstance(mode, str) else None

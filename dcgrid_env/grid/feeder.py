@@ -51,7 +51,7 @@ class Feeder(PerUnit, OneNodeABus):
     Attributes
     ----------
     bus_ids
-        The feeder's own bus names, as text, in file order but for the substation, which is ``bus_ids[0]``.
+        The feeder's own bus names, as text, in file order except the substation, which is ``bus_ids[0]``.
     base_kv, v0_pu
         Line-to-line base voltage, kV; substation voltage of the published base case, per unit.
     p_load_kw, q_load_kvar, capacitor_kvar
@@ -66,8 +66,8 @@ class Feeder(PerUnit, OneNodeABus):
         Constant admittance at each bus, shape (n_bus,): draws ``shunt_kw`` v^2 and injects ``shunt_kvar`` v^2 at a
         referred voltage of v p.u. None where there is none.
     voltage_ratio
-        Voltage of each bus, p.u. of its own base, over its voltage referred to the substation, shape (n_bus,): what
-        transformers off their nominal ratio make of it. None where all are 1.
+        Voltage of each bus, per unit of the bus's base, over its voltage referred to the substation, shape (n_bus,).
+        It differs from 1 behind transformers with an off-nominal ratio. None if all are 1.
     bus_base_kv
         Line-to-line base voltage of each bus, kV, shape (n_bus,), for information; None where all are ``base_kv``.
     rating_a
@@ -191,7 +191,7 @@ class Feeder(PerUnit, OneNodeABus):
         return tuple(f"branch {ids[i]}-{bus}" for i, bus in zip(self.parent, ids[1:], strict=True))
 
     def to_network(self) -> Network:
-        """The component tables of this feeder, from which :meth:`from_network` makes the same feeder again."""
+        """Return the component tables of this feeder, from which :meth:`from_network` makes an equal feeder."""
         fed_from = [self.bus_ids[i] for i in self.parent]
         base_kv, ratio, rating_a = map(as_column, (self.bus_base_kv, self.voltage_ratio, self.rating_a))
         return balanced_network(
@@ -217,7 +217,7 @@ class Feeder(PerUnit, OneNodeABus):
 
     @classmethod
     def from_csv(cls, folder: str | Path) -> Feeder:
-        """Read a feeder of your own from a folder with three files.
+        """Read a custom feeder from a folder with three files.
 
         ``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu.
         ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y, shunt_kw, shunt_kvar, voltage_ratio,
@@ -240,11 +240,11 @@ class Feeder(PerUnit, OneNodeABus):
 
     @property
     def folder(self) -> Path | None:
-        """Folder that it was read from; None for a feeder made otherwise, or taken out of a pickle."""
+        """Folder that it was read from; None for a feeder made otherwise, or unpickled."""
         return self.__dict__.get("_folder")
 
     def to_csv(self, folder: str | Path) -> None:
-        """Write the three files that :meth:`from_csv` reads; it then gives the same feeder, to the bit."""
+        """Write the three files that :meth:`from_csv` reads; reading returns exactly the same feeder."""
         write_csv(self.to_network(), Path(folder))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Feeder:
@@ -268,11 +268,11 @@ class Feeder(PerUnit, OneNodeABus):
         return len(self.parent)
 
     def scaled(self, r_share: float, x_share: float) -> Feeder:
-        """This feeder with every line's resistance and reactance times a share."""
+        """Return this feeder with every line's resistance and reactance multiplied by a share."""
         return replace(self, r_ohm=r_share * self.r_ohm, x_ohm=x_share * self.x_ohm)
 
     def index(self, bus: BusId) -> int:
-        """Position of a bus, given as text or a whole number, in ``bus_ids``; FeederError where there is none."""
+        """Return the position of a bus, text or a whole number, in ``bus_ids``; FeederError for an unknown bus."""
         try:
             return self._index[bus_text(bus)]
         except KeyError:

@@ -13,7 +13,7 @@ AnyFeeder = Feeder | ThreePhaseFeeder
 
 
 def read_feeder(folder: str | Path) -> AnyFeeder:
-    """Read the balanced or three-phase feeder that a folder holds, which its files tell.
+    """Read a balanced or three-phase feeder from a folder; its files define the kind.
 
     Raises
     ------

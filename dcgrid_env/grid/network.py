@@ -1,9 +1,9 @@
-"""The component tables of a grid: what a file format reads and writes, and what a feeder is compiled from.
+"""Component tables of a grid, which file formats read and write and from which a feeder is compiled.
 
-Each table is a frozen set of columns of one length, one row a component, and every physical column has its unit in its
-name. Buses are known by text; whole numbers may be given and become text. A phase is 1, 2 or 3 for a, b or c, and 0 for
-the positive sequence, by which a balanced grid is described. A balanced grid uses source, node, line, load and shunt;
-a three-phase grid uses source, node and the tables of ``three_phase_tables``.
+Each table is a frozen set of columns of one length, one row per component, and every physical column has its unit in
+its name. Buses are identified by text; whole numbers are converted to text. A phase is 1, 2 or 3 for a, b or c, and 0
+for the positive sequence, which describes a balanced grid. A balanced grid uses source, node, line, load and shunt; a
+three-phase grid uses source, node and the tables of ``three_phase_tables``.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class NodeTable(Table):
     base_kv: Sequence[float] = optional_column()
     """Line-to-line base voltage of the bus, kV, for information; of balanced grids alone. NaN is the source's."""
     voltage_ratio: Sequence[float] = optional_column()
-    """Voltage of the bus, p.u. of its own base, over its voltage referred to the source, p.u.; of balanced grids alone.
-    It is what transformers off their nominal ratio make of it, and 1 without them. NaN is 1."""
+    """Voltage of the bus, per unit of its base, over its voltage referred to the source, p.u.; balanced grids only.
+    It differs from 1 behind transformers with an off-nominal ratio. NaN is 1."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class ShuntTable(Table):
     bus: Sequence[str] = ()
     phase: Sequence[int] = ()
     capacitor_kvar: Sequence[float] = ()
-    """Reactive injection, whatever the voltage."""
+    """Reactive injection at any voltage."""
     shunt_kw: Sequence[float] = optional_column()
     """Draw of a constant admittance at a referred voltage of 1 p.u.; it goes with the voltage's square."""
     shunt_kvar: Sequence[float] = optional_column()
@@ -142,7 +142,7 @@ class Network:
     frequency_hz: float = 60.0
     """Frequency at which reactances and susceptances hold."""
     source_of_facts: str = ""
-    """Where the figures come from; the power flow has no use for it."""
+    """Source of the figures; the power flow does not use it."""
 
 
 def balanced_network(

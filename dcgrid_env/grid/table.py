@@ -1,4 +1,4 @@
-"""What every component table is made of: columns of one length, and buses that are known by text."""
+"""Base of the component tables: columns of one length, and buses identified by text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from dcgrid_env.grid.topology import FeederError
 
 BusId = int | str
-"""What a bus may be given as; it is kept as text."""
+"""Types that identify a bus; it is stored as text."""
 
 
 def bus_text(bus: Any) -> str:
@@ -27,7 +27,7 @@ def bus_text(bus: Any) -> str:
 
 
 def buses_as_text(values: Any) -> Any:
-    """Buses as a tuple of texts; what is no sequence of texts and whole numbers as it is, to be refused by checks."""
+    """Return buses as a tuple of texts; values of other types unchanged, for the checks to refuse."""
     if not isinstance(values, list | tuple | np.ndarray):
         return values
     try:

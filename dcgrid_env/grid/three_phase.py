@@ -30,7 +30,7 @@ class ThreePhaseFeeder(PhaseNodes):
     Make one with :meth:`from_network`, :meth:`from_csv` or :func:`dcgrid_env.load_feeder`: they check it. Every array
     over buses follows ``bus_ids``, which run depth first from the source bus; branch ``k`` feeds bus ``k + 1``.
 
-    What draws is a *leg*, from a node to another or to ground. First come the legs of the loads, then one leg from
+    A *leg* draws power from a node to another or to ground. First come the legs of the loads, then one leg from
     each node to ground, where devices draw and inject constant power at any voltage; capacitors are not among them.
 
     Attributes
@@ -48,7 +48,7 @@ class ThreePhaseFeeder(PhaseNodes):
         Raises
         ------
         FeederError
-            Naming the component, the field and the value: a cell that cannot be, a loop, an island, a transformer
+            Naming the component, the field and the value: an invalid cell, a loop, an island, a transformer
             that is fed from its secondary.
         """
         check_three_phase(network)
@@ -57,12 +57,12 @@ class ThreePhaseFeeder(PhaseNodes):
         return feeder
 
     def to_network(self) -> Network:
-        """The component tables of this feeder, from which :meth:`from_network` makes the same feeder again."""
+        """Return the component tables of this feeder, from which :meth:`from_network` makes an equal feeder."""
         return self.network
 
     @classmethod
     def from_csv(cls, folder: str | Path) -> ThreePhaseFeeder:
-        """Read a feeder of your own from a folder of tables: see ``dcgrid_env.grid.formats.three_phase_folder``.
+        """Read a custom feeder from a folder of tables: see ``dcgrid_env.grid.formats.three_phase_folder``.
 
         Raises
         ------
@@ -78,11 +78,11 @@ class ThreePhaseFeeder(PhaseNodes):
 
     @property
     def folder(self) -> Path | None:
-        """Folder that it was read from; None for a feeder made otherwise, or taken out of a pickle."""
+        """Folder that it was read from; None for a feeder made otherwise, or unpickled."""
         return self.__dict__.get("_folder")
 
     def to_csv(self, folder: str | Path) -> None:
-        """Write the files that :meth:`from_csv` reads; it then gives the same feeder, to the bit."""
+        """Write the files that :meth:`from_csv` reads; reading returns exactly the same feeder."""
         write_folder(self.network, Path(folder))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ThreePhaseFeeder:

@@ -1,4 +1,4 @@
-"""The component tables that a three-phase grid has beside its source and nodes.
+"""Component tables of a three-phase grid other than its source and nodes.
 
 ``phases`` is a text such as ``"abc"`` or ``"bc"``, the phases in the order of the alphabet. A matrix has three rows of
 three figures for the phases a, b and c, NaN where a phase does not exist. A load or capacitor has three legs: in the
@@ -32,7 +32,7 @@ FALLBACKS = {"rating_a": None, "rating_kva": "kva", "rating_kva_per_phase": "kva
 
 @dataclass(frozen=True)
 class PhaseLineTable(Table):
-    """One row for each line, of its whole length; half of its shunt susceptance stands at either end."""
+    """One row for each line, of its whole length; half of its shunt susceptance is at either end."""
 
     name: Sequence[str] = ()
     from_bus: Sequence[str] = ()
@@ -50,7 +50,7 @@ class PhaseLineTable(Table):
 
 @dataclass(frozen=True)
 class SwitchTable(Table):
-    """One row for each switch, ``closed`` or ``open``; a closed one has an impedance of its own for each phase."""
+    """One row for each switch, ``closed`` or ``open``; a closed one has a separate impedance for each phase."""
 
     name: Sequence[str] = ()
     from_bus: Sequence[str] = ()
@@ -90,7 +90,7 @@ class TransformerTable(Table):
 
 @dataclass(frozen=True)
 class RegulatorTable(Table):
-    """One row for each voltage regulator that has a tap of its own: one phase, or several as a gang.
+    """One row for each voltage regulator with a separate tap: one phase, or several as a gang.
 
     V_to / V_from = 1 + ``tap_step`` times the tap; the series impedance is seen from the to-side times the squared
     ratio. The columns from ``vreg_v`` on are the control's, in relay volts (on a base of 120 V).

@@ -1,4 +1,4 @@
-"""What devices change of the grid itself, beside the power that they draw or inject."""
+"""Changes of devices to the grid itself, in addition to the power that they draw or inject."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a power flow is given: checked, and made arrays of one kind. What cannot be used is refused by name."""
+"""Inputs of a power flow, checked and converted to arrays of one kind. What cannot be used is refused by name."""
 
 from __future__ import annotations
 

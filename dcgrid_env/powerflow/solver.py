@@ -71,7 +71,7 @@ def solver_for(feeder: Any, method: str) -> Solver:
     Raises
     ------
     PowerFlowError
-        For what is no feeder, or a method that its kind does not have, listing those that it has.
+        For a value that is not a feeder, or a method that its kind does not have; the message lists the methods.
     """
     methods = _methods_of(type(feeder))
     if not methods:

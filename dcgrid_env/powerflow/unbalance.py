@@ -1,4 +1,4 @@
-"""How far the voltages of a three-phase bus are from a balanced set, by the two definitions in use.
+"""Voltage unbalance of a three-phase bus, by the two definitions in use.
 
 The voltage unbalance factor is |V2| / |V1|, negative over positive sequence (C. L. Fortescue, "Method of symmetrical
 co-ordinates applied to the solution of polyphase networks", Trans. AIEE 37, 1918; IEC 61000-4-30). NEMA MG 1 takes the

@@ -22,7 +22,7 @@ CMAP = "viridis"
 NONE_COLOUR = "#D55E00"
 """Buses that carry nothing."""
 NOT_ASKED = "#E6E6E6"
-"""Buses that are no candidates."""
+"""Buses that are not candidates."""
 _WIDE_RANGE = 8.0
 """Ratio of the largest to the least size from which the scale is logarithmic."""
 _PANEL_IN = (6.4, 4.8)

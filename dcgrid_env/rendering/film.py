@@ -26,7 +26,7 @@ _SCALES = {".gif": 0.6, ".mp4": 1.0}
 
 
 def require_imageio(path: Path) -> None:
-    """ValueError for a file that is no film, or where what writes it is not installed."""
+    """Raise ValueError for a file that is not a film, or if the writer is not installed."""
     if path.suffix not in SUFFIXES:
         raise ValueError(f"{path}: a film's file ends in {' or '.join(SUFFIXES)}")
     for package in ("imageio", "imageio_ffmpeg")[: 2 if path.suffix == ".mp4" else 1]:
@@ -43,7 +43,7 @@ def write_film(
     every: int = 1,
     on_frame: Callable[[], None] | None = None,
 ) -> Path:
-    """Write a film of the same episode under one controller or several, each in a picture of its own.
+    """Write a film of the same episode under one controller or several, each in a separate picture.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ class Replay:
         return Path(path)
 
     def _repr_html_(self) -> str:
-        """The page in a frame of its own, as notebooks show it."""
+        """Return the page in a separate frame, as notebooks show it."""
         inner = html.escape(self.html, quote=True)
         return f'<iframe srcdoc="{inner}" style="width:100%;height:900px;border:0" title="replay"></iframe>'
 

@@ -1,4 +1,4 @@
-"""The picture of a running episode: the feeder's voltages on its map, the episode's curves beside it."""
+"""The picture of a running episode: the feeder's voltages on its map, next to the episode's curves."""
 
 from __future__ import annotations
 

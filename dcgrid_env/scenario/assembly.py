@@ -30,16 +30,16 @@ PARTS: dict[str, type[Any]] = {
     "grid_control": GridControl,
 }
 GROUPS = {"datacenters": DataCenters.kind, "inverters": Inverters.kind}
-"""Kinds of the groups of devices that every scenario has, by the attribute that holds each; in their order."""
+"""Kinds of the groups of devices that every scenario has, by attribute; in their order."""
 _PLAIN = {"feeder": feeder_from_plain, "faults": faults_from_plain, "sags": sags_from_plain}
 NO_DATA_CENTERS = DataCenters(count=0, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0)
-"""The group that stands in a scenario without data centres."""
+"""Group of a scenario without data centres."""
 NO_INVERTERS = Inverters()
-"""The group that stands in a scenario without inverters."""
+"""Group of a scenario without inverters."""
 
 
 def assembled(base: Any, scenario_fields: Iterable[str], given: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a scenario: those of ``base`` (None for a new one) with what is given put in.
+    """Return the fields of a scenario: those of ``base`` (None for a new one) with the given values.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def assembled(base: Any, scenario_fields: Iterable[str], given: Mapping[str, Any
 
 
 def _part_and_field(key: str, names: list[str]) -> tuple[str, str]:
-    """The part or group of devices, and the field of it, that a path or a short name means."""
+    """Return the part or group of devices, and its field, for a path or a short name."""
     part, _, field = ALIASES.get(key, key).partition(".")
     if field and part in (*PARTS, *GROUPS):
         return part, field
@@ -101,7 +101,7 @@ def _part_and_field(key: str, names: list[str]) -> tuple[str, str]:
 
 
 def _kinds() -> Iterator[tuple[str, type[Any]]]:
-    """Classes of the parts and of the groups of devices, by attribute."""
+    """Return the classes of the parts and of the groups of devices, by attribute."""
     yield from PARTS.items()
     yield from ((group, device_kind(kind)) for group, kind in GROUPS.items())
 
@@ -111,7 +111,7 @@ def _fields(kind: type[Any]) -> list[str]:
 
 
 def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_path: Mapping[str, Any]) -> Any:
-    """One part or group of devices: ``start`` changed by what is given, or a new one."""
+    """Return one part or group of devices: ``start`` with the given changes, or a new one."""
     changes = dict(by_path)
     if isinstance(given, Mapping):
         for field, value in given.items():
@@ -153,7 +153,7 @@ def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_
 def _devices(
     scenario: Any, base: Any, given: Any, changes: Mapping[str, tuple[Any, Mapping[str, Any]]]
 ) -> tuple[Any, ...]:
-    """The groups of devices; those of data centres and of inverters made or changed."""
+    """Return the groups of devices, with those of data centres and of inverters made or changed."""
     if given is None:
         groups = [] if base is None else list(base.devices)
     else:
@@ -179,7 +179,7 @@ def _devices(
 
 
 def _with_both(groups: list[Any]) -> tuple[Any, ...]:
-    """The groups with an empty one of data centres in front, or of inverters behind, where there is none."""
+    """Return the groups, with an empty one of data centres first or of inverters last if it is missing."""
     kinds = [group.kind for group in groups]
     front = () if "datacenter" in kinds else (NO_DATA_CENTERS,)
     return (*front, *groups, *(() if "inverter" in kinds else (NO_INVERTERS,)))

@@ -1,4 +1,4 @@
-"""All else on the feeder: the other loads with their noise, capacitors, and the hour of the day."""
+"""Background of the devices on the feeder: other loads with their noise, capacitors, and the time of day."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse
 
 @dataclass(frozen=True, kw_only=True)
 class Background:
-    """What the feeder carries beside the devices."""
+    """Loads and capacitors of the feeder in addition to the devices, and the time of day."""
 
     capacitors: bool = choice(True, False, default=True)
     """Whether the feeder's capacitors are connected."""
     load_sigma: float = number(0.0, 0.3, default=0.05)
     """Standard deviation of the other loads' noise as a share of the load."""
     load_rho: float = number(0.0, 0.999999, default=0.9)
-    """Its correlation over one second."""
+    """Correlation of that noise over one second."""
     start_hour: float | Literal["random"] | None = None
     """Time of day at which an episode begins, h in [0, 24), or "random": drawn in each episode. Base load, generated PV
-    and generated requests then follow the course of a day (``traces.day_course``). None: "random" for an episode longer
-    than an hour; a shorter one stands still at the feeder's nominal load and at noon."""
+    and generated requests then follow the time of day (``traces.day_course``). None: "random" for an episode longer
+    than an hour; a shorter one stays at the feeder's nominal load and at noon."""
 
     def __post_init__(self) -> None:
         settle(self)

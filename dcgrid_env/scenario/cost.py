@@ -1,4 +1,4 @@
-"""What a step costs: the weights of the terms, the band, the form of the voltage cost, and who is paid what."""
+"""Cost of a step: weights of the terms, voltage band, form of the voltage cost, and assignment of rewards."""
 
 from __future__ import annotations
 
@@ -49,20 +49,20 @@ class CostWeights(_Weights):
 
 @dataclass(frozen=True, kw_only=True)
 class Cost:
-    """How the cost of a step is made up."""
+    """Settings of a step's cost."""
 
     weights: CostWeights = field(default_factory=CostWeights)
-    """Weights; a mapping changes those that it names and leaves the others at their default."""
+    """Weights of the cost terms; a mapping changes those that it names, and the others keep their default."""
     band_pu: float = number(0.0, 1.0, default=0.05)
     """Half the width of the voltage band around 1 p.u."""
     voltage: VoltageCost = choice("l1", "l2", "bowl", "courant_beltrami", "bump", default="l1")
     """Form of the voltage cost."""
     reward: RewardScope = choice("shared", "local", default="shared")
-    """Whether every agent is paid the team's reward, or each for its own voltage, work and effort."""
+    """Reward of an agent: the team's, or one for its own voltage, work and effort."""
     ramp_limit_kw_per_s: float | None = None
-    """Limit on how fast a site's draw may rise or fall, kW/s, on average over ``ramp_window_s``; None for no limit."""
+    """Limit on the ramp of a site's draw, kW/s, on average over ``ramp_window_s``; None for no limit."""
     ramp_window_s: float | None = None
-    """What a ramp is averaged over, s, a whole number of steps; None for one step."""
+    """Averaging window of a ramp, s, a whole number of steps; None for one step."""
     voltage_step_limit_pu: float | None = None
     """Limit on the change of a bus's voltage from a step to the next, p.u.; None for no limit."""
 
@@ -87,7 +87,7 @@ class Cost:
 
 
 def changed_weights(weights: CostWeights, given: Any) -> Any:
-    """Weights with those that a mapping names; anything else as it is."""
+    """Return the weights with those that a mapping names; any other value unchanged."""
     if not isinstance(given, Mapping):
         return given
     for key in given:

@@ -9,7 +9,7 @@
     none                            no device of the kind
 
 Units are kW and MW for data centres, whose rating is active power, and kvar, Mvar, kVA and MVA for inverters, whose
-reactive limit at zero active power is their apparent-power rating. Their case is of no importance.
+reactive limit at zero active power is their apparent-power rating. Case is ignored.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 ENDS, DRAWN, SPREAD = "at ends", "drawn", "spread"
 """Places that are not buses by name."""
 MOST = 10_000
-"""Devices of a group at most."""
+"""Maximum number of devices in a group."""
 _NUMBER = r"\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?"
 _HEAD = rf"(?:(?P<count>\d+)\s*[x×*]\s*)?(?P<size>{_NUMBER})\s*(?P<unit>[A-Za-z]+)"
 _PART = re.compile(rf"{_HEAD}(?:\s+(?P<place>.+))?", re.DOTALL)
@@ -59,16 +59,16 @@ class Part:
     rating: float
     """Rating of each, kW or kVA."""
     place: str | tuple[str, ...]
-    """A place of the kind's, or the buses."""
+    """Named place of the kind, or the buses."""
 
 
 def read_group(kind: Kind, text: str) -> tuple[Part, ...]:
-    """The parts of a group; none for "none".
+    """Return the parts of a group; none for "none".
 
     Raises
     ------
     ScenarioError
-        For words that cannot be, naming the option, the words and what to write instead.
+        For invalid words; the message names the option, the words and what to write instead.
     """
     if text.strip().lower() == "none":
         return ()

@@ -1,4 +1,4 @@
-"""The error of a scenario that cannot be, and how a part's error becomes one."""
+"""Error of an invalid scenario, and conversion of a part's error to it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dcgrid_env.core.checked import FieldError
 
 
 class ScenarioError(ValueError):
-    """A scenario that cannot be; the message names the field, its value and what would do."""
+    """Error of an invalid scenario; the message names the field, its value and what is allowed."""
 
 
 @contextmanager
@@ -22,7 +22,7 @@ def located(scenario: Any, part: str) -> Iterator[None]:
     scenario
         The scenario's name.
     part
-        What leads to the field, such as ``sensing``; "" for the scenario's own.
+        Path to the field, such as ``sensing``; "" for fields of the scenario itself.
     """
     try:
         yield
@@ -32,7 +32,7 @@ def located(scenario: Any, part: str) -> Iterator[None]:
 
 
 class UnknownArgumentError(TypeError):
-    """A name that is no field of a scenario."""
+    """Error of a name that is not a field of a scenario."""
 
     def __init__(self, message: str, field: str):
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""Whether the events of a scenario, its faults and sags, fit what stands in it."""
+"""Checks that the faults and sags of a scenario fit its devices and feeder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 
 
 def check_events(scenario: Any) -> None:
-    """Raise FieldError or ScenarioError for faults and sags that are none, or that nothing in the scenario can feel."""
+    """Raise FieldError or ScenarioError for invalid faults and sags, or those that affect nothing in the scenario."""
     if not isinstance(scenario.faults, tuple) or not all(isinstance(fault, Fault) for fault in scenario.faults):
         raise refuse(scenario, "faults", "give a tuple of Fault, () for none")
     can_be_lost = [device for device in scenario.devices if not is_equipment(device)]

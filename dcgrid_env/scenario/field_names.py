@@ -13,7 +13,7 @@ ALIASES = {
     "weights": "cost.weights",
     "reward": "cost.reward",
 }
-"""Paths of common fields by the short names that may be given for them."""
+"""Paths of common fields by their short names."""
 
 FORMER = {
     "v0_pu": "source_voltage_pu",
@@ -64,4 +64,4 @@ FORMER = {
     "ramp_window_s": "cost.ramp_window_s",
     "voltage_step_limit_pu": "cost.voltage_step_limit_pu",
 }
-"""Paths of fields by names that are refused; the error gives the path. Fingerprints know fields by these names."""
+"""Paths of fields by names that are refused; the error gives the path. Fingerprints use these names."""

@@ -1,12 +1,12 @@
-"""The fingerprint of a scenario, so that a published figure can be told to be of the same thing.
+"""Fingerprint of a scenario, which links published figures to the same scenario.
 
-What it covers is written down, as schema 1: for each kind of object its name and its fields, in this order, each by
-value. A field that is in no list came later; it is left out at its default, so that a new field with a default changes
-no fingerprint. What stands here is never changed: another list is another schema, with a number of its own, and
-published figures are made anew.
+Schema 1 lists its contents: for each kind of object, the name and the fields, in this order, each by value. A field
+that is in no list was added later. It is left out at its default, so a new field with a default does not change
+fingerprints. These lists never change: other lists need a new schema number, and published figures must then be
+regenerated.
 
-Buses are known by text. Where the text of every bus of a feeder is a whole number, its buses are hashed as numbers, and
-elsewhere as text.
+Buses are identified by text. If the text of every bus of a feeder is a whole number, its buses are hashed as numbers,
+else as text.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class Kind(NamedTuple):
-    """What the schema says of a kind of object."""
+    """Entry of the schema for a kind of object."""
 
     name: str
     fields: tuple[str, ...]
@@ -140,13 +140,13 @@ SCHEMA_1: dict[type[Any], Kind] = {
 def scenario_hash(scenario: Scenario) -> str:
     """SHA-256 of a scenario by schema 1, 16 hexadecimal digits.
 
-    ValueError for a clock law of one's own whose figures cannot be read.
+    ValueError for a custom clock law whose figures cannot be read.
     """
     return digest([("", scenario)], fields)
 
 
 def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
-    """What schema 1 hashes of a value; None for a kind of which it says nothing."""
+    """Return the part of a value that schema 1 hashes; None for a kind that is not in the schema."""
     kind = SCHEMA_1.get(type(value))
     if kind is None:
         return None
@@ -160,7 +160,7 @@ def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
 
 
 def _published(value: Any, kind: Kind) -> Iterator[tuple[str, Any]]:
-    """The fields that the schema lists; one marked with ? is left out where it is None."""
+    """Return the fields that the schema lists; one marked with ? is left out if it is None."""
     for listed in kind.fields:
         name = listed.removesuffix("?")
         if isinstance(value, Scenario) and _path(name)[0] in GROUPS and not _has_two_groups(value):
@@ -197,12 +197,12 @@ def _is_other(value: Any, default: Any) -> bool:
 
 
 def _has_two_groups(scenario: Scenario) -> bool:
-    """Whether the devices are data centres and inverters, a group of each, which the listed names speak of."""
+    """Return whether the devices are one group of data centres and one of inverters, which the listed names cover."""
     return [device.kind for device in scenario.devices] == list(GROUPS.values())
 
 
 def _hashed(value: Any, name: str) -> Any:
-    """What is hashed of a field: its value, and numbers or texts for buses."""
+    """Return the hashed form of a field: its value, and numbers or texts for buses."""
     given = attrgetter(_PATHS.get(name, name))(value) if isinstance(value, Scenario) else getattr(value, name)
     if name not in _BUSES or given is None:
         return given

@@ -1,4 +1,4 @@
-"""Who decides over the feeder's own equipment: the taps of its regulators and the switches of its capacitor banks."""
+"""Control of the feeder's equipment: the taps of its regulators and the switches of its capacitor banks."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import ThreePhaseFeeder
 
 Decider = Literal["fixed", "controlled", "agent"]
-"""A piece of equipment stays as the feeder's tables have it, follows a control of its own, or is an agent."""
+"""Modes: fixed as in the feeder's tables, controlled by the equipment's own control, or an agent."""
 ByBank = tuple[tuple[str, Decider], ...]
-"""Pairs of a bank and who decides over it; banks that are not named keep the default."""
+"""Pairs of a bank and its mode; banks that are not named keep the default."""
 DECIDERS: tuple[Decider, ...] = get_args(Decider)
 REGULATORS: Decider = "controlled"
 CAPACITORS: Decider = "fixed"
@@ -24,18 +24,19 @@ CAPACITORS: Decider = "fixed"
 
 @dataclass(frozen=True, kw_only=True)
 class GridControl:
-    """Who decides over regulators and capacitor banks: one word for all, or a mapping from banks to words.
+    """Control of regulators and capacitor banks: one mode for all, or a mapping from banks to modes.
 
-    A bank of regulators is known by the column ``bank`` of its table, a capacitor bank by its name. Each tap of a bank
-    of regulators that is an agent is an agent of its own. A balanced feeder has neither, and takes the defaults alone.
+    A bank of regulators is identified by the column ``bank`` of its table, a capacitor bank by its name. In a bank of
+    regulators that is controlled by agents, each tap is a separate agent. A balanced feeder has neither and accepts
+    only the defaults.
     """
 
     regulators: Decider | ByBank = REGULATORS
-    """Banks that a mapping does not name are controlled."""
+    """Mode of regulators; banks that a mapping does not name are controlled."""
     capacitors: Decider | ByBank = CAPACITORS
-    """Banks that a mapping does not name are fixed."""
+    """Mode of capacitor banks; banks that a mapping does not name are fixed."""
     capacitor_settings: CapacitorControl = field(default_factory=CapacitorControl)
-    """When the banks that are controlled switch themselves; a mapping leaves what it does not name at its default."""
+    """Switching rule of the controlled capacitor banks; settings that a mapping does not name keep their default."""
 
     def __post_init__(self) -> None:
         settle(self, regulators=_pairs, capacitors=_pairs, capacitor_settings=_settings)
@@ -49,17 +50,17 @@ class GridControl:
 
 
 def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
-    """Who decides over each regulator, in the order of its table."""
+    """Return the mode of each regulator, in the order of its table."""
     return _by_row(control.regulators, feeder.network.regulator.bank, REGULATORS)
 
 
 def capacitor_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
-    """Who decides over each capacitor bank, in the order of its table."""
+    """Return the mode of each capacitor bank, in the order of its table."""
     return _by_row(control.capacitors, feeder.network.capacitor.name, CAPACITORS)
 
 
 def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: Any) -> tuple[Any, ...]:
-    """The groups of devices, those of equipment that is agents last; others of such a kind are taken away."""
+    """Return the groups of devices with those of equipment agents last; other groups of these kinds are removed."""
     groups = tuple(device for device in devices if not is_equipment(device))
     if not isinstance(feeder, ThreePhaseFeeder):
         return groups
@@ -70,7 +71,7 @@ def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: Any) 
 
 
 def check_grid_control(control: GridControl, feeder: Any, connected: bool) -> None:
-    """Raise FieldError for a bank that the feeder lacks, or capacitors that are not ``connected`` but to switch."""
+    """Raise FieldError for a bank that the feeder lacks, or capacitors that switch but are not ``connected``."""
     fixed: dict[str, Any] = {"regulators": REGULATORS, "capacitors": CAPACITORS}
     for name, default in fixed.items():
         value = getattr(control, name)
@@ -100,7 +101,7 @@ def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
 
 
 def _pairs(value: Any) -> Any:
-    """Pairs of a bank and a word from a mapping, or from what JSON makes of pairs; anything else as it is."""
+    """Return pairs of a bank and a mode from a mapping or from JSON lists; any other value unchanged."""
     if isinstance(value, Mapping):
         return tuple(value.items())
     if isinstance(value, list | tuple):

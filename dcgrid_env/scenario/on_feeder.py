@@ -1,4 +1,4 @@
-"""A scenario for a feeder that has none: data centres and inverters as asked for, or of a size that suits its load."""
+"""Scenario for any feeder: data centres and inverters as requested, or sized by the feeder's load."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from dcgrid_env.scenario.placement import free_load_buses
 from dcgrid_env.scenario.scenario import Scenario
 
 SITES, SITES_SHARE = 5, 0.4
-"""Data centres, and what they draw together as a share of the feeder's load; both as in the paper's study."""
+"""Number of data centres, and their total draw as a share of the feeder's load; both as in the paper's study."""
 S_RATED_SHARE, Q_MAX_SHARE = 1.1, 0.33
 INVERTERS_COUNT, INVERTERS_SHARE = 7, 0.1
-"""Inverters, and their ratings together as a share of the feeder's load; both as in the paper's study."""
+"""Number of inverters, and their total rating as a share of the feeder's load; both as in the paper's study."""
 
 
 def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: str | None = None) -> Scenario:
@@ -33,15 +33,14 @@ def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: st
     feeder
         Any feeder with a load.
     datacenters, inverters
-        Which there are to be, in words such as ``"3 x 1 MW at ends"`` and ``"5 x 200 kvar"``, see ``device_words``. By
-        default up to five data centres, 40 % of the load together, drawn among the load buses (of three phases where
-        there are phases); and up to seven inverters, 10 % of it together, spread evenly over the load buses.
+        Devices in words, such as ``"3 x 1 MW at ends"`` and ``"5 x 200 kvar"``, see ``device_words``. The default is
+        up to five data centres, 40 % of the load together, drawn among the load buses (with three phases if the feeder
+        has phases). Up to seven inverters, 10 % of the load together, are spread evenly over the load buses.
 
     Raises
     ------
     ScenarioError
-        For words that cannot be, buses or ends that there are not, or a feeder without a load bus where a data centre
-        could be drawn.
+        For invalid words, missing buses or ends, or a feeder without a load bus for a drawn data centre.
     """
     sites = None if datacenters is None else read_group(DATA_CENTRES, datacenters)
     fed = None if inverters is None else read_group(INVERTERS, inverters)
@@ -75,12 +74,12 @@ def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: st
 
 
 def power_flow_of(feeder: AnyFeeder) -> str:
-    """The nonlinear power flow of the feeder's kind."""
+    """Return the name of the nonlinear power flow for the feeder's kind."""
     return "distflow" if isinstance(feeder, Feeder) else "sweep"
 
 
 def base_load_kw(feeder: AnyFeeder) -> float:
-    """Active power of all loads in the base case, kW."""
+    """Return the active power of all loads in the base case, kW."""
     return float(feeder.p_load_kw.sum())
 
 
@@ -104,7 +103,7 @@ def _pool(feeder: AnyFeeder) -> set[int]:
 
 
 def _named(feeder: AnyFeeder, groups: Iterable[tuple[Kind, tuple[Part, ...]]]) -> set[int]:
-    """Buses that are named; ScenarioError for one that there is not, the substation, or one that is named twice."""
+    """Return the named buses; ScenarioError for an unknown bus, the substation, or a bus named twice."""
     taken: set[int] = set()
     position = {bus: i for i, bus in enumerate(feeder.bus_ids)}
     for kind, parts in groups:
@@ -150,7 +149,7 @@ def _placed(
 
 
 def _ends(feeder: AnyFeeder, kind: Kind, taken: set[int]) -> list[int]:
-    """Ends where a device of a kind can stand, data centres on three phases."""
+    """Return the ends that allow a device of a kind; data centres need three phases."""
     allowed = np.ones(feeder.n_bus, dtype=bool)
     if kind is DATA_CENTRES and not isinstance(feeder, Feeder):
         allowed = np.array([phases == "abc" for phases in feeder.bus_phases])
@@ -181,5 +180,5 @@ def _ratings(parts: tuple[Part, ...]) -> Any:
 
 
 def _round(value: float) -> float:
-    """To two digits, as ratings are."""
+    """Round to two significant digits, for ratings."""
     return float(f"{value:.2g}")

@@ -1,4 +1,4 @@
-"""A scenario's regulators and capacitor banks without agents: as they are where nobody commands them."""
+"""Regulators and capacitor banks of a scenario without equipment agents."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 def under_own_control(scenario: Scenario) -> Scenario:
-    """The scenario with regulators that are agents left to their banks' own control, and capacitor banks to stand.
+    """Return the scenario with regulator agents replaced by their banks' control, and capacitor agents by fixed banks.
 
     The other agents see and do the same as before, and a move costs what it cost. A scenario without such agents is
-    returned as it is.
+    returned unchanged.
     """
     return _without_agents(scenario) or scenario
 

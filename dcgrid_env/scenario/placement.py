@@ -1,4 +1,4 @@
-"""Where a scenario's devices may stand: checks of their buses, and the buses that are drawn from."""
+"""Placement of a scenario's devices: checks of their buses, and the buses that are drawn from."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 
 
 def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
-    """Positions in ``bus_ids`` where a device may be drawn: load buses without one that stands fixed.
+    """Return the positions in ``bus_ids`` where a device may be drawn: load buses without a fixed one.
 
     On a three-phase feeder they have all three phases, or those that the devices that are drawn are connected to.
     """
@@ -32,9 +32,9 @@ def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
 
 
 def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple[Any, ...]) -> None:
-    """Raise ScenarioError unless every device can have a bus of its own, not the substation; equipment takes none.
+    """Raise ScenarioError unless every device can have a separate bus, not the substation; equipment takes none.
 
-    A group with a class attribute ``shares_bus`` that is True may stand where devices of other kinds do.
+    A group with a class attribute ``shares_bus`` that is True may share buses with devices of other kinds.
     """
     fixed: list[tuple[str, str, Any, str | None]] = []
     drawn = 0
@@ -72,17 +72,17 @@ def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple
 
 
 def _least_free(feeders: RandomFeeders, devices: tuple[Any, ...]) -> int:
-    """Load buses without a device that every one of some random feeders has at least."""
+    """Return the minimum number of load buses without a device over some random feeders."""
     return max(0, feeders.least_loaded - len({bus for device in devices for bus in device.buses or ()}))
 
 
 def path_of(device: Any) -> str:
-    """What leads to a group of devices in paths of a scenario's fields."""
+    """Return the path prefix of a group of devices in paths of a scenario's fields."""
     return next((path for path, kind in GROUPS.items() if kind == device.kind), device.kind)
 
 
 def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: Any, phases: str | None) -> int:
-    """Position of a device's bus; ScenarioError for one that no device can have, or not of these phases."""
+    """Return the position of a device's bus; ScenarioError for one that is not allowed, or lacks these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
         raise ScenarioError(
             f"scenario {name!r}: {where}.buses has {bus!r}, no number or text; give buses of the feeder"

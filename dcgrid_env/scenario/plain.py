@@ -1,8 +1,8 @@
-"""Plain data for a scenario's fields: what JSON, YAML, TOML and ``gymnasium.EnvSpec.to_json`` can hold.
+"""Plain data for a scenario's fields, for JSON, YAML, TOML and ``gymnasium.EnvSpec.to_json``.
 
 | field | plain form | object |
 |---|---|---|
-| feeder | a feeder's name (shipped, or of another package), or the path of a folder | Feeder |
+| feeder | a feeder's name (bundled, or of another package), or the path of a folder | Feeder |
 | feeder | a mapping of the fields of random feeders ``{"n_bus": 60, "style": "urban", ..}`` | RandomFeeders |
 | devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
 | workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
@@ -60,7 +60,7 @@ from dcgrid_env.traces import SUN, TRACE_SOURCES, PowerTrace
 
 
 def to_plain(value: Any) -> Any:
-    """The plain form of a field's value; an object that has none, a recording made in Python say, as it is."""
+    """Return a field's value in plain form; an object without one, such as a recording made in Python, unchanged."""
     if isinstance(value, CostWeights):
         return {key: to_plain(weight) for key, weight in value._asdict().items()}
     if isinstance(value, Fault):
@@ -151,9 +151,9 @@ def reads_files(name: str, value: Any) -> bool:
 
 
 def feeder_from_plain(value: Any) -> Any:
-    """A feeder by its name or folder, random ones by a mapping of their fields; any other value as it is.
+    """Return a feeder for its name or folder, random ones for a mapping of fields; any other value unchanged.
 
-    FeederError for one that there is not, FieldError for a field that cannot be.
+    FeederError for an unknown feeder, FieldError for an invalid field.
     """
     if isinstance(value, Mapping):
         return RandomFeeders.of_plain(value)
@@ -167,7 +167,7 @@ def feeder_from_plain(value: Any) -> Any:
 
 
 def faults_from_plain(value: Any) -> Any:
-    """Faults, those given as mappings made; any other value as it is. ScenarioError for one that cannot be."""
+    """Return faults, made from mappings where needed; any other value unchanged. ScenarioError for an invalid one."""
     if isinstance(value, Fault | Mapping):
         value = (value,)
     if not isinstance(value, list | tuple):

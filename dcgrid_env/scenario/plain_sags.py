@@ -14,7 +14,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 
 
 def sags_from_plain(value: Any) -> Any:
-    """Sags, those given as mappings made; any other value as it is. ScenarioError for one that cannot be."""
+    """Return sags, made from mappings where needed; any other value unchanged. ScenarioError for an invalid one."""
     if isinstance(value, str):
         if value not in SAG_SEQUENCES:
             raise ScenarioError(f"sags is {value!r}; choose one of {', '.join(SAG_SEQUENCES)}, or give a list of sags")
@@ -25,7 +25,7 @@ def sags_from_plain(value: Any) -> Any:
 
 
 def sag_to_plain(sag: Sag) -> dict[str, Any]:
-    """The plain form of a sag: a mapping of its fields, those at their default left out."""
+    """Return the plain form of a sag: a mapping of its fields without those at their default."""
     plain: dict[str, Any] = {name: list(getattr(sag, name)) for name in ("begin_s", "duration_s", "retained_pu")}
     return plain if sag.since == "episode" else {**plain, "since": sag.since}
 

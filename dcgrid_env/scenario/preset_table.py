@@ -1,4 +1,4 @@
-"""The scenarios that ship, a line of the table each; docs/scenarios.md says what they are for."""
+"""Table of the bundled scenarios; docs/scenarios.md describes their purpose."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class Preset(NamedTuple):
-    """A scenario that ships. This is the one place where it is registered."""
+    """Bundled scenario. This is the only place where it is registered."""
 
     name: str
     gym_id: str
-    """Its id in the registries of Gymnasium and PettingZoo."""
+    """Id in the registries of Gymnasium and PettingZoo."""
     about: str
-    """What it is, on one line."""
+    """One-line description."""
     make: Callable[[], Scenario]
 
 

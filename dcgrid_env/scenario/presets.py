@@ -1,4 +1,4 @@
-"""Scenarios by name, those that ship and those of other packages, and from files, objects and plain data."""
+"""Scenarios by name, bundled or from other packages, and from files, objects and plain data."""
 
 from __future__ import annotations
 
@@ -16,34 +16,33 @@ from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.toml import SUFFIX, read_toml
 
 PRESETS: dict[str, str] = {preset.name: preset.about for preset in TABLE}
-"""What each preset is, by its name."""
+"""Description of each preset, by its name."""
 IDS: dict[str, str] = {preset.gym_id: preset.name for preset in TABLE}
 """Registered ids, for Gymnasium and, where its release has a registry, for PettingZoo, and their scenarios."""
 ENTRIES: dict[str, Entry] = {preset.name: (preset.about, preset.make) for preset in TABLE}
 """The presets as entries of the registry."""
 SCENARIO_REGISTRY = Registry("dcgrid.scenarios", "scenario", Scenario, ENTRIES)
-"""All scenarios that have a name, those of other packages too."""
+"""All named scenarios, including those of other packages."""
 
 
 _ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
-"""Scenarios with overrides that somebody still holds, by what they were made of."""
+"""Scenarios with overrides that are still referenced, by the arguments that made them."""
 
 
 def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrides: Any) -> Scenario:
-    """Make a scenario by a name, from a file (``my.toml``), from one of your own or from the plain data of all its
-    fields, with other values of some of them.
+    """Make a scenario from a name, a file (``my.toml``), a scenario or plain data, and override some fields.
 
     A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
 
-    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder. While somebody holds
-    the frozen scenario, the same call gives it again, so that environments made alike share what is derived from it.
+    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder. While the
+    frozen scenario is referenced, the same call returns the same object, so equal environments share derived data.
 
     Raises
     ------
     ScenarioError
-        For an unknown scenario, naming similar ones, or a value that cannot be.
+        For an unknown scenario (the message lists similar ones) or an invalid value.
     PluginError
-        Where another package's scenario cannot be made.
+        If another package's scenario cannot be made.
     TypeError
         For an override that is not a field.
     """
@@ -81,7 +80,7 @@ def _preset(name: str) -> Scenario:
 
 
 def _key(value: Any) -> Any:
-    """A hashable form in which values of different types differ though they are equal, as 1, 1.0 and True are."""
+    """Return a hashable form in which equal values of different types differ, such as 1, 1.0 and True."""
     if isinstance(value, Mapping):
         return dict, tuple((key, _key(item)) for key, item in value.items())
     return type(value), tuple(map(_key, value)) if isinstance(value, list | tuple) else value

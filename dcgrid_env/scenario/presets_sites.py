@@ -1,4 +1,4 @@
-"""The presets of what data centres have beside clock and queue; docs/scenarios.md says what they are for."""
+"""The presets of data-centre features other than clock and queue; docs/scenarios.md describes their purpose."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def smoothing() -> Scenario:
     """Make the preset ``smoothing``.
 
     Its limits and weights were chosen on the validation split (docs/smoothing.md): without smoothing ramps and flicker
-    are bad, the highest floor burns too much, and what is best lies between.
+    are bad, the highest floor burns too much, and the best floor lies between.
     """
     return training().replace(
         name="smoothing",

@@ -1,4 +1,4 @@
-"""The presets on three-phase feeders, a function each; docs/scenarios.md says what they are for."""
+"""The presets on three-phase feeders, a function each; docs/scenarios.md describes their purpose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scenario: everything that is fixed before an episode is drawn. Frozen, of parts that check themselves."""
+"""Scenario: everything that is fixed before an episode is drawn. Frozen; every part checks its fields."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class Scenario(PickledByFields):
     name: str
     """Name in files and tables."""
     feeder: Any
-    """A Feeder, a ThreePhaseFeeder or RandomFeeders: of no one type here, as code for one kind knows which it has."""
+    """Feeder, ThreePhaseFeeder or RandomFeeders."""
     source_voltage_pu: float = number(0.5, 1.5)
     """Voltage at the substation, p.u."""
     devices: tuple[Device, ...]
-    """Groups of devices; agents are numbered through them in this order. Equipment of the feeder that is to be agents
-    (``grid_control``) stands last, and is not given."""
+    """Groups of devices; agents are numbered through them in this order. Agents that control
+    equipment of the feeder (``grid_control``) come last and are not listed."""
     workload: Workload
     background: Background
     sensing: Sensing
@@ -70,7 +70,7 @@ class Scenario(PickledByFields):
     dt_s: float = number(1e-3, 3600.0, default=1.0)
     """Length of a step, s."""
     power_flow: PowerFlowName = choice("distflow", "lindistflow", "sweep", default="distflow")
-    """How the power flow is solved: "distflow" or "lindistflow" of a balanced feeder, "sweep" of a three-phase one."""
+    """Power flow solver: "distflow" or "lindistflow" for a balanced feeder, "sweep" for a three-phase one."""
     split: str = choice(*ALL_SPLITS, default="train")
     """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators)."""
 
@@ -112,7 +112,7 @@ class Scenario(PickledByFields):
         return self  # frozen: a copy of an environment shares it
 
     def replace(self, **overrides: Any) -> Scenario:
-        """A scenario with other values in the named fields, parts or fields of parts, objects or plain data.
+        """Return a scenario with other values for the named fields, parts or fields of parts, objects or plain data.
 
         A mapping changes the fields of a part that it names, and the weights that it names, and leaves the others.
 
@@ -128,23 +128,23 @@ class Scenario(PickledByFields):
         return other
 
     def member(self, seeds: int | Sequence[int] | np.ndarray) -> Scenario:
-        """This scenario on the feeder of a seed's first episode, or of several: itself unless on RandomFeeders.
+        """Return this scenario on the feeder of the first episode of one or more seeds; itself unless on RandomFeeders.
 
-        ScenarioError where the seeds are on different feeders.
+        ScenarioError if the seeds are on different feeders.
         """
         return member(self, seeds)
 
     def members(self, seeds: Sequence[int] | np.ndarray) -> list[tuple[Scenario, np.ndarray]]:
-        """This scenario on each of the feeders of the seeds' first episodes, with the positions of these seeds."""
+        """Return this scenario on each feeder of the seeds' first episodes, with the positions of these seeds."""
         return members(self, seeds)
 
     @property
     def family(self) -> Scenario:
-        """The scenario on RandomFeeders that this is a member of, else itself."""
+        """Return the scenario on RandomFeeders that this is a member of, else itself."""
         return self.__dict__.get("_family", self)
 
     def to_toml(self, path: str | Path | None = None, base: Scenario | None = None, *, brief: bool = False) -> str:
-        """The scenario as TOML, and into a file if a path is given; ``make_scenario(path)`` reads it again.
+        """Return the scenario as TOML, and write it if a path is given; ``make_scenario(path)`` reads the file.
 
         With a ``base``, a preset as ``make_scenario(name)`` gives it, only what differs from it is written, with its
         name; ``brief`` leaves out what is at its default. ScenarioError for another base, or a recording, a feeder or a
@@ -156,25 +156,25 @@ class Scenario(PickledByFields):
 
     @property
     def preset(self) -> str | None:
-        """Name by which ``make_scenario`` gives this very object; None for a variant, or one out of a pickle."""
+        """Name by which ``make_scenario`` returns this object; None for a variant, or an unpickled one."""
         return self.__dict__.get("_preset")
 
     @cached_property
     def datacenters(self) -> DataCenters:
-        """The group of data centres; an empty one where there are none."""
+        """Group of data centres; empty if there are none."""
         return self.group(DataCenters.kind)
 
     @cached_property
     def inverters(self) -> Inverters:
-        """The group of inverters; an empty one where there are none."""
+        """Group of inverters; empty if there are none."""
         return self.group(Inverters.kind)
 
     def group(self, kind: str) -> Any:
-        """The group of devices of a kind."""
+        """Return the group of devices of a kind."""
         return next(device for device in self.devices if device.kind == kind)
 
     def difference(self, other: Scenario) -> str | None:
-        """Path of the first field in which two scenarios differ, None if there is none."""
+        """Return the path of the first field in which two scenarios differ, or None."""
         alone = len(self.devices) == len(other.devices) == len(GROUPS)
         parts = (*PARTS, *(GROUPS if alone else ()))
         paths = [name for name in self.__dataclass_fields__ if name not in PARTS and not (alone and name == "devices")]
@@ -183,7 +183,7 @@ class Scenario(PickledByFields):
 
     @cached_property
     def follows_day(self) -> bool:
-        """Whether base load, generated PV and generated requests follow the course of a day."""
+        """Whether base load, generated PV and generated requests follow the time of day."""
         return self.background.start_hour is not None or self.horizon * self.dt_s > 3600.0
 
     @cached_property
@@ -202,7 +202,7 @@ class Scenario(PickledByFields):
 
     @cached_property
     def work_classes(self) -> int:
-        """Number of work classes that the clock law tells apart; 1 without data centres."""
+        """Number of work classes that the clock law distinguishes; 1 without data centres."""
         return max(getattr(device, "work_classes", 1) for device in self.devices)
 
     @cached_property
@@ -222,7 +222,7 @@ class Scenario(PickledByFields):
 
     @cached_property
     def schedule(self) -> Any:
-        """What the scheduled injections follow, see ``Inverters.injection``; None without a schedule."""
+        """Source of the scheduled injections, see ``Inverters.injection``; None without a schedule."""
         scheduled = [device for device in self.devices if device.input == "injection"]
         return getattr(scheduled[0], "injection", None) if scheduled else None
 
@@ -239,9 +239,9 @@ class Scenario(PickledByFields):
 
     @cached_property
     def model(self) -> Any:
-        """The balanced feeder as agents and controllers know it; the power flow is that of ``feeder``.
+        """Balanced feeder as agents and controllers model it; the power flow uses ``feeder``.
 
-        A three-phase feeder as it is: there the shares are those of its derivatives, see ``believed_sensitivity``.
+        A three-phase feeder is unchanged: the shares then apply to its derivatives, see ``believed_sensitivity``.
         """
         r_share, x_share = self.sensing.r_model_share, self.sensing.x_model_share
         exact = r_share == 1.0 and x_share == 1.0
@@ -251,7 +251,7 @@ class Scenario(PickledByFields):
 
     @cached_property
     def q_scale_kvar(self) -> np.ndarray:
-        """Reactive limit of each agent at zero active power, kvar, (n_agent,): what a reactive action is a share of."""
+        """Reactive limit of each agent at zero active power, kvar, (n_agent,). Reactive actions are shares of it."""
         return read_only(np.concatenate([device.q_limit_kvar for device in self.devices]))
 
     @cached_property
@@ -263,7 +263,7 @@ class Scenario(PickledByFields):
 
     @cached_property
     def fault_targets(self) -> tuple[np.ndarray, ...]:
-        """What each fault draws from: an agent's position, or n_agents + the position of a capacitor's bus."""
+        """Candidates of each fault: an agent's position, or n_agents + the position of a capacitor's bus."""
         drawn_from = []
         for fault in self.faults:
             targets: list[int] = []
@@ -281,5 +281,5 @@ class Scenario(PickledByFields):
 
     @cached_property
     def candidates(self) -> np.ndarray:
-        """Positions in ``bus_ids`` where a device may be drawn: load buses without one that stands fixed."""
+        """Positions in ``bus_ids`` where a device may be drawn: load buses without a fixed one."""
         return read_only(free_load_buses(self.feeder, self.devices))

@@ -1,4 +1,4 @@
-"""What agents and controllers are told of the grid: scope, noise, delay, preview, and how wrong their model is."""
+"""Information of agents and controllers on the grid: scope, noise, delay, preview, and errors of their model."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ ObservationScope = Literal["local", "neighbours", "feeder"]
 
 @dataclass(frozen=True, kw_only=True)
 class Sensing:
-    """What is measured and known."""
+    """Measurements, and the grid model of agents and controllers."""
 
     noise_pu: float = number(0.0, 1.0, default=0.0)
     """Standard deviation of the voltage measurement, p.u."""
     delay_steps: int = count(0, 10_000, default=0)
     """Age of the measured voltage, steps."""
     observe: ObservationScope = choice("local", "neighbours", "feeder", default="local")
-    """Whose figures an agent observes: its own, those of its nearest agents too, or every bus of the feeder."""
+    """Scope of an agent's observation: its own figures, those of its nearest agents too, or every bus of the feeder."""
     preview: bool = choice(True, False, default=True)
     """Whether a data centre observes its p_ref over the coming interval."""
     loading: bool = choice(True, False, default=False)
-    """Whether an agent observes how loaded the branch that feeds its bus is; only a feeder with ratings has it."""
+    """Whether an agent observes the loading of the branch that feeds its bus; only for a feeder with ratings."""
     r_model_share: float = number(0.0, 10.0, default=1.0)
-    """Resistance of every branch as agents and controllers believe it, as a share of the true one."""
+    """Resistance of every branch in the model of agents and controllers, as a share of the true one."""
     x_model_share: float = number(0.0, 10.0, default=1.0)
-    """Reactance of every branch as agents and controllers believe it, as a share of the true one."""
+    """Reactance of every branch in the model of agents and controllers, as a share of the true one."""
 
     def __post_init__(self) -> None:
         settle(self)

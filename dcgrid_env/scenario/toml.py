@@ -2,7 +2,7 @@
 
     base = "ieee33-weak"
     horizon = 60
-    feeder = "ieee33"               # a shipped feeder's name, or a folder, whose path begins where the file stands
+    feeder = "ieee33"               # a bundled feeder's name, or a folder relative to this file
 
     [sensing]
     noise_pu = 0.005
@@ -43,14 +43,14 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
     Parameters
     ----------
     path
-        The file; relative paths in it begin where it stands.
+        Path of the file; relative paths in it start at its folder.
     preset, new
-        What gives the scenario that ``base`` names, and what makes one without a base: the class.
+        Functions that return the scenario named by ``base``, and that make one without a base (the class).
 
     Raises
     ------
     ScenarioError
-        For a file that is not there or no TOML, or a field that cannot be, naming file, field, value and remedy.
+        For a missing file, invalid TOML or an invalid field; the message names file, field, value and remedy.
     """
     path = Path(path)
     try:
@@ -80,24 +80,24 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
 
 
 def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None, brief: bool = False) -> str:
-    """A scenario as TOML, and into a file if a path is given.
+    """Return a scenario as TOML, and write it to a file if a path is given.
 
-    A feeder of one's own is named by its folder: from where the file stands if it is beneath that, else whole.
+    A custom feeder is named by its folder: relative to the file's folder if it is below it, else absolute.
 
     Parameters
     ----------
     scenario, path
-        What is written, and where to.
+        The scenario, and the file to write.
     base
         A preset: only what differs from it is written, with its name as ``base``.
     brief
-        Whether to leave out what is at its default, where there is no base.
+        Whether to leave out fields at their default if no base is given.
 
     Raises
     ------
     ScenarioError
-        For a recording, a feeder or a clock law that exists in memory alone: give files or names instead; for a base
-        that is no preset as ``make_scenario`` gives it.
+        For a recording, a feeder or a clock law that exists only in memory (use files or names instead), and for a
+        base that is not a preset returned by ``make_scenario``.
     """
     import tomli_w  # for who writes alone
 
@@ -137,7 +137,7 @@ _DEFAULT = object()
 
 
 def _without_defaults(field: dataclasses.Field[Any], plain: Any) -> Any:
-    """The plain form of a field less what is at its default; ``_DEFAULT`` where nothing is left."""
+    """Return the plain form of a field without parts at their default; ``_DEFAULT`` if nothing is left."""
     if field.name == "devices":
         return [{"kind": group["kind"], **_changed(device_kind(group["kind"]), group)} for group in plain]
     if field.name in PARTS:
@@ -146,7 +146,7 @@ def _without_defaults(field: dataclasses.Field[Any], plain: Any) -> Any:
 
 
 def _changed(kind: type[Any], plain: dict[str, Any]) -> dict[str, Any]:
-    """The plain fields of a part or a group of devices that are not at their defaults."""
+    """Return the plain fields of a part or a group of devices that are not at their defaults."""
     changed: dict[str, Any] = {}
     for field in dataclasses.fields(kind):
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
@@ -156,7 +156,7 @@ def _changed(kind: type[Any], plain: dict[str, Any]) -> dict[str, Any]:
 
 
 def _from_there(folder: Path, feeder: Any) -> Any:
-    """The folder of a feeder as it is from another one that it is beneath; else as it is."""
+    """Return a feeder's folder relative to another folder above it; else unchanged."""
     if not isinstance(feeder, str) or feeder in FEEDER_REGISTRY:
         return feeder
     there, folder = Path(feeder).absolute(), folder.absolute()
@@ -167,7 +167,7 @@ def _from_there(folder: Path, feeder: Any) -> Any:
 
 
 def _from_here(folder: Path, name: str, value: Any) -> Any:
-    """Paths as they are from the folder of the file."""
+    """Return paths relative to the folder of the file."""
     name = name.rpartition(".")[2]
     if isinstance(value, dict):
         return {key: _from_here(folder, key, item) for key, item in value.items()}
@@ -182,7 +182,7 @@ def _from_here(folder: Path, name: str, value: Any) -> Any:
 
 
 NONE = "none"
-"""Text that stands for None, of which TOML has no word."""
+"""Text for None, which TOML does not have."""
 
 
 def _none_in(value: Any) -> Any:

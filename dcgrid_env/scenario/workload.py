@@ -1,4 +1,4 @@
-"""The work that data centres are asked to do: where its power traces come from, and how episodes draw from them."""
+"""Workload of the data centres: the source of its power traces, and how episodes draw from them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TraceScale = Literal["rated", "as-recorded"]
 
 @dataclass(frozen=True, kw_only=True)
 class Workload:
-    """The power that data centres would draw at the top clock with nothing queued."""
+    """Power that data centres would draw at the highest clock with an empty queue."""
 
     trace: str | tuple[PowerTrace, ...] = "inference"
     """Source: a name (``dcgrid list``) or recordings, each scaled as ``trace_scale`` says.
@@ -25,20 +25,20 @@ class Workload:
     The first 60 % of a recording are for training, then 20 % for validation and 20 % for test, and each part must be as
     long as an episode. Plain form: a generator's name, a recording's name or file, or a list of recordings."""
     trace_scale: TraceScale = choice("rated", "as-recorded", default="rated")
-    """What the power of a recording becomes. ``rated`` scales it to the site: its rating, or its highest power where
-    that is not known, becomes the site's. ``as-recorded`` keeps its kW, which must not exceed the site's rating."""
+    """Scale of a recording's power. ``rated`` scales it to the site: its rating, or its highest power if the rating
+    is unknown, becomes the site's rating. ``as-recorded`` keeps its kW, which must not exceed the site's rating."""
     recording_split: RecordingSplit = choice("time", "recording", default="time")
     """Whether each recording is cut in time, or whole recordings go to the splits in these shares."""
     window: TraceWindow = choice("random", "start", "together", default="random")
-    """Where in a trace an episode begins: anywhere for each site, at its start, or anywhere but at the same time for
-    all sites of an episode (``together``: what was recorded or generated side by side stays so)."""
+    """Start of an episode in a trace: random for each site, the trace's start, or a random time that all sites of an
+    episode share (``together``: simultaneous recorded or generated power stays simultaneous)."""
     site_correlation: float = number(0.0, 1.0, default=0.0)
-    """Probability that a site draws what the first one does, the same row and time; 1 for all sites in step."""
+    """Probability that a site has the same row and time as the first one; 1 for all sites in step."""
     compute_share: float = number(0.0, 1.0, default=1.0)
     """Compute-bound share of the work if the trace does not define it (recordings), for a law of two work classes."""
     full_load_s: tuple[float, float] | None = None
-    """Begin and end of a period of each episode in which all sites are asked for their rating at least, s; None for
-    none."""
+    """Begin and end of a period of each episode in which the demand of every site is at least its rating, s; None for
+    no such period."""
 
     def __post_init__(self) -> None:
         settle(self, trace=_trace)
@@ -65,7 +65,7 @@ def _are_traces(values: tuple[Any, ...]) -> bool:
 
 
 def _trace(value: Any) -> Any:
-    """Recordings that names and files stand for; any other value as it is."""
+    """Return the recordings for names and files; any other value unchanged."""
     if isinstance(value, PowerTrace):
         return (value,)
     if is_recording(value):

@@ -1,7 +1,7 @@
 """Units on this machine: executors of concurrent.futures with one process each, as many as there are workers.
 
-An executor of several processes breaks as a whole where one of them dies, and does not say which unit it was at. With
-one process each, a death costs the unit at hand alone, is that unit's for certain, and the executor is made anew.
+An executor of several processes breaks as a whole if one of them dies, and does not report the unit of that process.
+With one process each, only the running unit is lost, its identity is certain, and the executor is replaced.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class _Workers:
         self.started: list[_Worker] = []
 
     def begin(self, unit: Unit[Any, Any]) -> tuple[_Worker, Future[Any]]:
-        """Give a unit to an idle worker, or to a new one."""
+        """Assign a unit to an idle worker, or to a new one."""
         while self.idle:
             worker = self.idle.pop()
             try:
@@ -132,7 +132,7 @@ class _Workers:
         return worker, future
 
     def buried(self, worker: _Worker) -> int | None:
-        """The exit code of a worker that has died, a signal's number negative; nothing of it is left."""
+        """Return the exit code of a dead worker, negative for a signal, and remove the worker."""
         self.started.remove(worker)
         worker.executor.shutdown()  # reaps the process
         return worker.process.exitcode
@@ -153,7 +153,7 @@ class _Workers:
 
 @contextlib.contextmanager
 def _settings_of_a_worker() -> Iterator[None]:
-    """What a process is started with: one thread for libraries as they are loaded, and no Ctrl-C from the first on."""
+    """Start processes in the block with one thread for each library, and without Ctrl-C from the start."""
     before = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:

@@ -1,4 +1,4 @@
-"""A unit of work, what becomes of it, and the places that run units, all alike."""
+"""Units of work, their results, and the common interface of the places that run units."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 TRIES = 3
-"""How often a unit is tried whose worker dies: once, and then at most twice again."""
+"""Maximum number of attempts for a unit whose worker dies."""
 GOES_ON = "the same command goes on from there"
-"""What is said where what was done is kept and not done again."""
+"""Message that finished work is kept and not repeated."""
 _NAMED = 10
 """Units that a message names before it counts the others."""
 
@@ -19,9 +19,9 @@ Result = TypeVar("Result")
 
 
 class Needs(NamedTuple):
-    """What a unit takes while it runs.
+    """Resources of a unit while it runs.
 
-    On one machine the cores alone limit how many units run at once; a cluster heeds all three.
+    On one machine the cores alone limit how many units run at once; a cluster uses all three.
     """
 
     cores: float = 1.0
@@ -35,10 +35,10 @@ ONE_CORE = Needs()
 
 @dataclass(frozen=True)
 class Unit(Generic[Item, Result]):
-    """A piece of work that depends on nothing but its item, so that it may be done anywhere, and again."""
+    """Piece of work that depends only on its item, so it may run anywhere, and be repeated."""
 
     key: str
-    """What messages call it, such as ``toy6, seed 3``."""
+    """Name in messages, such as ``toy6, seed 3``."""
     work: Callable[[Item], Result]
     """A function of a module."""
     item: Item
@@ -48,16 +48,16 @@ class Unit(Generic[Item, Result]):
 
 @dataclass(frozen=True)
 class Lost:
-    """In place of a unit's result: why there is none."""
+    """Reason why a unit has no result; returned in its place."""
 
     reason: str
-    """On one line."""
+    """Reason on one line."""
     error: Exception | None = None
-    """What the work raised; None where its worker died each time."""
+    """Exception that the work raised; None if its worker died each time."""
 
 
 class LostUnits(ValueError):
-    """Some units have no result; the message names them, says why, and how to go on."""
+    """Error for units without a result; the message names them, the reasons and how to continue."""
 
     @property
     def traced(self) -> bool:
@@ -82,15 +82,15 @@ class Place(ABC):
     ) -> Iterator[tuple[Unit[Item, Result], Result | Lost]]:
         """Run the units; each with its result, or why it has none, in the order in which they are done.
 
-        A unit whose worker dies is tried again, at most ``TRIES`` times in all; what the work raises is not. Leaving
+        A unit whose worker dies is tried again, at most ``TRIES`` times in total; a unit that raises is not. Leaving
         the iterator (Ctrl-C included) ends the workers.
 
         Parameters
         ----------
         units
-            What is to be done.
+            The units to run.
         shared
-            Values that many units use, by their names; ``worker.shared`` gives them to the work. They travel once to a
+            Values that many units use, by name; ``worker.shared`` returns them to the work. They are sent once to a
             worker on this machine, and once to a node of a cluster, not with each unit.
         """
 

@@ -15,7 +15,7 @@ from dcgrid_env.core.versions import command_of
 from dcgrid_env.core.work.unit import Lost
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "DCGRID_NUM_THREADS")
-"""Variables that say how many threads numerical libraries use; 1 in a worker."""
+"""Environment variables for the number of threads of numerical libraries; 1 in a worker."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

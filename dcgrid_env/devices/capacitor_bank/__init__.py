@@ -1,1 +1,1 @@
-"""Banks of capacitors that are switched: by a control of their own, or at an agent's command."""
+"""Banks of capacitors that are switched by their own control, or by an agent's command."""

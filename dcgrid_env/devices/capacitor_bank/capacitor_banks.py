@@ -46,11 +46,11 @@ class CapacitorBanks(GridEquipment):
     buses: tuple[str, ...]
     phases: tuple[str, ...]
     base: tuple[float, ...]
-    """State at rest, 1 for on and 0 for off."""
+    """Initial state, 1 for on and 0 for off."""
 
     @classmethod
     def of_feeder(cls, feeder: ThreePhaseFeeder, rows: tuple[int, ...]) -> CapacitorBanks:
-        """The banks that stand in some rows of a feeder's table."""
+        """Return the banks in some rows of a feeder's table."""
         table, legs = feeder.network.capacitor, feeder.capacitor_legs
         phases = []
         for row in rows:

@@ -26,14 +26,14 @@ _SAME_TIME_S = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class CapacitorControl:
-    """When a bank switches itself.
+    """Switching rule of a controlled bank.
 
     The defaults of the reactive control are those of the IEEE 8500 node feeder: of 300 kvar a phase, on above 150 kvar
     and off below -225, after 100 s.
     """
 
     measures: Literal["voltage", "kvar"] = choice("voltage", "kvar", default="voltage")
-    """What its control goes by."""
+    """Quantity that the control uses."""
     on_below_pu: float = number(0.5, 1.5, default=0.98)
     """Voltage below which it is switched on, p.u."""
     off_above_pu: float = number(0.5, 1.5, default=1.04)
@@ -57,7 +57,7 @@ class CapacitorControl:
 
 
 class BankSettings(NamedTuple):
-    """Where the banks of a feeder stand, in the order of their table."""
+    """Nodes and settings of a feeder's banks, in the order of their table."""
 
     nodes: Array
     """Nodes of each bank, a bank of fewer with each of them several times, int, (k n_capacitor,)."""

@@ -1,4 +1,4 @@
-"""Batch size: fewer, larger batches take less energy for the same work, and a request waits longer for its first token.
+"""Batch size: larger batches take less energy for the same work, and a request waits longer for its first token.
 
 With b requests in a batch and b0 in that of the trace, work takes this share of the energy that it takes there,
 
@@ -35,18 +35,18 @@ from dcgrid_env.devices.ratings import DataCenterParams
 
 @dataclass(frozen=True, kw_only=True)
 class Batching:
-    """Batch sizes that the sites can be set to; plain form: a mapping of these fields."""
+    """Batch sizes that agents can select for the sites; plain form: a mapping of these fields."""
 
     lowest: float = number(1.0, 65536.0, default=8.0)
     """Smallest batch, requests."""
     highest: float = number(1.0, 65536.0, default=512.0)
     """Largest batch, requests."""
     reference: float = number(1.0, 65536.0, default=64.0)
-    """Batch of the trace, requests; the setpoint at rest."""
+    """Batch of the trace, requests; the initial setpoint."""
     batch_energy_share: float = number(0.0, 0.99, default=0.3)
-    """Share of the energy that a batch takes whatever its size, at the reference."""
+    """Share of a batch's energy that does not depend on its size, at the reference."""
     gather_s: float = number(0.0, 3600.0, default=0.1)
-    """How long a request waits for its batch at the reference, s."""
+    """Time that a request waits for its batch at the reference, s."""
     batch_weight: float = number(0.0, 1e9, default=0.3)
     """Weight of the cost term ``gathering``: seconds that the work served in a second waited longer than in the trace,
     as a share of the rating."""
@@ -66,9 +66,9 @@ class BatchState(NamedTuple):
     batch: Array
     """Requests in a batch."""
     batch_wait_s: Array
-    """How much longer a request waits for its batch than in the trace, s."""
+    """Additional wait of a request for its batch, compared with the trace, s."""
     gathered_kws: Array
-    """Work served in the step by how much longer it waited, kW s; nothing below the reference."""
+    """Work served in the step times its additional wait, kW s; 0 below the reference."""
 
 
 METRICS = (

@@ -1,7 +1,7 @@
-"""How a GPU clock turns queued work into speed and power (dynamic voltage and frequency scaling).
+"""Clock laws: speed and power of queued work by GPU clock (dynamic voltage and frequency scaling).
 
-A law may tell apart two classes of work: compute-bound (prefill, training) and memory-bound (decode). It says
-so with an attribute ``work_classes = 2``; without one it has a single work class.
+A law may distinguish two classes of work: compute-bound (prefill, training) and memory-bound (decode). Its
+attribute ``work_classes`` is then 2; without the attribute it has a single work class.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dcgrid_env.devices.ratings import DataCenterParams
 
 
 class Dvfs(Protocol):
-    """A clock law: what a site does with the work at hand at a given clock."""
+    """Clock law: work served and power drawn by a site at a given clock."""
 
     def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
         """Work served and dynamic power drawn over an interval.
@@ -40,7 +40,7 @@ class Dvfs(Protocol):
 
 
 def work_classes_of(dvfs: Any) -> int:
-    """Number of work classes that a clock law tells apart."""
+    """Return the number of work classes that a clock law distinguishes."""
     return getattr(dvfs, "work_classes", 1)
 
 
@@ -64,7 +64,7 @@ class LinearDvfs:
     work_classes: ClassVar[int] = 1
 
     def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
-        """See :class:`Dvfs`: what is served is what is drawn."""
+        """Return work served and power drawn, which are equal; see :class:`Dvfs`."""
         ceiling = params.p_dynamic_kw * (f_mhz / params.f_max_mhz)
         served = namespace(f_mhz).minimum(ceiling, work_kw)
         return served, served

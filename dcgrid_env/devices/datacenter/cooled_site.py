@@ -1,4 +1,4 @@
-"""Cooling and auxiliaries of data centres, a feature of theirs: what is drawn beside the computers.
+"""Cooling and auxiliaries of data centres, a site feature: draw in addition to the computers.
 
     C'(t) = (k P - C) / tau       C: cooling power, k: cooling_share, P: draw of the computers, held over an interval
     drawn = P + mean of C over the interval + auxiliary_share p_rated
@@ -27,15 +27,16 @@ NONE_YET = -1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Cooling:
-    """How much a site draws beside its computers. No source settles the figures: the defaults are choices, at which the
-    power usage effectiveness at the rating is 1.25."""
+    """Draw of a site in addition to its computers.
+
+    No source gives the figures: the defaults are choices with a power usage effectiveness of 1.25 at the rating."""
 
     cooling_share: float = number(0.0, 2.0, default=0.2)
     """Cooling power in the steady state as a share of the computers' draw."""
     time_constant_s: float = number(0.0, 86_400.0, default=120.0)
     """Time constant of the lag between the computers' draw and the cooling power, s; 0 for none."""
     auxiliary_share: float = number(0.0, 2.0, default=0.05)
-    """Draw of everything else, all the time, as a share of the rating."""
+    """Constant draw of everything else, as a share of the rating."""
 
     def __post_init__(self) -> None:
         settle(self)
@@ -43,11 +44,11 @@ class Cooling:
 
     @property
     def pue_at_rating(self) -> float:
-        """Power usage effectiveness in the steady state at the rating: what is drawn over what the computers draw."""
+        """Power usage effectiveness in the steady state at the rating: total draw over the computers' draw."""
         return 1.0 + self.cooling_share + self.auxiliary_share
 
     def largest_draw_share(self, boost_share: float) -> float:
-        """Highest draw of a site as a share of its rating, where its computers draw ``boost_share`` at most."""
+        """Return the highest draw of a site as a share of its rating if its computers draw ``boost_share`` at most."""
         return boost_share * (1.0 + self.cooling_share) + self.auxiliary_share
 
 
@@ -92,11 +93,11 @@ class CooledSite:
         return (Field("cooling", "share of the rating", 0.0, most or 1.0, params.p_rated_kw),)
 
     def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """It is charged for nothing but what its draw does to the grid."""
+        """Empty: cooling has no cost term."""
         return ()
 
     def initial(self, params: DataCenterParams, zero: Array) -> CoolingState:
-        """Cooling that will have settled by t = 0."""
+        """Return cooling that will have settled by t = 0."""
         return CoolingState(zero, zero, zero + NONE_YET, zero)
 
     def step(

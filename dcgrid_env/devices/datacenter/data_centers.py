@@ -1,4 +1,4 @@
-"""Data centres of a scenario: where they stand, how large they are, and how their clock acts."""
+"""Data centres of a scenario: buses, ratings, clock model and features."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from dcgrid_env.grid import buses_as_text
 
 @dataclass(frozen=True, kw_only=True)
 class DataCenters(PickledByFields):
-    """Sites alike but for their ratings. A rating is one number for all of them, or one for each."""
+    """Data centres that differ only in their ratings. A rating is one number for all of them, or one for each."""
 
     kind: ClassVar[str] = "datacenter"
     prefix: ClassVar[str] = "dc"
@@ -46,7 +46,7 @@ class DataCenters(PickledByFields):
     count: int = count(0, 10_000)
     """Number of sites."""
     buses: tuple[int | str, ...] | None = None
-    """Their buses, kept as text, or None: drawn in each episode among the load buses without a device."""
+    """Buses of the sites, stored as text, or None: drawn in each episode among the load buses without a device."""
     p_rated_kw: Rating
     """Rated power, kW."""
     idle_share: float = number(0.0, 0.99, default=0.23)
@@ -56,32 +56,32 @@ class DataCenters(PickledByFields):
     f_min_mhz: float = number(1e-9, "f_max_mhz", default=210.0)
     """Lowest clock, MHz."""
     s_rated_share: float = number(1.0, float("inf"))
-    """Converter rating as a share of the rated power, with cooling of what the site then draws, see ``cooling``."""
+    """Converter rating as a share of the rated power; with cooling, of the draw at the rating, see ``cooling``."""
     q_max_share: float = number(0.0, "s_rated_share")
     """Reactive limit as a share of the rated power."""
     clock_law: Dvfs = field(default_factory=LinearDvfs)
-    """How the clock turns work into speed and power: LinearDvfs(), PrefillDecodeDvfs(), or one's own. Plain form:
+    """Model of speed and power by the clock: LinearDvfs(), PrefillDecodeDvfs(), or a custom one. Plain form:
     "linear", "prefill-decode", or a mapping such as ``{"law": "prefill-decode", "decode_clock_share": 0.03}``."""
     boost_share: float = number(1.0, 2.0, default=1.0)
-    """Highest short draw of a site as a share of its rating; up to 1.3 has been seen."""
+    """Highest short draw of a site as a share of its rating; values up to 1.3 have been observed."""
     phases: Phases | None = None
-    """Phases of a three-phase feeder that a site draws from in equal parts, such as "abc" or "b". By default all that
-    its bus has, which are all three where the bus is drawn."""
+    """Phases of a three-phase feeder that a site draws from in equal parts, such as "abc" or "b". By default all
+    phases of its bus; a bus that is drawn has all three."""
     ride_through: UpsRideThrough | None = None
-    """When a site goes over to its UPS, and how it returns; None for sites that stay connected whatever the voltage."""
+    """Rule for transfers to the UPS and returns; None for sites that stay connected at any voltage."""
     storage: SiteStorage | None = None
-    """A storage behind the site's converter, which the site's agent drives; None for sites without one."""
+    """Storage behind the site's converter, controlled by the site's agent; None for sites without one."""
     smoothing: PowerSmoothing | None = None
     """GPU power smoothing; None for a draw that follows the work."""
     cooling: Cooling | None = None
-    """What a site draws beside its computers; None for nothing. ``p_rated_kw`` is the rating of the computers. The
-    converter is then as much larger as the draw at the rating."""
+    """Draw of a site in addition to its computers; None for no such draw. ``p_rated_kw`` is the rating of the
+    computers. The converter grows by the same factor as the draw at the rating."""
     routing: Routing | None = None
-    """How arriving work may be moved between the sites; None for work that stays where it arrives."""
+    """Settings for moving arriving work between the sites; None for work that stays where it arrives."""
     batching: Batching | None = None
     """Batch sizes that the sites can be set to; None for those of the trace."""
     service: ServiceLevels | None = None
-    """What work is to be served by when; None for work without a deadline."""
+    """Deadlines of the work; None for work without a deadline."""
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
@@ -99,12 +99,12 @@ class DataCenters(PickledByFields):
 
     @cached_property
     def work_classes(self) -> int:
-        """Number of work classes that the clock law tells apart."""
+        """Number of work classes that the clock law distinguishes."""
         return work_classes_of(self.clock_law)
 
     @cached_property
     def features(self) -> tuple[SiteFeature, ...]:
-        """What the sites have beside clock, queue and converter, from the chips towards the grid."""
+        """Features in addition to clock, queue and converter, in order from the chips to the grid."""
         return features_of(self)
 
     @cached_property
@@ -134,7 +134,7 @@ class DataCenters(PickledByFields):
 
     @property
     def p_scale_kw(self) -> np.ndarray:
-        """Rating that a draw is a share of, kW: that of the computers, whatever is drawn beside them."""
+        """Rating that a draw is a share of, kW: that of the computers, without any additional draw."""
         return self.parameters.p_rated_kw
 
     @property
@@ -149,12 +149,12 @@ class DataCenters(PickledByFields):
 
     @property
     def largest_export_share(self) -> float:
-        """Highest power that a site gives to the grid, as a share of the rating: where a storage stands behind it."""
+        """Highest injection of a site as a share of its rating: positive only with a storage behind its converter."""
         return 0.0 if self.storage is None else 1.0
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Clock, then reactive power, then those of the features."""
+        """Channels: clock, then reactive power, then those of the features."""
         p, q = self.parameters, self.q_limit_kvar
         return (
             Channel("clock", "MHz", p.f_min_mhz, p.f_max_mhz, rest=p.f_max_mhz),
@@ -163,8 +163,8 @@ class DataCenters(PickledByFields):
         )
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """Work to come and work that waits, in all and, where the law tells two classes apart, compute-bound; and what
-        there is of the features."""
+        """Observed work: upcoming and waiting, in total and, if the law has two classes, compute-bound; and the
+        fields of the features."""
         rated, boost = self.parameters.p_rated_kw, self.boost_share
         longest_s = horizon * dt_s * (boost + bool(self.routing))  # a site is given at most its rating beside its own
         of_features = [field for feature in self.features for field in feature.fields(self.parameters, horizon, dt_s)]
@@ -182,7 +182,7 @@ class DataCenters(PickledByFields):
         )
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """Work that waits, work that is left over, the movement of the clock, and what the features are charged for."""
+        """Cost terms: waiting work, leftover work, movement of the clock, and those of the features."""
         rated = self.parameters.p_rated_kw
         of_all = float(rated.sum()) or 1.0
         # A site to which work is moved is given at most what it can serve beside its own.
@@ -197,14 +197,14 @@ class DataCenters(PickledByFields):
         )
 
     def check_episode(self, horizon: int) -> None:
-        """Nothing of a data centre depends on the length of an episode."""
+        """Accept any number of steps: a data centre does not depend on the length of an episode."""
 
     def check_step(self, dt_s: float) -> None:
-        """Raise FieldError for a feature that cannot serve steps of this length."""
+        """Raise FieldError for a feature that does not support steps of this length."""
         check_step(self, dt_s)
 
     def initial(self, parameters: DataCenterParams, zero: Array) -> Any:
-        """Empty queues, the clocks at their top, and the features as they begin."""
+        """Return the initial state: empty queues, highest clocks, and the features' initial states."""
         xp = namespace(zero)
         by_class = xp.stack((zero, zero), axis=-1) if self.work_classes == 2 else zero
         top = zero + parameters.f_max_mhz
@@ -221,22 +221,22 @@ class DataCenters(PickledByFields):
         given: Any,
         dt_s: float,
     ) -> tuple[Any, Array]:
-        """Serve work as the clock allows, see ``datacenter.step``; features act on it, see ``site_features``."""
+        """Serve work at the speed of the clock, see ``datacenter.step``; features act on it, see ``site_features``."""
         if not self.features:
             return self._steps.plain(parameters, state, setpoints[0], given, dt_s)
         given = Given(given, None) if self.ride_through is None else Given(given.given, given)
         return self._steps.with_features(parameters, state, setpoints, given, dt_s)
 
     def connected(self, state: Any) -> Array:
-        """Share of each site's power that is on the grid, see ``device.may_leave``."""
+        """Return the share of each site's power that is on the grid, see ``device.may_leave``."""
         return state.ups.share
 
     def grid_change(self, parameters: DataCenterParams, state: DataCenterState) -> GridChange:
-        """Leave the grid as it is."""
+        """Change nothing in the grid."""
         return GridChange()
 
     def observe(self, parameters: DataCenterParams, state: Any, given_next: Work) -> tuple[Array, ...]:
-        """Raw figures of the fields, kW and kW s."""
+        """Return the raw figures of the fields, kW and kW s."""
         coming, waiting = given_next.p_ref_kw, state.backlog_kws
         of_features = []
         for feature, feature_state in self._with_states(state):
@@ -248,7 +248,7 @@ class DataCenters(PickledByFields):
         return coming, waiting, compute, state.class_backlog_kws[..., 0], *of_features
 
     def amount(self, name: str, parameters: DataCenterParams, state: Any) -> Array:
-        """Queued work, kW s, or the clock's movement as a share of its range; or what a feature is charged for."""
+        """Return queued work, kW s, the clock's movement as a share of its range, or a feature's amount."""
         if name == "backlog_kws":
             return state.backlog_kws
         for feature, feature_state in self._with_states(state):
@@ -258,14 +258,14 @@ class DataCenters(PickledByFields):
         return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
 
     def totals(self, state: Any) -> dict[str, Array]:
-        """Queued work of all sites, kW s, and what there is of the features."""
+        """Return the queued work of all sites, kW s, and the figures of the features."""
         figures = {"backlog_kws": sum_last(state.backlog_kws)}
         for feature, feature_state in self._with_states(state):
             figures |= feature.totals(feature_state)
         return figures
 
     def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
-        """Waiting times, clocks, times of requests, and what there is of the features."""
+        """Return waiting times, clocks, times of requests, and the metrics of the features."""
         latency_s = self.routing.move_latency_s if self.routing else 0.0
         figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests, latency_s)
         for feature, feature_state in self._with_states(history):
@@ -273,7 +273,7 @@ class DataCenters(PickledByFields):
         return figures
 
     def streaming(self, dt_s: float, requests: Any) -> StreamingSites:
-        """Accumulator of the figures of ``metrics`` over a course that comes in parts."""
+        """Return an accumulator of the figures of ``metrics`` for a streamed episode."""
         latency_s = self.routing.move_latency_s if self.routing else 0.0
         return StreamingSites(self.parameters, self.clock_law, self.features, latency_s, dt_s, requests)
 

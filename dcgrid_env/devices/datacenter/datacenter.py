@@ -32,7 +32,7 @@ class DataCenterState(NamedTuple):
     f_last_mhz: Array
     """Clock one step earlier, MHz."""
     arrived_kw: Array
-    """Dynamic power asked for by work that arrived in the interval, kW."""
+    """Dynamic power for work that arrived in the interval, kW."""
     served_kw: Array
     """Dynamic power of work served in it, kW."""
     class_backlog_kws: Array
@@ -43,7 +43,7 @@ class DataCenterState(NamedTuple):
 
 
 class DataCenterStep(NamedTuple):
-    """What the data centres did over one interval, each of shape (..., n_dc)."""
+    """Result of the data centres over one interval, each of shape (..., n_dc)."""
 
     backlog_kws: Array
     """Work queued at the end, kW s."""
@@ -131,14 +131,14 @@ def serve_arrived(
     compute_share: Array | None = None,
     energy_share: Array | None = None,
 ) -> DataCenterStep:
-    """What ``step`` does, for work that has been told apart from the draw beside it.
+    """Advance like ``step``, with the work separated from the other draw.
 
     Parameters
     ----------
     params, dvfs, class_backlog_kws, f_mhz, dt_s, compute_share
         Those of ``step``; ``params`` has the dynamic power that the law may give.
     base_kw
-        Draw beside the work, kW, (..., n_dc).
+        Draw other than for work, kW, (..., n_dc).
     arrived_kw
         Work that arrives, as the dynamic power that it takes at the top clock, kW, (..., n_dc).
     energy_share

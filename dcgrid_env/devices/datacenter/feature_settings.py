@@ -46,7 +46,7 @@ METRICS = (
 )
 """Metrics of the features."""
 _REQUIRED = {"ride_through": "curve=..", "storage": "p_rated_kw=.., energy_kwh=.."}
-"""What has to be given of each."""
+"""Required fields of each."""
 
 
 def with_path(field: str, function: Callable[..., Any], *given: Any) -> Any:

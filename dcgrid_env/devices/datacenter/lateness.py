@@ -1,4 +1,4 @@
-"""How late work was served that had a time to be served by, from what arrived and was served in each step.
+"""Lateness of work with a deadline, from the work that arrived and was served in each step.
 
 Work that arrives in step k and is served in step m has waited m - k steps, one more if it was moved, and is late by
 what that is beyond its slack. Work that is not served by the end counts as if it were in the step after the last.
@@ -108,7 +108,7 @@ class Line(NamedTuple):
     due: np.ndarray
     """Last step in which it is in time."""
     place: np.ndarray
-    """What it stands in line by: the lower, the earlier it is served."""
+    """Priority in the queue: the lower, the earlier it is served."""
     group: np.ndarray
     """What comes first of those with the same place, and then the earlier arrival."""
 

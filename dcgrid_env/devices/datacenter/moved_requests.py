@@ -1,4 +1,4 @@
-"""Which site serves a request where work is moved between sites, and what waits it has beside those of the queue.
+"""Requests whose work is moved between sites: the serving site, and waits in addition to the queue's.
 
 Work is a fluid, and requests are followed one by one to find their delays. Of the requests that arrive at a site in a
 step as large a share goes elsewhere as of its work, spread evenly among them, and to the sites that receive in the

@@ -10,13 +10,13 @@ from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
 from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
 
 CLOCK_LAWS: dict[str, type[Any]] = {"linear": LinearDvfs, "prefill-decode": PrefillDecodeDvfs}
-"""Clock laws by the name that stands for them."""
+"""Clock laws by name."""
 
 
 def clock_law(value: Any) -> Any:
-    """The law that plain data stand for; any other value as it is.
+    """Return the law for plain data; any other value unchanged.
 
-    ValueError, saying what would do, for a law or parameter that there is not, or a value that cannot be.
+    ValueError, with the allowed values, for an unknown law or parameter, or an invalid value.
     """
     law, parameters = value, {}
     if isinstance(value, Mapping):
@@ -35,7 +35,7 @@ def clock_law(value: Any) -> Any:
 
 
 def plain_law(law: Any) -> Any:
-    """The plain form of a law; one of the user's own as it is."""
+    """Return the plain form of a law; a custom law unchanged."""
     for name, kind in CLOCK_LAWS.items():
         if type(law) is kind:
             return {"law": name, **dataclasses.asdict(law)} if dataclasses.fields(kind) else name

@@ -1,6 +1,6 @@
-"""Settings of GPU power smoothing, in the terms of the profiles that NVML has for Blackwell GPUs.
+"""Settings of GPU power smoothing, in the terms of NVML's profiles for Blackwell GPUs.
 
-A profile there has a floor in percent of the largest power, ramp rates up and down in W/s a GPU and a hysteresis in ms
+A profile has a floor in percent of the largest power, ramp rates up and down in W/s per GPU and a hysteresis in ms
 (NVML API reference, "Power Smoothing Information"); a floor of 20 to 90 % is that of GB200. No source gives typical
 rates or times: the defaults are choices.
 """
@@ -23,35 +23,35 @@ LONGEST_S = 86_400.0
 
 @dataclass(frozen=True, kw_only=True)
 class PowerSmoothing:
-    """A floor under a site's draw, limits on its ramps, and how long the floor outlasts the work.
+    """Power smoothing: a floor of a site's draw, ramp limits, and the time for which the floor outlasts the work.
 
-    Whatever is drawn beyond what the work takes is burnt, and charged; what a slow ramp up keeps from being served
-    waits in the queue.
+    Power drawn in excess of the work is burnt, and charged. Work that a slow upward ramp does not serve waits in the
+    queue.
     """
 
     floor_share: float = number(0.0, 1.0, default=0.9)
-    """Floor as a share of the rated power (GB200: 0.2 to 0.9), above the idle share, or 0 for none. Where the agent
-    decides, the highest that it may choose."""
+    """Floor as a share of the rated power (GB200: 0.2 to 0.9), above the idle share, or 0 for none. If the agent
+    decides, the highest value that it may choose."""
     ramp_up_w_per_s: float = number(1e-9, LARGEST_RAMP_W_PER_S, default=1200.0)
-    """Fastest rise of the draw, W/s a GPU. Where the agent decides, the fastest that it may choose; so for the fall."""
+    """Fastest rise of the draw, W/s per GPU. If the agent decides, the fastest that it may choose."""
     ramp_down_w_per_s: float = number(1e-9, LARGEST_RAMP_W_PER_S, default=1200.0)
-    """Fastest fall of the draw, W/s a GPU."""
+    """Fastest fall of the draw, W/s per GPU. If the agent decides, the fastest that it may choose."""
     hysteresis_s: float = number(0.0, LONGEST_S, default=5.0)
-    """How long the work must take less than the floor before the floor is released, s, rounded to whole steps."""
+    """Time that the work must draw less than the floor before the floor is released, s, rounded to whole steps."""
     gpus: Rating | None = None
-    """GPUs of a site, one number or one for each; None: its rating over ``gpu_rated_w``."""
+    """Number of GPUs of a site, one number or one for each; None: its rating over ``gpu_rated_w``."""
     gpu_rated_w: float | None = None
-    """Rated power of a GPU, W, where ``gpus`` is not given; None: 1200 W, that of a GPU of the GB200."""
+    """Rated power of a GPU, W, if ``gpus`` is not given; None: 1200 W, that of a GPU of the GB200."""
     control: Literal["fixed", "agent"] = choice("fixed", "agent", default="fixed")
-    """Whether floor and ramps are as they stand here, or channels of the site's agent: ``floor``, ``ramp_up`` and
-    ``ramp_down``, without a floor and at the fastest ramps at rest."""
+    """Whether floor and ramps are fixed at these values, or channels of the site's agent: ``floor``, ``ramp_up`` and
+    ``ramp_down``. Inactive channels mean no floor and the fastest ramps."""
     change_every_s: float = number(0.0, LONGEST_S, default=10.0)
-    """How long what the agent has chosen is held before it may change again, s, rounded to whole steps."""
+    """Time that the agent's choice is kept before it may change again, s, rounded to whole steps."""
     slowest_share: float = number(1e-6, 1.0, default=0.01)
     """Slowest ramp that the agent may choose, as a share of the fastest."""
     burnt_weight: float = number(0.0, 1e9, default=1.0)
-    """Weight of the cost term ``burnt``: power burnt over the sum of the ratings. At 1 a site of all that burns its
-    rating costs what a mean deviation of 0.01 p.u. costs."""
+    """Weight of the cost term ``burnt``: power burnt over the sum of the ratings. At 1, all sites burning
+    their ratings cost as much as a mean deviation of 0.01 p.u."""
 
     def __post_init__(self) -> None:
         settle(self)
@@ -62,7 +62,7 @@ class PowerSmoothing:
             raise refuse(self, "gpus", "give either gpus or gpu_rated_w, since one follows from the other")
 
     def check_sites(self, n: int, idle_share: float) -> None:
-        """Raise FieldError where the settings do not fit so many sites of this idle share."""
+        """Raise FieldError if the settings do not fit that many sites with this idle share."""
         if 0.0 < self.floor_share <= idle_share:
             raise refuse(
                 self, "floor_share", f"give more than the idle_share of the sites, {idle_share:g}, or 0 for none"
@@ -71,12 +71,12 @@ class PowerSmoothing:
             check_each(self, "gpus", n, 1.0, 1e9)
 
     def gpus_of(self, p_rated_kw: np.ndarray) -> np.ndarray:
-        """Number of GPUs of sites with these ratings, (slot,)."""
+        """Return the number of GPUs of sites with these ratings, (slot,)."""
         if self.gpus is not None:
             return per_device(self.gpus, len(p_rated_kw))
         return 1000.0 * p_rated_kw / (self.gpu_rated_w or GPU_RATED_W)
 
     def ramps_kw_per_s(self, p_rated_kw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fastest rise and fall of sites with these ratings, kW/s, (slot,) each."""
+        """Return the fastest rise and fall of sites with these ratings, kW/s, (slot,) each."""
         of_gpus = self.gpus_of(p_rated_kw) / 1000.0
         return self.ramp_up_w_per_s * of_gpus, self.ramp_down_w_per_s * of_gpus

@@ -1,4 +1,4 @@
-"""Delays of single requests, from the fluid queue that stands for their work and from the clock they are served at.
+"""Delays of single requests, from the fluid queue of their work and the clock at which they are served.
 
 A request's times are known at the top clock: arrival, first token and last token, and how long it is being read. A
 class's work that would have been done at time tau is done when the cumulative served work S reaches the cumulative

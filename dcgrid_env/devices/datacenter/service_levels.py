@@ -1,4 +1,4 @@
-"""Service levels: work is interactive, with a target, or deferrable, with a deadline, and what is late is charged.
+"""Service levels: work is interactive, with a target, or deferrable, with a deadline, and late work is charged.
 
 The queue of a site is kept by slack: bin j holds the work that has j more steps to be served in time, bin 0 what is
 overdue. With D = floor(deadline / dt), work that arrives with deadline D in a step may be served in it and in the D
@@ -31,21 +31,21 @@ from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
 
 MOST_BINS = 600
-"""Most steps that a deadline may be away: the queue has a bin for each."""
+"""Largest deadline in steps: the queue has a bin for each."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServiceLevels:
-    """What work is to be served by when, and in which order; plain form: a mapping of these fields."""
+    """Deadlines of the work, and the order in which it is served; plain form: a mapping of these fields."""
 
     target_s: float = number(0.0, 1e6, default=2.0)
-    """Time in which interactive work is to be served, s."""
+    """Time in which interactive work must be served, s."""
     deadline_s: float = number(1e-3, 1e6, default=30.0)
-    """Time in which deferrable work is to be served, s; longer than the target."""
+    """Time in which deferrable work must be served, s; longer than the target."""
     interactive_share: float = number(0.0, 1.0, default=0.7)
     """Share of the arriving work that is interactive."""
     order: Literal["edf", "fcfs"] = choice("edf", "fcfs", default="edf")
-    """Earliest deadline first, or first come first served."""
+    """Order of service: earliest deadline first, or first come first served."""
     late_weight: float = number(0.0, 1e9, default=3.0)
     """Weight of the cost term ``late``: seconds of work at the rating that are overdue."""
 
@@ -78,7 +78,7 @@ class ServiceState(NamedTuple):
     overdue_kws: Array
     """Work that is overdue, kW s, (row, slot)."""
     due_next_kws: Array
-    """Work that is to be served in the next step, beside what is overdue, kW s, (row, slot)."""
+    """Work due in the next step, without overdue work, kW s, (row, slot)."""
 
 
 METRICS = (
@@ -94,7 +94,7 @@ METRICS = (
     Metric("lateness_p95_s", "95 % of work late by at most", "s", 1, "lower",
         "lateness that 95 % of the work does not exceed", tables=("run",), short="p95 lateness, s"),
 )  # fmt: skip
-"""Metrics of sites whose work is to be served by a time."""
+"""Metrics of sites whose work has deadlines."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class ServedSites(PassesBy):
 
 
 class _LatenessOfSites:
-    """Accumulates the figures of ``ServedSites`` over a course that comes in parts."""
+    """Accumulates the figures of ``ServedSites`` for a streamed episode."""
 
     def __init__(self, sites: ServedSites, dt_s: float):
         self.moves_late = sites.moves_late

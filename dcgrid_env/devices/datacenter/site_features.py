@@ -1,4 +1,4 @@
-"""What data centres may have beside clock, queue and converter: a UPS, and whatever else stands before the grid.
+"""Features of data centres in addition to clock, queue and converter, such as a UPS.
 
 Some features act on work before it is served (``admit``): they move it to other sites, or change what it takes. What a
 site serves and draws by its clock is settled then, and its features act one after the other, from the chips towards
@@ -50,25 +50,25 @@ class Load(NamedTuple):
     """Work of an interval as features have made of it what sites are to do, (row, slot) each."""
 
     base_kw: Array
-    """Draw beside the work, kW."""
+    """Draw other than for work, kW."""
     arrived_kw: Array
-    """Dynamic power asked for by work that arrives, kW."""
+    """Dynamic power for the arriving work, kW."""
     compute_share: Array | None
     """See ``Work``."""
     energy_share: Array | None = None
     """Energy that work takes as a share of that at its trace's batch size; None for 1."""
     moved_kw: Array | None = None
-    """What of the arriving work has come from another site, kW; None for nothing."""
+    """Arriving work that comes from another site, kW; None for no such work."""
 
 
 class Given(NamedTuple):
-    """What comes from outside for the features of a group of sites over an interval."""
+    """Exogenous inputs of the features of a group of sites over an interval."""
 
     work: Work
     supply: Supply | None
     """The voltage, and sags; None where no feature makes a site leave the grid."""
     load: Load | None = None
-    """What features have made of the work before it was served; None where none has."""
+    """Work as changed by features before it was served; None if unchanged."""
 
 
 class PassesBy:
@@ -88,7 +88,7 @@ class PassesBy:
         given: Given,
         dt_s: float,
     ) -> tuple[Any, DataCenterState, Array]:
-        """Leave all as it is, see ``SiteFeature.step``."""
+        """Change nothing, see ``SiteFeature.step``."""
         return feature_state, site, p_kw
 
 

@@ -1,11 +1,11 @@
-"""A storage behind a data centre's own converter, driven by the data centre's agent: a feature of the site.
+"""Storage behind a data centre's converter, controlled by the data centre's agent: a feature of the site.
 
-It charges with what is left of the site's rating and may discharge beyond the site's draw, back to the rating:
+It charges with the remaining part of the site's rating and may discharge beyond the site's draw, back to the rating:
 
-    -p_rated - p <= storage <= max(p_rated - p, 0)          p: what the site draws beside it
+    -p_rated - p <= storage <= max(p_rated - p, 0)          p: draw of the site without the storage
 
 so the site's draw from the grid never exceeds what it does without a storage, or the rating, and the converter's
-reactive side follows the sum. A storage with a converter of its own is an agent, ``Storages``.
+reactive side follows the sum. A storage with a separate converter is an agent, ``Storages``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dcgrid_env.devices.storage.energy_balance import StorageParams, StorageStat
 CHANNEL = "storage_p"
 """Name of the channel that is the storage's draw, kW, negative to discharge."""
 OF_SITES = "site_"
-"""What the names of its cost terms, figures and metrics begin with, beside those of storages that are agents."""
+"""Prefix of its cost terms, figures and metrics, which separates them from those of storages that are agents."""
 
 
 class SiteStorageState(NamedTuple):
@@ -37,7 +37,7 @@ class SiteStorageState(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class SiteStorage(figures.StorageFigures, PickledByFields):
-    """Storages of data centres alike but for their figures. A figure is one number for all of them, or one for each."""
+    """Storages of data centres that differ only in their figures. A figure is one number for all, or one for each."""
 
     amounts: ClassVar[tuple[str, ...]] = (f"{OF_SITES}ageing", f"{OF_SITES}missing")
 
@@ -45,7 +45,7 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
         settle(self)
 
     def check_slots(self, slots: int) -> None:
-        """Raise FieldError for a figure that cannot be of as many storages."""
+        """Raise FieldError for an invalid figure of that many storages."""
         self.check_figures(slots)
 
     @cached_on_owner
@@ -54,7 +54,7 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
         return self.figures_of(sites)
 
     def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
-        """The storage's draw."""
+        """Channel of the storage's draw."""
         p_kw = self.params(len(params.p_rated_kw)).p_rated_kw
         return (Channel(CHANNEL, "kW", -p_kw, p_kw, rest=0.0 * p_kw),)
 
@@ -63,11 +63,11 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
         return figures.fields(self.params(len(params.p_rated_kw)))
 
     def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """Throughput, and energy that is missing at the end."""
+        """Cost terms: throughput, and energy that is missing at the end."""
         return figures.cost_terms(self.params(len(params.p_rated_kw)), OF_SITES)
 
     def initial(self, params: DataCenterParams, zero: Array) -> SiteStorageState:
-        """The energy that they begin with."""
+        """Return the initial state with the initial energy."""
         return SiteStorageState(energy_balance.initial(self._like(zero), zero))
 
     def step(
@@ -100,13 +100,13 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
         return figures.amount(name, self._like(feature_state.storage.stored_kwh), feature_state.storage)
 
     def totals(self, feature_state: SiteStorageState) -> dict[str, Array]:
-        """Energy of all sites' storages that is stored, has been put through, has been lost, and is missing, kWh."""
+        """Return the stored energy, throughput, losses and missing energy of all sites' storages, kWh."""
         return figures.totals(feature_state.storage, OF_SITES)
 
     def metrics(
         self, params: DataCenterParams, history: SiteState, feature_state: SiteStorageState, dt_s: float
     ) -> dict[str, float]:
-        """Energy at the end and at its lowest, and what was put through, lost and is missing."""
+        """Return the energy at the end, its minimum, the throughput, the losses and the missing energy."""
         return figures.metrics(self.params(len(params.p_rated_kw)), feature_state.storage, OF_SITES)
 
     def _like(self, values: Array) -> StorageParams:

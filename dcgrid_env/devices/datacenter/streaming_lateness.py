@@ -1,4 +1,4 @@
-"""How late work was served, of a course that comes in parts: what ``lateness`` makes of a whole one.
+"""Streaming lateness of work, equal to that of ``lateness`` for a whole episode.
 
 Only the work in line is kept, and of what was served how much was how many steps late.
 """

@@ -1,4 +1,4 @@
-"""Figures of data centres over a course that comes in parts: what ``DataCenters.metrics`` makes of a whole one.
+"""Streaming figures of data centres, equal to those of ``DataCenters.metrics`` for a whole episode.
 
 Where the trace is made of requests, their times hang on the queues of the whole episode, and the few columns that they
 are found from are kept: some 40 bytes a site and step.

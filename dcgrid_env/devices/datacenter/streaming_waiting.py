@@ -1,4 +1,4 @@
-"""Waiting times of queued work, first come first served, of a course that comes in parts.
+"""Streaming waiting times of queued work, first come first served.
 
 What ``waiting_time`` makes of whole curves. Only work that still waits is kept, with the step of its arrival, and of
 work that was served how much waited how many steps: a wait is a whole number of steps, so that quantiles are exact.

@@ -1,4 +1,4 @@
-"""The UPS of data centres, a feature of theirs: who is on the grid, and who is supplied from a battery.
+"""UPS of data centres, a site feature: connection to the grid and supply from a battery.
 
 Work that is not supplied goes back into the queue, so none is lost.
 """
@@ -57,7 +57,7 @@ class UpsSite:
 
     rule: UpsRideThrough
     cooling: Cooling | None = None
-    """What the sites draw beside their computers, which the UPS carries too."""
+    """Draw of the sites in addition to their computers, which the UPS supplies too."""
 
     amounts: ClassVar[tuple[str, ...]] = ("tripped", "away", "missing_kws")
 
@@ -96,7 +96,7 @@ class UpsSite:
         )
 
     def initial(self, params: DataCenterParams, zero: Array) -> UpsState:
-        """Connected, with a full battery."""
+        """Return the initial state: connected, with a full battery."""
         full = zero + self._full_kws(params)
         return UpsState(connection.initial(self.rule, zero), ups_battery.BatteryState(full, zero, zero, zero))
 
@@ -191,7 +191,7 @@ class UpsSite:
 
 
 class _StreamingUps:
-    """Accumulates the figures of ``UpsSite`` over a course that comes in parts."""
+    """Accumulates the figures of ``UpsSite`` for a streamed episode."""
 
     def __init__(self, full_kws: np.ndarray, dt_s: float):
         self._full_kws, self._dt_s = full_kws, dt_s

@@ -1,4 +1,4 @@
-"""Work moved between sites: what arrives at one may be served at another of the same group.
+"""Work moved between sites: work that arrives at one may be served at another of the same group.
 
 Of the work a_i that arrives at site i, the share ``movable_share`` m may be served elsewhere. The channel ``route``,
 r_i from -1 to 1, is how much of that the site gives away where it is below 0, and how much it takes where it is above:
@@ -8,8 +8,8 @@ r_i from -1 to 1, is how much of that the site gives away where it is below 0, a
     a'_i   = a_i - give_i moved / sum give + room_i moved / sum room
 
 so that the sum of a' is that of a, each site is given in a step at most what it can serve in one at the top clock, and
-what its clock then leaves waits in its queue. At rest, r = 0, every site keeps its own work. A site that is not on the
-grid has no room, and may give. The draw beside the work stays where it is.
+what its clock then leaves waits in its queue. At r = 0 every site keeps its own work. A site that is not on the
+grid has no room, and may give. The draw other than for work is not moved.
 
 What is moved is served in the step in which it arrives, but counts as having waited ``move_latency_s`` by then: it is
 charged for that (``move_weight``), and service levels take a step off its slack. So the latency is at most one step.
@@ -30,17 +30,17 @@ from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
 
 TINY_KW = 1e-30
-"""What a sum that is divided by is at least, kW."""
+"""Lower limit of a sum used as a divisor, kW."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Routing:
-    """How arriving work may be moved between the sites of a scenario; plain form: a mapping of these fields."""
+    """Settings for moving arriving work between the sites of a scenario; plain form: a mapping of these fields."""
 
     movable_share: float = number(0.0, 1.0, default=1.0)
     """Share of the arriving work that may be served at another site."""
     move_latency_s: float = number(0.0, 3600.0, default=0.05)
-    """How much longer moved work takes to where it is served, s; at most one step."""
+    """Additional latency of moved work, s; at most one step."""
     move_weight: float = number(0.0, 1e9, default=0.3)
     """Weight of the cost term ``moving``: seconds of latency of the work moved in a step, at the sites' rating."""
 
@@ -49,7 +49,7 @@ class Routing:
         check_fields(self)
 
     def check_step(self, dt_s: float) -> None:
-        """Raise FieldError where the latency is longer than a step."""
+        """Raise FieldError if the latency is longer than a step."""
         if self.move_latency_s > dt_s:
             raise FieldError(
                 "DataCenters",
@@ -91,7 +91,7 @@ class RoutedSites(PassesBy):
     looks_ahead: ClassVar[bool] = True
 
     def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
-        """What a site gives away, below 0, or takes, above."""
+        """Channel: a site gives work away below 0, and receives work above 0."""
         one = np.ones(len(params.p_rated_kw))
         return (Channel("route", "share given (below 0) or taken (above)", -one, one, rest=0.0 * one),)
 
@@ -121,7 +121,7 @@ class RoutedSites(PassesBy):
         return (CostTerm("moving", "moved_kws", rated, float(rated.sum()) or 1.0, largest, weight=rule.move_weight),)
 
     def initial(self, params: DataCenterParams, zero: Array) -> RoutingState:
-        """Nothing has been moved."""
+        """Return the initial state: no work has been moved."""
         return RoutingState(zero, zero, zero)
 
     def admit(

@@ -1,4 +1,4 @@
-"""Who leaves the grid, and who returns: exact and discrete, a batch at once, on any kind of array.
+"""Disconnection and reconnection of devices: exact and discrete, for a whole batch, on any kind of array.
 
 In each interval, in this order:
 
@@ -28,10 +28,10 @@ _MINUTE_S = 60.0
 
 
 class Supply(NamedTuple):
-    """What a device that rides through, or not, is given over an interval."""
+    """Input of a device with a ride-through rule over an interval."""
 
     given: Any
-    """What the device is given in any case, see ``Device.input``."""
+    """Usual input of the device, see ``Device.input``."""
     v_lowest_pu: Array
     """Voltage of its lowest phase before the interval, p.u., (row, slot)."""
     v_highest_pu: Array
@@ -51,7 +51,7 @@ class ConnectionState(NamedTuple):
     share: Array
     """Share of the device's power that is on the grid, 0 away, 1 back."""
     timer_s: Array
-    """How long the voltage has been beyond each threshold, s, (row, slot, n_element)."""
+    """Time for which the voltage has been beyond each threshold, s, (row, slot, n_element)."""
     wait_s: Array
     """Time since the last event, or since the voltage has been in order, s, cut at the longest that a rule asks for."""
     event_age_s: Array
@@ -63,7 +63,7 @@ class ConnectionState(NamedTuple):
     tripped: Array
     """1 where it left the grid in the step."""
     lost_kw: Array
-    """What it would have drawn in the step, had it not left in it, kW, an injection negative."""
+    """Draw that was lost by disconnecting in the step, kW, an injection negative."""
 
 
 def initial(rule: RideThrough, zero: Array) -> ConnectionState:

@@ -1,4 +1,4 @@
-"""Inverters that trip and return: what ``Inverters`` is beside, where it has a rule of ride-through."""
+"""Inverters that trip and return: the part of ``Inverters`` for a ride-through rule."""
 
 from __future__ import annotations
 

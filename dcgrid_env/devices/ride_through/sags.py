@@ -16,16 +16,16 @@ from dcgrid_env.core.checked import FieldError, finite
 
 @dataclass(frozen=True)
 class Sag:
-    """One sag of an episode, drawn evenly within its ranges; a single number stands for a range without width."""
+    """One sag of an episode, drawn evenly within its ranges; a single number is a range without width."""
 
     begin_s: tuple[float, float]
-    """Earliest and latest beginning, s, see ``since``; one that would begin after the episode's end does not happen."""
+    """Earliest and latest beginning, s, see ``since``; a sag after the episode's end does not happen."""
     duration_s: tuple[float, float]
-    """Shortest and longest, s."""
+    """Shortest and longest duration, s."""
     retained_pu: tuple[float, float]
     """Lowest and highest voltage left at the source, as a share of that before, 0 .. 1."""
     since: str = "episode"
-    """From when ``begin_s`` counts: "episode", its beginning, or "previous", the beginning of the sag listed before."""
+    """Reference of ``begin_s``: "episode", its beginning, or "previous", the beginning of the sag listed before."""
 
     def __post_init__(self) -> None:
         for name, highest in (("begin_s", 1e9), ("duration_s", 60.0), ("retained_pu", 1.0)):
@@ -63,4 +63,4 @@ def virginia_2024(begin_s: tuple[float, float] = (10.0, 30.0)) -> tuple[Sag, ...
 
 
 SAG_SEQUENCES = {"virginia-2024": virginia_2024}
-"""Recorded sequences of sags by the name that plain data have for them."""
+"""Recorded sequences of sags by name."""

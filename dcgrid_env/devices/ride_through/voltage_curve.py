@@ -1,8 +1,8 @@
-"""Ride-through curves: how long a device stays connected under a voltage that is too low or too high.
+"""Ride-through curves: time that a device stays connected at a voltage that is too low or too high.
 
 A curve is two tables of pairs (voltage in p.u., seconds): a voltage below an undervoltage threshold, or above one of
 overvoltage, is ridden through for that time; the deepest threshold that a voltage has passed decides. Between the
-mildest thresholds a device stays for good.
+mildest thresholds a device stays connected indefinitely.
 
 | name | below, p.u.: s | above, p.u.: s | source |
 |---|---|---|---|
@@ -13,10 +13,10 @@ mildest thresholds a device stays for good.
 
 (a) From a textbook's figure: 0 % for 20 ms, 70 % for 0.5 s, 80 % for 10 s, 120 % for 0.5 s. Chosen here: the figure's
 steep end above 120 % as two steps.
-(b) From a secondary source, from August 2026 on. Chosen here: above 1.2, of which it says nothing, no time at all.
-(c) Settled by a draft of the standard: 0.88 to 1.10 for good, above 1.2 a trip within 0.16 s. Chosen here: the
-category's default trip times for the rest, its undervoltage 1 of 10 s from the edge of continuous operation on.
-(d) From a secondary source, which names undervoltage alone. Chosen here: ERCOT's overvoltage.
+(b) From a secondary source, from August 2026 on. Chosen here: no time above 1.2, which it does not cover.
+(c) Settled by a draft of the standard: 0.88 to 1.10 indefinitely, above 1.2 a trip within 0.16 s. Chosen here: the
+category's default trip times for the rest, its undervoltage 1 of 10 s from the edge of continuous operation.
+(d) From a secondary source, which covers only undervoltage. Chosen here: ERCOT's overvoltage.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ import numpy as np
 from dcgrid_env.core.checked import FieldError, finite
 
 Threshold = tuple[float, float]
-"""A voltage, p.u., and how long what lies beyond it is ridden through, s."""
+"""Voltage, p.u., and time for which voltages beyond it are ridden through, s."""
 
 
 @dataclass(frozen=True)
 class RideThroughCurve:
-    """A curve of one's own; FieldError for one that is not monotone. Plain form: a name, or a mapping of the fields."""
+    """Custom curve; FieldError for one that is not monotone. Plain form: a name, or a mapping of the fields."""
 
     under: tuple[Threshold, ...] = ()
     """Undervoltage: pairs (p.u., s), voltages falling from below 1, times not rising."""
@@ -50,14 +50,14 @@ class RideThroughCurve:
             raise FieldError("RideThroughCurve", "under", self.under, "give a threshold here or in over")
 
     def rides_through_s(self, v_pu: float) -> float:
-        """How long a voltage is ridden through, s; infinite within the mildest thresholds."""
+        """Return the time for which a voltage is ridden through, s; infinite within the mildest thresholds."""
         passed = [s for threshold, s in self.under if v_pu < threshold]
         passed += [s for threshold, s in self.over if v_pu > threshold]
         return min(passed, default=float("inf"))
 
 
 def _table(name: str, given: Any, sign: float) -> tuple[Threshold, ...]:
-    """A table as a tuple of pairs; FieldError for one that is none, or not monotone."""
+    """Return a table as a tuple of pairs; FieldError for other values, or a table that is not monotone."""
     side = "falling from below 1 p.u." if sign < 0 else "rising from above 1 p.u."
     given = given.tolist() if isinstance(given, np.ndarray) else given
     if not isinstance(given, list | tuple) or not all(isinstance(p, list | tuple) and len(p) == 2 for p in given):
@@ -91,14 +91,14 @@ CURVES: dict[str, RideThroughCurve] = {
         under=((0.9, 6.0), (0.7, 3.0), (0.5, 1.2), (0.25, 0.15)), over=((1.1, 2.0), (1.2, 0.0))
     ),
 }
-"""Curves that have a name, see the module for their sources."""
+"""Named curves; the module lists their sources."""
 
 
 class Elements:
     """Curves of several slots as arrays: one element for each threshold, as a protective relay has them.
 
-    An element picks up while the voltage is beyond its threshold; slots with fewer thresholds than others have elements
-    that never do.
+    An element picks up while the voltage is beyond its threshold. Slots with fewer thresholds than others have
+    elements that never pick up.
     """
 
     def __init__(self, curves: tuple[RideThroughCurve, ...]):
@@ -111,20 +111,20 @@ class Elements:
         self.threshold = self.sign * both[..., 0]
         """Voltage times sign below which an element picks up, p.u., (slot, n_element)."""
         self.time_s = both[..., 1]
-        """How long it holds what it has picked up, s, (slot, n_element)."""
+        """Time from pick-up to trip, s, (slot, n_element)."""
         self.n_under = n_under
-        """Number of elements of undervoltage, which stand first."""
+        """Number of undervoltage elements, which come first."""
 
     @property
     def count(self) -> int:
-        """Number of elements of each slot."""
+        """Return the number of elements of each slot."""
         return len(self.sign)
 
 
 def curves_of(value: Any) -> Any:
-    """A curve out of its plain form, a name or a mapping; for a list of these one for each; other values as they are.
+    """Make a curve from a name or a mapping, or one for each entry of a list; return other values unchanged.
 
-    FieldError for a name that there is not, or a curve that cannot be.
+    FieldError for an unknown name or an invalid curve.
     """
     if isinstance(value, str):
         if value not in CURVES:
@@ -139,6 +139,6 @@ def curves_of(value: Any) -> Any:
 
 
 def plain_curve(curve: RideThroughCurve) -> Any:
-    """The plain form of a curve: its name, or its tables."""
+    """Return the plain form of a curve: its name, or its tables."""
     named = next((name for name, known in CURVES.items() if known == curve), None)
     return named or {"under": [list(pair) for pair in curve.under], "over": [list(pair) for pair in curve.over]}

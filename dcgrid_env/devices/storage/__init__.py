@@ -1,1 +1,1 @@
-"""Storage of electric energy: batteries, UPS and capacitors, at a bus of their own or at a site's."""
+"""Storage of electric energy: batteries, UPS and capacitors, at a separate bus or at a site's."""

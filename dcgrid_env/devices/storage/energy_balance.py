@@ -1,4 +1,4 @@
-"""The energy of storages over one interval: what goes in, what comes out, and what is lost on the way.
+"""Energy balance of storages over one interval: charge, discharge and losses.
 
     kept   = E (1 - s)^h                                 h: the interval in hours, s: standby loss as a share an hour
     c      = min(asked, p_rated, (E_max - kept) / (eta_c h))      charge, kW, where power is asked for
@@ -22,7 +22,7 @@ class StorageParams(NamedTuple):
     p_rated_kw: Array
     """Largest charge and discharge, kW."""
     energy_kwh: Array
-    """Energy that can be used, kWh."""
+    """Usable energy, kWh."""
     charge_efficiency: Array
     discharge_efficiency: Array
     standby_share_per_h: Array
@@ -36,7 +36,7 @@ class StorageParams(NamedTuple):
 
 
 class StorageState(NamedTuple):
-    """State of the storages after a step, (row, slot) each; what is lost and put through is counted from t = 0."""
+    """State of the storages after a step, (row, slot) each; losses and throughput are counted from t = 0."""
 
     stored_kwh: Array
     storage_kw: Array
@@ -48,9 +48,9 @@ class StorageState(NamedTuple):
     throughput_kwh: Array
     """Energy charged and energy discharged, at the grid, kWh."""
     storage_loss_kwh: Array
-    """Energy drawn from the grid that was neither given back nor is stored, and what stand-by has cost, kWh."""
+    """Energy drawn from the grid that was neither returned nor stored, and stand-by losses, kWh."""
     missing_kwh: Array
-    """What the stored energy is below that which is to be returned, kWh."""
+    """Shortfall of the stored energy below the energy required at the end, kWh."""
 
 
 def initial(params: StorageParams, zero: Array) -> StorageState:

@@ -1,4 +1,4 @@
-"""Figures of a storage, whoever it belongs to, and what is observed of it, charged for it and told of it."""
+"""Figures of a storage in any device, its observed fields, cost terms and metrics."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ _RANGES = {
 
 @dataclass(frozen=True, kw_only=True)
 class StorageFigures:
-    """What storages alike but for their figures have. A figure is one number for all of them, or one for each."""
+    """Figures of storages. A figure is one number for all of them, or one for each."""
 
     p_rated_kw: Rating
     """Largest charge and discharge at the grid, kW."""
     energy_kwh: Rating
-    """Energy that can be used, kWh."""
+    """Usable energy, kWh."""
     charge_efficiency: Rating = 0.95
     """Share of the energy drawn from the grid that is stored."""
     discharge_efficiency: Rating = 0.95
     """Share of the energy taken out that reaches the grid."""
     standby_share_per_h: Rating = 0.0
-    """Share of the stored energy that is lost in an hour, whatever is done."""
+    """Share of the stored energy that is lost in an hour, even when inactive."""
     initial_share: Rating = 0.5
     """Stored energy before t = 0, as a share of ``energy_kwh``."""
     returned_share: Rating = 1.0
-    """Share of that which is to be stored at the end of an episode."""
+    """Share of the initial energy that must be stored at the end of an episode."""
     ageing_price: Rating = 0.02
-    """What throughput costs: the rise of c_t where all storages run at their ratings."""
+    """Cost of throughput: the increase of c_t when all storages run at their ratings."""
     missing_price: Rating = 9.0
-    """What energy that is missing at the end costs, for each second at the rating that all storages lack; the default
-    is that of leftover work."""
+    """Cost of missing energy at the end, for each second at the rating that all storages lack; the default is that of
+    leftover work."""
 
     def check_figures(self, count: int) -> None:
-        """Raise FieldError for a figure that cannot be of as many storages."""
+        """Raise FieldError for an invalid figure of that many storages."""
         check_rating(self, "p_rated_kw", count)
         check_rating(self, "energy_kwh", count)
         for name, (low, high) in _RANGES.items():
             check_each(self, name, count, low, high)
 
     def figures_of(self, count: int) -> StorageParams:
-        """Figures as arrays over as many storages."""
+        """Return the figures as arrays over that many storages."""
         figure = {name: per_device(getattr(self, name), count) for name in ("p_rated_kw", "energy_kwh", *_RANGES)}
         initial = figure.pop("initial_share") * figure["energy_kwh"]
         returned = figure.pop("returned_share") * initial
@@ -62,7 +62,7 @@ class StorageFigures:
 
 
 def fields(params: StorageParams) -> tuple[Field, ...]:
-    """State of charge, and how much can be charged and discharged over the coming interval."""
+    """Return the observed fields: state of charge, and possible charge and discharge over the coming interval."""
     return (
         Field("stored", "share of the energy", 0.0, 1.0, params.energy_kwh),
         Field("charge_limit", "share of the rating", 0.0, 1.0, params.p_rated_kw),
@@ -71,7 +71,7 @@ def fields(params: StorageParams) -> tuple[Field, ...]:
 
 
 def cost_terms(params: StorageParams, of: str = "") -> tuple[CostTerm, ...]:
-    """Throughput, and energy that is missing at the end; ``of`` is what their names begin with."""
+    """Return the cost terms, throughput and missing energy at the end, with the prefix ``of`` in their names."""
     rated, of_all = params.p_rated_kw, float(params.p_rated_kw.sum()) or 1.0
     ageing = float(params.ageing_price.max(initial=0.0))
     missing = float((params.missing_price * params.returned_kwh * 3600.0 / rated).max(initial=0.0))
@@ -82,16 +82,16 @@ def cost_terms(params: StorageParams, of: str = "") -> tuple[CostTerm, ...]:
 
 
 def amount(name: str, params: StorageParams, state: StorageState) -> Array:
-    """Throughput, kW, or energy that is missing, kWh, each times its price, (row, slot)."""
+    """Return the throughput, kW, or the missing energy, kWh, each times its price, (row, slot)."""
     if name.endswith("missing"):
         return state.missing_kwh * params.missing_price
     return namespace(state.storage_kw).abs(state.storage_kw) * params.ageing_price
 
 
 def totals(state: StorageState, of: str = "") -> dict[str, Array]:
-    """Energy of all storages that is stored, has been put through, has been lost, and is missing, kWh, (row,) each.
+    """Return the stored energy, throughput, losses and missing energy of all storages, kWh, (row,) each.
 
-    ``of`` is what their names begin with.
+    Their names begin with ``of``.
     """
     return {
         f"{of}stored_kwh": sum_last(state.stored_kwh),
@@ -102,7 +102,7 @@ def totals(state: StorageState, of: str = "") -> dict[str, Array]:
 
 
 def metrics_of(of: str = "", behind: str = "") -> tuple[Metric, ...]:
-    """Metrics of storages, whose names begin with ``of`` and whose labels end with ``behind``."""
+    """Return the metrics of storages, whose names begin with ``of`` and whose labels end with ``behind``."""
     return (
         cost_metric(f"{of}ageing", f"ageing cost of storage{behind}"),
         cost_metric(f"{of}missing", f"cost of missing energy{behind}"),
@@ -120,9 +120,9 @@ def metrics_of(of: str = "", behind: str = "") -> tuple[Metric, ...]:
 
 
 def metrics(params: StorageParams, history: StorageState, of: str = "") -> dict[str, float]:
-    """Energy at the end and at its lowest, and what was put through, lost and is missing.
+    """Return the energy at the end, its minimum, the throughput, the losses and the missing energy.
 
-    ``of`` is what their names begin with.
+    Their names begin with ``of``.
     """
     energy = float(params.energy_kwh.sum()) or 1.0
     throughput, loss = (sum_last(total[-1] - total[0]) for total in (history.throughput_kwh, history.storage_loss_kwh))

@@ -1,4 +1,4 @@
-"""Sizes of storages from joules to hours, with where the figures come from; what has no source is a choice of ours."""
+"""Sizes of storages from joules to hours, with the sources of the figures; figures without a source are choices."""
 
 from __future__ import annotations
 

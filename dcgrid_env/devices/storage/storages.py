@@ -1,7 +1,7 @@
-"""Storages of a scenario: active power by command as far as their energy goes, and reactive power where they have it.
+"""Storages of a scenario: active power by command within the limits of their energy, and optional reactive power.
 
-A storage is an agent of its own, with its own converter; it may stand at a bus where another device stands, as a UPS or
-the capacitors of a rack do at a data centre's.
+A storage is a separate agent with its own converter. It may share a bus with another device, as a UPS or the capacitors
+of a rack do at a data centre.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ P = "p"
 
 @dataclass(frozen=True, kw_only=True)
 class Storages(figures.StorageFigures, PickledByFields):
-    """Storages alike but for their figures. A figure is one number for all of them, or one for each."""
+    """Storages that differ only in their figures. A figure is one number for all of them, or one for each."""
 
     kind: ClassVar[str] = "storage"
     prefix: ClassVar[str] = "sto"
@@ -38,7 +38,7 @@ class Storages(figures.StorageFigures, PickledByFields):
     shares_bus: ClassVar[bool] = True
 
     buses: tuple[int | str, ...] = ()
-    """Their buses, one each, where other devices may stand too."""
+    """Buses of the storages, one each; other devices may use the same bus."""
     s_rated_kva: Rating | None = None
     """Apparent-power rating of the converter, kVA, at least ``p_rated_kw``; None: no reactive power."""
     phases: Phases | None = None
@@ -58,7 +58,7 @@ class Storages(figures.StorageFigures, PickledByFields):
 
     @classmethod
     def supercapacitors(cls, buses: tuple[int | str, ...], gpus: float | tuple[float, ...], **fields: Any) -> Storages:
-        """Capacitors in the racks of sites of so many GPUs each, see ``sizes``; other fields as they are given."""
+        """Make capacitors in the racks of sites with that many GPUs each, see ``sizes``; other fields as given."""
         n = _each("gpus", gpus, buses)
         power = tuple(sizes.GPU_PEAK_SHARE * sizes.GPU_POWER_KW * gpu for gpu in n)
         energy = tuple(sizes.GPU_ENERGY_J / 3.6e6 * gpu for gpu in n)
@@ -68,7 +68,7 @@ class Storages(figures.StorageFigures, PickledByFields):
     def ups(
         cls, buses: tuple[int | str, ...], p_rated_kw: Rating, minutes: float = sizes.UPS_MINUTES, **fields: Any
     ) -> Storages:
-        """Batteries that bear their sites' power for minutes, see ``sizes``; other fields as they are given."""
+        """Make batteries that supply their sites' power for minutes, see ``sizes``; other fields as given."""
         (lasting,) = _each("minutes", minutes, ("",))
         return cls._lasting(buses, p_rated_kw, lasting / 60.0, sizes.UPS | fields)
 
@@ -76,7 +76,7 @@ class Storages(figures.StorageFigures, PickledByFields):
     def bess(
         cls, buses: tuple[int | str, ...], p_rated_kw: Rating, hours: float = sizes.BESS_HOURS, **fields: Any
     ) -> Storages:
-        """Batteries at the grid that give their rated power for hours, see ``sizes``; other fields as given."""
+        """Make batteries at the grid that supply their rated power for hours, see ``sizes``; other fields as given."""
         (lasting,) = _each("hours", hours, ("",))
         return cls._lasting(buses, p_rated_kw, lasting, sizes.BESS | fields)
 
@@ -102,7 +102,7 @@ class Storages(figures.StorageFigures, PickledByFields):
 
     @cached_property
     def converter_kva(self) -> np.ndarray:
-        """Apparent-power rating of each converter, kVA; its active power alone where none is given."""
+        """Apparent-power rating of each converter, kVA; the rated active power if none is given."""
         return read_only(per_device(self.p_rated_kw if self.s_rated_kva is None else self.s_rated_kva, self.count))
 
     @cached_property
@@ -112,62 +112,62 @@ class Storages(figures.StorageFigures, PickledByFields):
 
     @property
     def largest_draw_share(self) -> float:
-        """A storage draws its rating at most."""
+        """Highest draw as a share of the rating: 1."""
         return 1.0
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Active power, and reactive power where there is a rating for it."""
+        """Channels: active power, and reactive power if there is a rating for it."""
         p, q = self.parameters.p_rated_kw, self.q_limit_kvar
         active = Channel(P, "kW", -p, p, rest=0.0 * p)
         return (active,) if self.s_rated_kva is None else (active, Channel(Q, "kvar", -q, q, rest=0.0 * q))
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """State of charge, and how much it can charge and discharge over the coming interval."""
+        """Observed fields: state of charge, and possible charge and discharge over the coming interval."""
         return figures.fields(self.parameters)
 
     def cost_terms(self, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """Throughput, and energy that is missing at the end."""
+        """Cost terms: throughput, and energy that is missing at the end."""
         return figures.cost_terms(self.parameters)
 
     def check_episode(self, horizon: int) -> None:
-        """Nothing of a storage depends on the length of an episode."""
+        """Accept any number of steps: a storage does not depend on the length of an episode."""
 
     def initial(self, parameters: StorageParams, zero: Array) -> StorageState:
-        """The energy that they begin with."""
+        """Return the initial state with the initial energy."""
         return energy_balance.initial(parameters, zero)
 
     def step(
         self, parameters: StorageParams, state: StorageState, setpoints: tuple[Array, ...], given: Any, dt_s: float
     ) -> tuple[StorageState, Array]:
-        """Charge or discharge as far as there is room or energy, see ``energy_balance``."""
+        """Charge or discharge within the free capacity or stored energy, see ``energy_balance``."""
         (asked_kw,) = setpoints
         after = energy_balance.step(parameters, state, asked_kw, given, dt_s)
         return after, after.storage_kw
 
     def grid_change(self, parameters: StorageParams, state: StorageState) -> GridChange:
-        """Leave the grid as it is."""
+        """Change nothing in the grid."""
         return GridChange()
 
     def observe(self, parameters: StorageParams, state: StorageState, given_next: Any) -> tuple[Array, ...]:
-        """Raw figures of the fields, kWh and kW."""
+        """Return the raw figures of the fields, kWh and kW."""
         return state.stored_kwh, state.charge_limit_kw, state.discharge_limit_kw
 
     def amount(self, name: str, parameters: StorageParams, state: StorageState) -> Array:
-        """Throughput, kW, or energy that is missing, kWh, each times its price."""
+        """Return the throughput, kW, or the missing energy, kWh, each times its price."""
         return figures.amount(name, parameters, state)
 
     def totals(self, state: StorageState) -> dict[str, Array]:
-        """Energy of all storages that is stored, has been put through, has been lost, and is missing, kWh."""
+        """Return the stored energy, throughput, losses and missing energy of all storages, kWh."""
         return figures.totals(state)
 
     def metrics(self, history: StorageState, dt_s: float, requests: Any) -> dict[str, float]:
-        """Energy at the end and at its lowest, and what was put through, lost and is missing."""
+        """Return the energy at the end, its minimum, the throughput, the losses and the missing energy."""
         return figures.metrics(self.parameters, history)
 
 
 def _each(name: str, value: Any, buses: Any) -> tuple[float, ...]:
-    """A positive figure of each storage; FieldError for what is none. Wrong buses are for the group to refuse."""
+    """Return a positive figure for each storage; FieldError otherwise. The group checks the buses."""
     n = len(buses) if isinstance(buses, tuple | list) else 1
     values = tuple(value) if isinstance(value, tuple | list) else (value,) * n
     if len(values) != n or not all(finite(v) and v > 0 for v in values):

@@ -1,4 +1,4 @@
-"""Where the taps of controlled regulators come to rest under loads that stand still.
+"""Settled taps of controlled regulators under constant loads.
 
 Round by round the power flow is solved, and of the regulators out of band those with the shortest delay move a tap. It
 ends where nothing moves; or where taps come back that have been before, which no further round would leave.
@@ -22,7 +22,7 @@ Move = Callable[[RelaySettings, Array], Array]
 
 
 class SettledTaps(NamedTuple):
-    """Taps at rest, and whether they are; arrays of the loads' leading shape."""
+    """Settled taps, and whether they have settled; arrays of the loads' leading shape."""
 
     tap: Array
     """(row, n_regulator)."""

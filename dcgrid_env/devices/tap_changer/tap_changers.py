@@ -59,7 +59,7 @@ class TapChangers(GridEquipment):
     """The buses that they feed, where their agents measure the voltage."""
     phases: tuple[str, ...]
     base: tuple[float, ...]
-    """Tap at rest."""
+    """Initial tap."""
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
     tap_delay_s: tuple[float, ...]
@@ -67,7 +67,7 @@ class TapChangers(GridEquipment):
 
     @classmethod
     def of_feeder(cls, feeder: ThreePhaseFeeder, rows: tuple[int, ...]) -> TapChangers:
-        """The regulators that stand in some rows of a feeder's table."""
+        """Return the regulators in some rows of a feeder's table."""
         table = feeder.network.regulator
 
         def numbers(column: Any) -> tuple[float, ...]:

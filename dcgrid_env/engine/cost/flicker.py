@@ -1,19 +1,18 @@
 """Short-term flicker severity Pst of a series of RMS voltages.
 
-IEC 61000-4-15 (edition 2, 2010) defines a meter of voltage waves in five blocks. A series of RMS voltages is already
-what the first two make of a wave, so that three are left, as in the meter for such series that OpenDSS has (a monitor
-of mode 4):
+IEC 61000-4-15 (edition 2, 2010) defines a meter of voltage waves in five blocks. The first two turn a wave into a
+series of RMS voltages, so three remain. OpenDSS has the same meter for such series (a monitor of mode 4):
 
     block 3    high-pass of first order at 0.05 Hz, then the weighting of lamp, eye and brain
                    k w1 s / (s^2 + 2 lambda s + w1^2)  *  (1 + s/w2) / ((1 + s/w3) (1 + s/w4))
     block 4    square, low-pass of 0.3 s, and a scale at which the sinusoidal fluctuation of 8.8 Hz that is just seen
                (the standard's table 1) reaches 1: the instantaneous flicker sensation
     block 5    Pst = sqrt(0.0314 P0.1 + 0.0525 P1s + 0.0657 P3s + 0.28 P10s + 0.08 P50s) over 600 s, where P_x is the
-               sensation exceeded x % of the time, and an s stands for a mean of neighbours
+               sensation exceeded x % of the time, and an s marks a mean of neighbours
 
-The standard's own low-pass of 35 or 42 Hz is left out, which no such series reaches. A sample holds until the next, and
-the filters run by the bilinear rule in several steps a sample: in one step of 0.1 s that rule bends the filters' 8.8 Hz
-so far that the standard's test points are missed by up to 19 %.
+The standard's low-pass of 35 or 42 Hz is omitted, because no such series contains these frequencies. A sample is
+constant until the next, and the filters use the bilinear rule with several steps per sample. With one step of 0.1 s,
+that rule shifts the filters' 8.8 Hz and misses the standard's test points by up to 19 %.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ import numpy as np
 from dcgrid_env.core.checked import FieldError, finite, is_number
 
 INTERVAL_S = 600.0
-"""What a Pst is taken over, s."""
+"""Interval of a Pst, s."""
 LARGEST_DT_S = 0.1
-"""Samples may be at most so far apart, s: six cycles of 60 Hz."""
+"""Largest time between samples, s: six cycles of 60 Hz."""
 _LARGEST_STEP_S = 0.01
 _HIGH_PASS_HZ, _SMOOTHING_S, _SEEN_AT_HZ = 0.05, 0.3, 8.8
 
 
 class Lamp(NamedTuple):
-    """An incandescent lamp of 60 W and who looks at it, with the letters of the standard."""
+    """Incandescent lamp of 60 W and its observer, in the notation of the standard."""
 
     k: float
     lambda_hz: float
@@ -67,30 +66,29 @@ _GROUPS = (
 def short_term_flicker(
     v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_sample: int | None = None
 ) -> np.ndarray:
-    """Pst of each full interval of 600 s of a series of RMS voltages; the filters begin at rest at the first sample.
+    """Return Pst of each full interval of 600 s of RMS voltages; the filters are settled at the first sample.
 
     Parameters
     ----------
     v_pu
-        RMS voltages, (n_sample, ..), as shares of the nominal voltage, which their fluctuation is related to. The
-        standard's meter relates it to the mean of the last minute instead; divide by that to have it so.
+        RMS voltages, (n_sample, ..), as shares of the nominal voltage. The standard's meter uses the mean of the last
+        minute instead; divide by that mean for the same result.
     dt_s
         Time from a sample to the next, s, at most 0.1.
     lamp
-        Whose light is looked at: "120V-60Hz" or "230V-50Hz".
+        The lamp: "120V-60Hz" or "230V-50Hz".
     steps_per_sample
-        Steps of the filters in a sample; by default so many that they are of at most 10 ms. 1 is what the monitor of
-        OpenDSS does.
+        Steps of the filters per sample; by default enough for steps of at most 10 ms. The monitor of OpenDSS uses 1.
 
     Returns
     -------
     pst
-        (n_interval, ..), one interval after another; what is left of the series after the last full one counts nowhere.
+        (n_interval, ..), one interval after another; samples after the last full interval are ignored.
 
     Raises
     ------
     ValueError
-        For samples too far apart, a series too short, a voltage that is not finite, or a lamp that there is not.
+        For samples too far apart, a series too short, a voltage that is not finite, or an unknown lamp.
     """
     try:
         v_pu = np.asarray(v_pu, dtype=np.float64)
@@ -112,7 +110,7 @@ def check_sampling(dt_s: float) -> None:
 
 
 def severity(v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_sample: int | None = None) -> np.ndarray:
-    """Pst of each interval, see :func:`short_term_flicker`, of voltages unchecked; a shorter series is one interval."""
+    """Return Pst of each interval, see :func:`short_term_flicker`, without checks; a shorter series is one interval."""
     if not isinstance(lamp, str) or lamp not in LAMPS:
         raise FieldError("flicker", "lamp", lamp, f"choose one of {', '.join(LAMPS)}")
     steps = math.ceil(dt_s / _LARGEST_STEP_S - 1e-6) if steps_per_sample is None else steps_per_sample
@@ -130,7 +128,7 @@ def severity(v_pu: np.ndarray, dt_s: float, lamp: str = "120V-60Hz", steps_per_s
 
 
 class StreamingFlicker:
-    """Pst of voltages that come in parts, with no more than those of one interval kept.
+    """Streaming Pst of voltages, which stores at most one interval.
 
     Parameters
     ----------
@@ -151,7 +149,7 @@ class StreamingFlicker:
         self._largest: float | None = None
 
     def add(self, v_pu: np.ndarray) -> None:
-        """Take further voltages, p.u., (n_sample, n_node)."""
+        """Add further voltages, p.u., (n_sample, n_node)."""
         if not self._states:
             self._first, self._states = v_pu[0].copy(), [None] * v_pu.shape[1]
         self._parts.append(v_pu.copy())
@@ -161,7 +159,7 @@ class StreamingFlicker:
             self._take(waiting[: self._per_interval])
 
     def largest(self) -> float:
-        """Largest Pst of a full interval and node so far; before the first, of what there is."""
+        """Return the largest Pst of a full interval and node so far; of the partial one if none is complete."""
         if self._largest is None:
             self._take(np.concatenate(self._parts))
             self._parts = [self._parts[0][:0]]
@@ -176,7 +174,7 @@ class StreamingFlicker:
 
 
 def _sensation_from(state: Any, change: np.ndarray, sections: np.ndarray, smoothing: Any) -> tuple[np.ndarray, Any]:
-    """What ``_sensation`` gives, of filters in a state, None at rest; and their state behind it."""
+    """Return the result of ``_sensation`` for filters in a state (None: settled), and their new state."""
     from scipy import signal
 
     numerator, denominator = smoothing
@@ -188,7 +186,7 @@ def _sensation_from(state: Any, change: np.ndarray, sections: np.ndarray, smooth
 
 
 def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: Any) -> np.ndarray:
-    """Blocks 3 and 4 without the scale, of a change from where the filters are at rest."""
+    """Apply blocks 3 and 4 without the scale to a change from the settled state of the filters."""
     from scipy import signal  # slow to import, and not needed by a step
 
     weighted: Any = signal.sosfilt(sections, change)
@@ -198,7 +196,7 @@ def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: Any) -> np.n
 
 
 def _severity_of(sensation: np.ndarray) -> float:
-    """Block 5: Pst of the sensation in one interval."""
+    """Return Pst of the sensation in one interval (block 5)."""
     n = len(sensation)
     ranked = np.sort(np.maximum(sensation, 0.0))  # rounding may leave a tiny negative one
     pst_squared = 0.0

@@ -21,7 +21,7 @@ class ActionError(ValueError):
 
 
 class ActionLayout:
-    """Where each channel of each agent stands in the joint action; made once for a scenario.
+    """Position of each channel of each agent in the joint action; made once for a scenario.
 
     Agents follow one another, each with the channels of its device in their order.
     """

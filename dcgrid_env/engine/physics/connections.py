@@ -26,16 +26,16 @@ class Placement(NamedTuple):
     """R_ii of each agent, in bands per MW, (row, n_agent), and X_ii in bands per Mvar."""
     x: Array
     nodes: Array
-    """Where the agents are connected, as in ``Exogenous.nodes``, (row, n_agent, k)."""
+    """Nodes of the agents, as in ``Exogenous.nodes``, (row, n_agent, k)."""
     legs: Array
-    """Where they draw, as in ``Exogenous.legs``, (row, n_agent, k)."""
+    """Legs of the agents, as in ``Exogenous.legs``, (row, n_agent, k)."""
     nearest: Array
     """Flat positions row * n_agent + agent of the nearest agents, int, (row, n_agent, k); k = 0 unless observed."""
 
 
 @cached_on_owner
 def nodes_by_bus(scenario: Scenario) -> np.ndarray:
-    """Nodes of each agent if it stands at a bus, int, (n_agent, n_bus, k); of a bus that it cannot stand at, node 0.
+    """Return the nodes of each agent at each bus, int, (n_agent, n_bus, k); node 0 if the bus is not allowed.
 
     An agent shares its power equally among its nodes and sees their mean voltage. ``k`` is the same for all: an agent
     of fewer nodes has each of them several times.
@@ -105,7 +105,7 @@ def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) 
 
 
 def believed_sensitivity(scenario: Scenario) -> Sensitivity:
-    """Derivative of the voltage at every node by the power injected at every node, as agents and controllers know it.
+    """Return the believed derivative of the voltage at every node by the power injected at every node.
 
     On a balanced feeder that of ``Scenario.model``. On a three-phase feeder that of its base load at the scenario's
     source voltage and capacitors: ``sensing.r_model_share`` of the one by active power, ``sensing.x_model_share`` of
@@ -119,7 +119,7 @@ def believed_sensitivity(scenario: Scenario) -> Sensitivity:
 
 @cached_on_owner
 def true_sensitivity(scenario: Scenario) -> Sensitivity:
-    """What :func:`believed_sensitivity` is of, without the error of the model."""
+    """Return the derivative of :func:`believed_sensitivity` without the error of the model."""
     feeder = scenario.feeder
     if isinstance(feeder, Feeder):
         return sensitivity(feeder)
@@ -152,7 +152,7 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
 
 
 def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
-    """Derivative of each agent's voltage by the power that each agent injects, in the feeder as it is.
+    """Return the derivative of each agent's voltage by the power that each agent injects, in the true feeder.
 
     ``buses`` is as in :func:`sensitivity_to_agents`; p.u. per MW and per Mvar, (row, n_agent, n_agent), the agent that
     sees first.

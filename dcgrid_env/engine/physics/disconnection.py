@@ -1,4 +1,4 @@
-"""Devices that leave the grid by themselves: what they are given for it, and what of them is connected."""
+"""Devices that disconnect by themselves: their input, and their connected share."""
 
 from __future__ import annotations
 

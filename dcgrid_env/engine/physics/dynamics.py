@@ -33,7 +33,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnySolution]:
-    """Solve t = 0 with every channel at rest, from the devices' initial states: top clocks, no reactive power.
+    """Solve t = 0 with every channel at its initial setpoint: highest clocks, no reactive power.
 
     The taps of regulators that are controlled have settled.
     """
@@ -74,7 +74,7 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     action
         (row, n_action) in [-1, 1], clipped: the channels of each agent in turn (``actions.ActionLayout``). A setpoint
         runs from a channel's lowest to its highest; a reactive one is a share of the limit at zero active power, and
-        what the converter cannot give at its active power is cut.
+        it is limited to the converter's capacity at its active power.
     exogenous
         Loads, p_ref and placement over the interval.
 
@@ -174,7 +174,7 @@ def _solved(
 
 
 def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
-    """What comes from outside for a device, see ``Device.input``."""
+    """Return the exogenous input of a device, see ``Device.input``."""
     source, available = scenario.devices[i].input, exogenous.available
     if available is not None and source in ("connection", "workload"):
         available = available[..., device_slices(scenario)[i]]
@@ -191,7 +191,7 @@ def _grid(scenario: Scenario) -> tuple[Solver, tuple[int, ...]]:
 
 
 def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: Exogenous) -> Control:
-    """What the devices change of the grid, gathered: shunts at their nodes, taps in the order of the devices."""
+    """Return the devices' changes to the grid: shunts at their nodes, taps in the order of the devices."""
     xp, cuts = namespace(exogenous.q_load_kvar), device_slices(scenario)
     shunt_kvar, ratios = None, []
     for i in _grid(scenario)[1]:
@@ -222,7 +222,7 @@ def _equipment(
 
 
 def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
-    """What the feeder's equipment is to the power flow, with the shunts of devices, and taps where they set them."""
+    """Return the feeder's equipment for the power flow, with the shunts of devices, and taps where they set them."""
     if control is None:
         return of_feeder
     ratio = of_feeder.tap_ratio if control.tap_ratio is None else control.tap_ratio
@@ -231,7 +231,7 @@ def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
 
 @cached_on_owner
 def device_slices(scenario: Scenario) -> tuple[slice, ...]:
-    """Where each device's agents stand among all."""
+    """Return the positions of each device's agents among all agents."""
     ends = np.cumsum([0, *(device.count for device in scenario.devices)]).tolist()
     return tuple(map(slice, ends[:-1], ends[1:]))
 
@@ -307,7 +307,7 @@ def by_phase(
 
 
 def _by_phase(scenario: Scenario, solution: Any, nodes: Array, equipment: Equipment) -> ThreePhaseState:
-    """What the state of a three-phase feeder has beside its voltages."""
+    """Return the state of a three-phase feeder other than its voltages."""
     feeder: Any = scenario.feeder
     v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
     lowest, highest, factor = by_phase(*v, nodes, three_phase_nodes(feeder))

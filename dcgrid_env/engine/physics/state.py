@@ -31,25 +31,25 @@ class LoadsToDraw(NamedTuple):
 
 
 class Exogenous(NamedTuple):
-    """What comes from outside over one interval; nothing here depends on an action."""
+    """Exogenous inputs over one interval, which do not depend on an action."""
 
     p_load_kw: Array
     """Other loads, kW, (row, n_leg); a balanced feeder has a leg a bus."""
     q_load_kvar: Array
     """Other loads, kvar, (row, n_leg); on a balanced feeder less capacitors."""
     p_ref_kw: Array
-    """What sites of work would draw at the top clock with nothing queued, kW, (row, n_site)."""
+    """Draw of sites at the highest clock with an empty queue, kW, (row, n_site)."""
     p_inverter_kw: Array
     """Scheduled active injection, kW, (row, slot) of the device that has a schedule."""
     nodes: Array
-    """Where each agent is connected, flat positions row * n_node + node, int, (row, n_agent, k). An agent sees the
+    """Nodes of each agent, flat positions row * n_node + node, int, (row, n_agent, k). An agent sees the
     mean voltage of its nodes and its power is shared equally among them; a balanced feeder has one node an agent."""
     compute_share: Array | None = None
     """Compute-bound share of the work that arrives, (row, n_site); None under a clock law of one work class."""
     available: Array | None = None
     """1 for an agent that is connected to the grid and 0 for one that is not, (row, n_agent); None where all are."""
     legs: Array | None = None
-    """Where each agent draws, flat positions row * n_leg + leg, int, (row, n_agent, k); None: the nodes."""
+    """Legs of each agent, flat positions row * n_leg + leg, int, (row, n_agent, k); None: the nodes."""
     capacitor_on: Array | None = None
     """1 for a capacitor bank of a three-phase feeder that can be on and 0 for one that is lost or disconnected,
     (row, n_capacitor); None where all can."""
@@ -58,18 +58,18 @@ class Exogenous(NamedTuple):
     trip_widths: TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
     to_draw: LoadsToDraw | None = None
-    """What the loads are drawn from where that is left to ``grid_pass``: they themselves are None then."""
+    """Parameters of the loads if ``grid_pass`` draws them; the loads are then None."""
 
 
 class Equipment(NamedTuple):
-    """The feeder's own equipment, all of it, whoever decides over it."""
+    """All equipment of the feeder, in any mode of control."""
 
     regulators: RegulatorState
     banks: BankState
 
 
 class ThreePhaseState(NamedTuple):
-    """What a state has beside on a three-phase feeder."""
+    """Additional state of a three-phase feeder."""
 
     v_re_pu: Array
     """Real part of the voltage, p.u., (row, n_node)."""

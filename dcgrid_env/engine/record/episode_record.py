@@ -72,7 +72,7 @@ class Series:
         return {name: float(value) for name, value in figures.items()} | self.after_loss()
 
     def after_loss(self) -> dict[str, float]:
-        """Highest voltage with devices away, where they can leave."""
+        """Return the highest voltage with devices disconnected, if they can disconnect."""
         figures = after_loss(self.scenario, self.devices, self.v_pu[1:, self.scenario.feeder.load_slice])
         return {name: float(value) for name, value in figures.items()}
 
@@ -97,7 +97,7 @@ class Series:
 
 
 class _Course(NamedTuple):
-    """What a series is made of, arrays with time in front."""
+    """Contents of a series, arrays with time as the first axis."""
 
     from_reset: tuple[Any, ...]
     """Voltages, draws, states of the devices and of three phases, loading, from the reset on."""
@@ -126,9 +126,9 @@ class Recorder:
     Parameters
     ----------
     scenario, begun
-        What is run, and what the reset led to.
+        The scenario, and the transition of the reset.
     seeds
-        The seed of each row's episode, its first, where feeders are random: its course is then said to be on one.
+        Seed of each row's first episode if feeders are random: its trajectory is then assigned to one feeder.
     """
 
     def __init__(self, scenario: Scenario, begun: Transition, seeds: Sequence[int] | None = None):
@@ -139,7 +139,7 @@ class Recorder:
         self._over = np.zeros(n_env, dtype=bool)
 
     def add(self, transition: Transition) -> None:
-        """Take a step's transition; an environment whose episode has ended before is not counted further."""
+        """Add a step's transition; an environment whose episode has ended before is not counted further."""
         self._length += ~self._over
         self._over |= transition.terminated | transition.truncated
         self._transitions.append(transition)
@@ -150,7 +150,7 @@ class Recorder:
         return bool(self._over.all())
 
     def series(self, env_index: int) -> Series:
-        """The course of one environment's episode; ValueError before its first step."""
+        """Return the trajectory of one environment's episode; ValueError before its first step."""
         if self._length[env_index] == 0:
             raise ValueError("no step has been recorded yet")
         taken = self._transitions[: int(self._length[env_index]) + 1]
@@ -173,14 +173,14 @@ class Recorder:
 
 
 class JoinedRecorder(Recorder):
-    """A ``Recorder`` over recordings that are made elsewhere.
+    """Recorder that combines recordings made elsewhere.
 
     Parameters
     ----------
     scenario
-        What they are members of.
+        The scenario that the parts are members of.
     parts
-        Each with its environments, in the order of its own.
+        Recordings, each with its environments in its own order.
     """
 
     def __init__(self, scenario: Scenario, parts: Sequence[tuple[np.ndarray, Recorder]]):
@@ -193,7 +193,7 @@ class JoinedRecorder(Recorder):
         self._place = {env_index: (k, i) for env_index, k, i in places}
 
     def add(self, transition: object) -> None:
-        """TypeError: steps are recorded where they are made."""
+        """Raise TypeError: the parts record their own steps."""
         raise TypeError("a joined recorder takes no steps; add them to its parts")
 
     @property

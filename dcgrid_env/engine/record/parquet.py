@@ -1,7 +1,7 @@
-"""The course of long episodes as Parquet, written while they run: a folder of files, each a stretch of all episodes.
+"""Trajectories of long episodes as Parquet: a folder of files, written during the run, each a period of all episodes.
 
-A file is there with all of it or not at all, so that a run that is killed, or finds the disk full, leaves the stretches
-before as a dataset that any reader of Parquet opens. See docs/decisions/0012-long-episodes.md for why it is Parquet.
+Files are written completely or not at all. If a run is killed or the disk is full, the earlier files are a dataset that
+any Parquet reader opens. docs/decisions/0012-long-episodes.md explains the choice of Parquet.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ REMEDY = from_clone("parquet")
 
 
 class ParquetCourse:
-    """Writes the course of a batch's episodes to ``folder/part-00000.parquet`` and so on; a context manager.
+    """Writes the trajectories of a batch to ``folder/part-00000.parquet`` and so on; a context manager.
 
     Columns are those of ``course_table`` with ``seed`` in front, figures as float32; rows of a file are ordered by
-    seed, a row group each. Leaving the block writes what is left, unless by an error.
+    seed, a row group each. Leaving the block writes the remaining steps, unless by an error.
 
     Parameters
     ----------
     folder
-        Where to; made if it is not there. Parts of an earlier run that stand in it are deleted.
+        The folder to write; it is created if missing. Parts of an earlier run in it are deleted.
     scenario
         What is run.
     seeds
@@ -42,7 +42,7 @@ class ParquetCourse:
     Raises
     ------
     ValueError
-        Where pyarrow is not installed, with the remedy; before anything is written.
+        If pyarrow is not installed, with the remedy, before anything is written.
     """
 
     def __init__(self, folder: Path, scenario: Scenario, seeds: Sequence[int]):
@@ -153,7 +153,7 @@ def _of_each(name: str, each: Any, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _collect(state: Any, count: int, found: dict[str, np.ndarray]) -> None:
-    """Fields of a device's state with one number an agent, those of features too; what is of before is left out."""
+    """Return the fields of a device's state with one number per agent, with features, without the previous step's."""
     for field, values in zip(getattr(state, "_fields", ()), state, strict=False):
         if isinstance(values, tuple):
             for part in (values,) if hasattr(values, "_fields") else values:

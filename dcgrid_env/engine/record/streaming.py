@@ -1,4 +1,4 @@
-"""Records episodes of any length: steps are held until they make a part, which is summed up and let go."""
+"""Recording of episodes of any length: steps are stored until they make a part, which is summarized and dropped."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from dcgrid_env.engine.simulation import Transition
 
 WHOLE_COURSE_BYTES = 256 * 2**20
-"""Largest course that a run keeps whole; beyond, it is recorded in parts."""
+"""Largest trajectory, bytes, that a run keeps in memory; a larger one is streamed."""
 _PART_BYTES = 48 * 2**20
 _PART_STEPS = 16, 1024
 _ARRAY_BYTES = 112
-"""What an array takes beside its values."""
+"""Memory of an array in addition to its values, bytes."""
 
 
 class PartSink(Protocol):
-    """Takes the course of episodes part by part, to write it or to draw it."""
+    """Receives the trajectories of episodes in parts, to write or draw them."""
 
     def add(self, parts: Sequence[Series | None], first_step: int) -> None:
         """Take the next steps of every environment.
@@ -44,8 +44,8 @@ class PartSink(Protocol):
 class StreamingRecorder:
     """Collects the figures of one episode in every environment of a batch, in memory independent of its length.
 
-    The figures are those of ``Recorder`` to rounding, some 1e-12 of their size. The course itself is gone; ``sinks``
-    are given it part by part.
+    The figures are those of ``Recorder`` to rounding, some 1e-12 of their size. The trajectory itself is not
+    kept; ``sinks`` receive it in parts.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class StreamingRecorder:
     begun
         The transition of the reset.
     sinks
-        What takes the course.
+        Receivers of the trajectory.
     part_steps
         Steps in a part; by default as many as fit into some 48 MiB, 16 to 1024.
     """
@@ -113,9 +113,9 @@ class StreamingRecorder:
 
 
 def course_bytes(scenario: Scenario, seeds: Sequence[int]) -> int:
-    """Memory that :class:`Recorder` takes for the whole course of an episode of each seed, bytes.
+    """Return the memory that :class:`Recorder` needs for an episode of each seed, bytes.
 
-    Beyond ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode is begun to find out.
+    Above ``WHOLE_COURSE_BYTES`` a run uses :class:`StreamingRecorder`. The first episode gives the size.
     """
     from dcgrid_env.engine.simulation import Simulation  # brings the compiler with it
 

@@ -1,4 +1,4 @@
-"""A family of random feeders: what a scenario has for a feeder where each batch of episodes is to have another one."""
+"""Family of random feeders: the feeder of a scenario in which each batch of episodes has another one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _OF_ONE = ("p_load_kw", "q_load_kvar", "r_ohm", "x_ohm", "r_pu", "x_pu", "parent
 class RandomFeeders(OneNodeABus):
     """Random feeders of one style, number of buses and peak load, for the ``feeder`` of a scenario.
 
-    An episode's seed says which feeder it is on. In the train split ``batch`` seeds in a row share one, 0 to
+    An episode's seed selects its feeder. In the train split ``batch`` seeds in a row share one, 0 to
     ``batch - 1`` the first, so that a batch of episodes is one batch of power flows, and each further episode of one
     is on another. Validation, test and ood have 64 feeders each, and seed s is on feeder s % 64 there. No feeder is in
     two splits. ``Scenario.member(seed)`` is the scenario on the feeder of a seed.
@@ -73,7 +73,7 @@ class RandomFeeders(OneNodeABus):
 
     @property
     def name(self) -> str:
-        """What the family is called in tables and messages."""
+        """Name of the family in tables and messages."""
         return f"random-{self.style}-{self.n_bus}"
 
     @cached_property

@@ -64,7 +64,7 @@ def random_feeder(seed: int, *, n_bus: int = 60, style: str = "urban", load_kw: 
     Raises
     ------
     ValueError
-        For a seed that cannot be.
+        For an invalid seed.
     FeederError
         For another style or number of buses, or a load that no feeder of the style carries at its drop.
     """

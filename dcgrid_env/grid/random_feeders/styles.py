@@ -1,4 +1,4 @@
-"""The styles of random feeders: what each statistic is drawn from. docs/random-feeders.md says where from."""
+"""Styles of random feeders: the distribution of each statistic. docs/random-feeders.md says where from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Style:
-    """What random feeders of a style are like."""
+    """Properties of the random feeders of a style."""
 
     about: str
     base_kv: float

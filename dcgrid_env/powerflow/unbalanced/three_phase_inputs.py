@@ -1,4 +1,4 @@
-"""What the power flow of a three-phase feeder is given: checked, and made arrays of one kind."""
+"""Inputs of a three-phase power flow, checked and converted to arrays of one kind."""
 
 from __future__ import annotations
 

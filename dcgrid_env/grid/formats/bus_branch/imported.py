@@ -31,7 +31,7 @@ class ImportedFeeder:
     solver
         What found these voltages.
     notes
-        Lines that the user should read beside the findings.
+        Lines that the user should read in addition to the findings.
     """
 
     network: Network

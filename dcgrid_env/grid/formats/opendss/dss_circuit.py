@@ -1,4 +1,4 @@
-"""A circuit in OpenDSS: handed over, solved as it stands, and read element by element.
+"""Circuit in OpenDSS: defined, solved without controls, and read element by element.
 
 OpenDSSDirect.py comes with the extra ``opendss`` and is imported here alone, when a circuit is made.
 """
@@ -31,7 +31,7 @@ class Terminal(NamedTuple):
 
 
 class DssCircuit:
-    """A circuit in an OpenDSS engine of its own; make one with :func:`loaded_circuit`."""
+    """Circuit in a separate OpenDSS engine; make one with :func:`loaded_circuit`."""
 
     def __init__(self, engine: Any) -> None:
         self.engine = engine
@@ -155,7 +155,7 @@ class DssCircuit:
 
 
 def loaded_circuit(master: Path, trust: bool) -> DssCircuit:
-    """Define the circuit of a script in an engine of its own, checked line by line unless it is trusted.
+    """Define the circuit of a script in a separate engine, checked line by line unless it is trusted.
 
     Raises
     ------
