@@ -36,18 +36,19 @@ class Config(Training):
     """Settings of all Stable-Baselines3 algorithms."""
 
     nameplate: bool = False
-    """Also observe what full draw and full reactive power do to the own voltage (shared policy)."""
+    """Also observe the effect of full demand and full reactive power on the agent's voltage (shared policy)."""
     num_envs: int = 384
-    """Rows of the batch that Stable-Baselines3 steps at once, about: agents of all environments where the policy is
-    shared, environments where it is centralised."""
+    """Approximate number of rows that Stable-Baselines3 steps in parallel. A row is an agent with a shared policy, an
+    environment with a centralised one."""
     gamma: float = 0.9
-    """Discount; 1 / (1 - gamma) steps is how far the policy looks ahead."""
+    """Discount factor; the effective planning horizon is 1 / (1 - gamma) steps."""
     wait: float = 10.0
-    """Steps of waiting that cost the same with the discount as without; the longer, the dearer is deferral."""
+    """Waiting time, in steps, that costs the same with and without the discount. Larger values make deferral more
+    expensive."""
 
     @property
     def kind(self) -> str:
-        """The algorithm, and whether it drives all agents at once."""
+        """Second part of the folder name: the algorithm, and whether the policy is centralised."""
         return self.algorithm() if self.view == "shared" else f"{self.algorithm()}-centralised"
 
 
@@ -56,29 +57,29 @@ class OffPolicy(Config):
     """Further settings of the algorithms with a replay buffer."""
 
     num_envs: int = 96
-    """Rows of the batch that Stable-Baselines3 steps at once, about: agents of all environments where the policy is
-    shared, environments where it is centralised."""
+    """Approximate number of rows that Stable-Baselines3 steps in parallel. A row is an agent with a shared policy, an
+    environment with a centralised one."""
     checkpoint_every: int = 50
-    """Iterations from one checkpoint to the next; it holds the replay buffer."""
+    """Iterations between checkpoints, which contain the replay buffer."""
     steps: int = 1_000_000
-    """Steps in all: of agents where one policy is shared, of environments where it is centralised."""
+    """Total number of steps: agent steps with a shared policy, environment steps with a centralised one."""
     learning_rate: float = 1e-3
-    """At the beginning; it falls linearly to nothing."""
+    """Initial learning rate; it decays linearly to zero."""
     buffer: int = 200_000
-    """Steps of agents or environments that the replay buffer holds."""
+    """Size of the replay buffer, in agent or environment steps."""
     batch: int = 512
-    """Steps of agents or environments that a gradient step draws."""
+    """Minibatch size, in agent or environment steps."""
     gradient_steps: int = 2
-    """Gradient steps for each step of the batch."""
+    """Gradient steps for each step of the vector environment."""
     tau: float = 0.01
-    """How far the target networks follow in a gradient step."""
+    """Update rate of the target networks for each gradient step."""
 
     def iterations(self, vec_env: JointVecEnv) -> int:
-        """Iterations that make up the steps, at least 1."""
+        """Return the number of iterations for the total number of steps, at least 1."""
         return max(1, round(self.steps / (vec_env.num_envs * vec_env.scenario.horizon)))
 
     def rate(self, done: float) -> float:
-        """Learning rate when this share of the training is done."""
+        """Return the learning rate after this fraction of the training."""
         return self.learning_rate * (1.0 - done)
 
 
