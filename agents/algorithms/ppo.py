@@ -1,12 +1,10 @@
 """Train a policy with proximal policy optimisation (PPO) on a batch of feeders.
 
 One policy is shared by all agents (``--view shared``), or one policy controls all of them (``--view centralised``). The
-implementation extends Stable-Baselines3:
-
-- A rollout contains complete episodes of all rows and is collected by array operations.
-- The critic, used in training only, observes all agents of an environment and is evaluated once for all of them.
-- Entries of an action that do not reach the grid, such as an inverter's clock, do not count in the likelihood.
-- A penalty keeps action means within the action range, because there is no learning signal outside it.
+implementation extends Stable-Baselines3. A rollout contains complete episodes and is collected by array operations. The
+critic, used in training only, observes all agents of an environment and is evaluated once for all of them. Entries of
+an action that do not reach the grid, such as an inverter's clock, do not count in the likelihood. A penalty keeps
+action means within the action range, because there is no learning signal outside it.
 
 Every agent receives the team reward. PPO needs no grid model and supports all devices and costs. If training may use
 the grid model, prefer ``ppo-counterfactual``: it scores higher on the presets where both were compared
@@ -64,7 +62,7 @@ class Ppo(sb3.Config):
     """Logarithm of the initial standard deviation of exploration."""
     further_begin: float | None = None
     """Initial mean, -1 to 1, of channels other than clock and reactive power, with --outputs setpoint. At -1,
-    disconnected sites stay disconnected until the policy has learned to reconnect. Default: the channel's neutral
+    disconnected sites stay disconnected until the policy has learned to reconnect. Default: the channel's rest
     value."""
     pull: float = 1.0
     """Weight of the penalty on action means outside the action range."""
