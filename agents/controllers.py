@@ -33,7 +33,7 @@ def _trained(shipped: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 TRAINED = _trained(SHIPPED)
-"""Names that stand for the policy trained on the scenario at hand, with the presets that have one."""
+"""Names that select the policy trained on the given scenario, and the presets that have one."""
 
 
 def _load(name: str, scenario: Scenario, _: str | Path | None) -> Policy:
@@ -41,7 +41,7 @@ def _load(name: str, scenario: Scenario, _: str | Path | None) -> Policy:
 
 
 def _trained_for(name: str, scenario: Scenario) -> str:
-    """Name of the shipped policy that a name stands for on a scenario; ValueError where none was trained for it."""
+    """Return the bundled policy that a name selects on a scenario; raise ValueError if there is none."""
     train = f"train one with `dcgrid train {name} {options_of(scenario, '--scenario')}`"
     if scenario.name not in TRAINED[name]:
         raise ValueError(
