@@ -33,7 +33,7 @@ def _trained(shipped: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 TRAINED = _trained(SHIPPED)
-"""Names that stand for the policy trained on the scenario at hand, with the presets that have one."""
+"""Names that select the policy trained on the given scenario, and the presets that have one."""
 
 
 def _load(name: str, scenario: Scenario, _: str | Path | None) -> Policy:
@@ -41,7 +41,7 @@ def _load(name: str, scenario: Scenario, _: str | Path | None) -> Policy:
 
 
 def _trained_for(name: str, scenario: Scenario) -> str:
-    """Name of the shipped policy that a name stands for on a scenario; ValueError where none was trained for it."""
+    """Return the bundled policy that a name selects on a scenario; raise ValueError if there is none."""
     train = f"train one with `dcgrid train {name} {options_of(scenario, '--scenario')}`"
     if scenario.name not in TRAINED[name]:
         raise ValueError(
@@ -57,7 +57,7 @@ def _trained_for(name: str, scenario: Scenario) -> str:
 
 
 def _guarded(controller: Controller, scenario: Scenario, tuned: str | Path | None) -> GuardedPolicy | TriedPolicy:
-    """A policy under guard; ValueError for a controller that is none."""
+    """Return a policy under guard; raise ValueError if the controller is not a policy."""
     if not isinstance(controller, Policy):
         raise ValueError(
             f"guarded: it guards learned policies, and this is {type(controller).__name__}; name a policy (dcgrid list)"
@@ -66,10 +66,10 @@ def _guarded(controller: Controller, scenario: Scenario, tuned: str | Path | Non
 
 
 def _pickled(path: str) -> Policy:
-    """ValueError: controllers' files are read without running code, and this one is pickle."""
+    """Raise ValueError, because controller files are read without running code and this one contains pickles."""
     raise ValueError(
-        f"controller {path!r} is a zip of Stable-Baselines3, which is pickle, and unpickling runs whatever code it "
-        f"holds; convert it once with `dcgrid export-sb3 {path} --scenario SCENARIO`, which does not unpickle it"
+        f"controller {path!r} is a Stable-Baselines3 zip, which contains pickled objects, and unpickling can "
+        f"run any code; convert it once with `dcgrid export-sb3 {path} --scenario SCENARIO`, which does not unpickle it"
     )
 
 

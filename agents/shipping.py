@@ -136,7 +136,7 @@ def _read(folder: Path) -> tuple[Policy, Card]:
 
 def _check(cards: Sequence[Card], folders: Sequence[Path], name: str) -> None:
     if not cards:
-        raise PolicyError("folders is empty; give the folder of at least one training run")
+        raise PolicyError("folders: must name at least one folder of a training run, got none")
     if not name or Path(name).name != name or Path(name).suffix:
         raise PolicyError(f"name is {name!r}; give a plain name without folder or suffix")
     preset = preset_of(name)

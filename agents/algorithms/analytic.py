@@ -1,20 +1,21 @@
-"""Policy gradient through the physics: the cost is differentiated by the actions that led to it, and so by the policy.
+"""Train a policy by gradients through the power flow.
 
-No value function and no exploration: episodes are rolled out by the environment's own ``dynamics.step``
-(``TensorEnv``), cut into windows, and each window's mean cost is followed down its gradient (truncated
-back-propagation through time).
+The algorithm needs no value function and no exploration. It simulates episodes with the environment's ``dynamics.step``
+(``TensorEnv``), cuts them into windows, and takes a gradient step on the cost of each window (truncated
+back-propagation through time):
 
-    loss = mean over episodes and steps of c_t  +  what an episode's end would charge at the window's end / steps
+    loss = mean cost c_t over the window's steps and episodes  +  end-of-episode cost at the window's end / steps
 
-Under a limit on the delay or the violation its price is multiplied by a factor that follows it (``training.limits``).
+A limit on the delay or the violation multiplies its price by a factor that is adapted during training
+(``training.limits``).
 
-One network for each kind of agent, on local observations alone, its outputs changes of what holds everything as it is
-(``policy.interface``); it takes no notice of which agent it is but by the electrical distance R_ii, X_ii and its own
-rating.
+Each kind of agent has one network. It uses local observations only, and its outputs are changes from the action that
+keeps the current state (``policy.interface``). Agents of one kind differ only in their electrical distance R_ii, X_ii
+and their rating.
 
-Truncated gradients through differentiable simulators: J. Xu et al., "Accelerated policy learning with parallel
-differentiable simulation", arXiv 2204.07137. By Little's law the mean delay is the mean backlog over the mean work that
-arrives, which has a derivative.
+The mean delay is differentiable because Little's law gives it as mean backlog divided by mean arriving work.
+
+Reference: J. Xu et al., "Accelerated policy learning with parallel differentiable simulation", arXiv 2204.07137.
 """
 
 from __future__ import annotations
@@ -48,53 +49,54 @@ class Analytic(Training):
     """Train a policy by gradients through the grid."""
 
     delay_limit_s: float | None = None
-    """Best voltage at no more than this mean delay, s; the price of waiting is then found, not given."""
+    """Upper limit on the mean delay, s. The price of waiting is then adapted to meet the limit."""
     violation_limit_pu: float | None = None
-    """Least cost at no more than this mean excess over the band, p.u.; the price of it is then found, not given."""
+    """Upper limit on the mean excess over the voltage band, p.u. The price of violations is then adapted to meet it."""
     vary: int = 0
-    """Train on so many variants of each scenario, other placements and ratings, besides the scenario itself."""
+    """Number of additional variants of each scenario to train on, with other placements, ratings and substation
+    voltages."""
     updates: int = 200
-    """Steps of the optimiser."""
+    """Number of optimiser steps."""
     window: int = 40
-    """Steps through which the gradient reaches back, about."""
+    """Approximate number of simulation steps through which gradients are propagated."""
     learning_rate: float = 1e-2
-    """At the beginning; it falls to nothing along a cosine."""
+    """Initial learning rate; it decays to zero along a cosine."""
     max_grad_norm: float = 1.0
-    """Gradients are cut to this norm."""
+    """Maximum norm of the gradient; larger gradients are scaled down."""
     history: int = 0
-    """Steps back to which a policy sees how voltage, powers and coming work have changed; 0 for none."""
+    """Number of past steps whose changes in voltage, power and coming work are network inputs; 0 for none."""
     trip_width_pu: float = 0.0
-    """Width of the smooth steps that stand for trips and returns in the gradient alone, p.u. of voltage; 0 for the
-    gradient of what is exact, which has none of them (docs/ride-through.md)."""
+    """Width, p.u. of voltage, of the smooth steps that replace disconnection and reconnection in the gradient. With 0
+    the gradient ignores both (docs/ride-through.md)."""
     trip_width_s: float = 1.0
-    """Their width in the time to a slow trip, s."""
+    """Width, s, of the smooth steps in the time until a slow trip."""
     dual_rate: float = 0.05
-    """How fast a multiplier follows what exceeds its limit, as a share of its scale for each relative excess."""
+    """Step size of the price factor of a limit: relative change per relative excess over the limit."""
     validate_every: int = 8
-    """Batches of episodes from one validation to the next."""
+    """Batches of episodes between validations."""
     checkpoint_every: int = 8
-    """Batches of episodes from one checkpoint to the next."""
+    """Batches of episodes between checkpoints."""
 
     @property
     def limits(self) -> Limits:
-        """What the policy must keep."""
+        """Limits that the policy must meet."""
         return Limits(self.delay_limit_s, self.violation_limit_pu)
 
     @property
     def trip_widths(self) -> TripWidths | None:
-        """Widths of the surrogate of trips and returns; None without one."""
+        """Widths of the smooth steps for disconnection and reconnection; None if they are not used."""
         return TripWidths(self.trip_width_pu, self.trip_width_s) if self.trip_width_pu else None
 
 
 class Learner:
-    """What is trained: networks, their optimiser and multipliers, and the grids that they are trained on.
+    """Store networks, optimiser, price factors and training grids.
 
     Parameters
     ----------
     cfg
         The configuration.
     grids
-        Scenarios of the training split, of the same widths of observation.
+        Scenarios of the training split, with observations of the same widths.
     """
 
     def __init__(self, cfg: Analytic, grids: Sequence[Scenario]):
@@ -123,7 +125,7 @@ class Learner:
         self.optimiser = torch.optim.Adam(self.networks.parameters(), lr=cfg.learning_rate)
 
     def network(self, name: str, mean: torch.Tensor, std: torch.Tensor, n_out: int) -> torch.nn.Module:
-        """A network at its beginning, for agents of this kind."""
+        """Return an initialised network for agents of this kind."""
         if self.columns.get(name):
             return HistoryPerceptron(mean, std, n_out, self.cfg.hidden, self.columns[name], self.cfg.history)
         return Perceptron(mean, std, n_out, self.cfg.hidden)
@@ -134,9 +136,9 @@ class Learner:
     def episodes(
         self, i: int, iteration: int, require_finite: Callable[[str, Iterable[torch.Tensor]], None]
     ) -> dict[str, float]:
-        """Drive a batch of episodes of grid i to its end, a step of the optimiser after each window.
+        """Simulate a batch of episodes on grid i and update the networks after each window.
 
-        ``require_finite`` raises for tensors that are not, given what they are.
+        ``require_finite`` raises if tensors are not finite; its first argument describes them.
         """
         cfg, env = self.cfg, self.envs[i]
         joint = env.reset(episode_seeds(cfg.seed, iteration, cfg.num_envs))
@@ -175,7 +177,7 @@ class Learner:
         return {"loss": float(np.mean(losses)), "gradient_norm": norm}
 
     def _priced(self, env: TensorEnv, step: TensorStep) -> torch.Tensor:
-        """Mean cost of a step, without what is charged at the end alone, under the multipliers."""
+        """Return the mean cost of a step with the price factors, without costs charged only at the end."""
         c, f = step.costs, self.factors
         each = step.cost_j - c.leftover + (f["delay"] - 1.0) * c.backlog + (f["violation"] - 1.0) * c.violation
         for name in self._further_end_costs(env, step) if env.over else ():
@@ -183,7 +185,7 @@ class Learner:
         return each.mean()
 
     def _left(self, env: TensorEnv, step: TensorStep) -> torch.Tensor:
-        """Charge at a window's end as at an episode's: for the backlog, and for what else only the end charges."""
+        """Return the end-of-episode cost at a window's end: backlog and other costs charged only at the end."""
         rated_kw, weight = (
             float(env.scenario.datacenters.parameters.p_rated_kw.sum()) or 1.0,
             env.scenario.cost.weights.leftover,
@@ -193,26 +195,26 @@ class Learner:
 
     @staticmethod
     def _further_end_costs(env: TensorEnv, step: TensorStep) -> dict[str, torch.Tensor]:
-        """What an episode's end charges beside the backlog, as energy that is missing in storages, (row,) each."""
+        """Return end-of-episode costs other than backlog, such as energy missing in storages, each (row,)."""
         return {name: due for name, due in end_costs(env.scenario, step.state).items() if name != "leftover"}
 
     def act(self, i: int, joint: torch.Tensor) -> torch.Tensor:
-        """Joint action after a joint observation of grid i."""
+        """Return the joint action for a joint observation of grid i."""
         interface = self.interfaces[i]
         return interface.action(joint, outputs_of(self.networks, interface.inputs(joint), self.memory))  # pyright: ignore
 
     def set_rate(self, learning_rate: float) -> None:
-        """Set the optimiser's learning rate from now on."""
+        """Set the learning rate of the optimiser."""
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate
 
     def progress(self) -> dict[str, float]:
-        """Multipliers, and the time spent, as the curve has them."""
+        """Return price factors and computing times for the learning curve."""
         factors = {f"{name}_factor": value for name, value in self.factors.items()}
         return factors | {f"{name}_s": value for name, value in self.spent_s.items()}
 
     def state(self) -> dict[str, Any]:
-        """All that training goes on from."""
+        """Return the state from which training can continue."""
         return {
             "networks": self.networks.state_dict(),
             "optimiser": self.optimiser.state_dict(),
@@ -221,13 +223,13 @@ class Learner:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a ``state()``."""
+        """Restore a state that ``state()`` returned."""
         self.networks.load_state_dict(state["networks"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.factors, self.spent_s = state["factors"], state["spent_s"]
 
     def policy(self) -> Policy:
-        """The policy as it stands, as NumPy arrays."""
+        """Return the current policy as NumPy arrays."""
         networks = {name: net.exported() for name, net in self.networks.items()}  # pyright: ignore
         return Policy(
             networks, observe=self.cfg.observe, **self.chosen, scenario=trained_on(self.cfg), made_with=made_with(),
@@ -236,12 +238,12 @@ class Learner:
 
 
 def check_settings(cfg: Analytic) -> None:
-    """Raise ValueError, naming the field, if a setting is invalid."""
+    """Raise ValueError with the field's name if a setting is invalid."""
     check(cfg)
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
-    """Scenarios of the training split: those named, then variants of each; ValueError for one that cannot be."""
+    """Return the named training scenarios and their variants; raise ValueError if one is invalid."""
     given = [under_own_control(grid) for grid in scenarios(cfg.scenario, cfg.set, observe=cfg.observe)]
     check_batch(given, cfg.num_envs)
     rng = np.random.default_rng([cfg.seed, 1])
@@ -249,7 +251,7 @@ def grids_of(cfg: Analytic) -> list[Scenario]:
 
 
 def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
-    """Train; the folder written."""
+    """Train a policy and return the output folder."""
     check_settings(cfg)
     torch.set_num_threads(cfg.threads)
     grids = grids_of(cfg)
@@ -263,7 +265,7 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
 
 
 def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], validate: Validation) -> Path:
-    """Train a model on its grids, from the run's checkpoint on; the folder written."""
+    """Train a model on its grids, from the checkpoint of the run if it has one, and return the output folder."""
     algorithm = cfg.algorithm()
     each = np.mean([len(windows(grid.horizon, cfg.window)) for grid in grids])
     iterations = max(1, round(cfg.updates / each))

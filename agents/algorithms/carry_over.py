@@ -1,16 +1,17 @@
-"""A policy that carries over: corrections of the model-aided law, learned on random feeders.
+"""Train corrections of the model-aided law on random feeders, for use on new feeders.
 
-Each scenario of a batch is another one of ``training.drawn_feeders``: another feeder, other places, numbers and ratings
-of devices, another substation voltage, other work. Its agents are commissioned as the law's are
-(``baselines.model_aided``), the networks correct the law (``policy.law_interface``), at first by nothing, and the cost
-of whole episodes is followed down its gradient, which goes through the grid and through the law (``policy.law_step``):
+Each scenario of a batch comes from ``training.drawn_feeders`` and differs in feeder, placement, number and rating of
+devices, substation voltage and work. Agents are commissioned as for the law (``baselines.model_aided``). The networks
+correct the law (``policy.law_interface``); their initial corrections are zero. The gradient of the cost of complete
+episodes passes through the grid and the law (``policy.law_step``):
 
-    loss = mean over the batch's scenarios of the logarithm of J
+    loss = mean over the batch's scenarios of log(J)
 
-The logarithm lets a feeder that is hard count no more than one that is easy. Batches of a few feeders differ much from
-each other, so that policies are judged, and kept, with the mean of the latest weights, and not with those of one
-update: B. T. Polyak and A. B. Juditsky, SIAM J. Control Optim. 30(4), 1992. What is kept is the policy with the least
-mean J on held-out scenarios of the same family. No named feeder is ever seen.
+The logarithm gives difficult and easy feeders the same weight. Small batches of feeders differ much from each other.
+Therefore a moving average of the weights is validated and saved, not the weights of one update. The saved policy has
+the smallest mean J on held-out scenarios of the same family. Training uses none of the presets' feeders.
+
+Reference: B. T. Polyak and A. B. Juditsky, SIAM J. Control Optim. 30(4), 1992.
 """
 
 from __future__ import annotations
@@ -34,46 +35,47 @@ from dcgrid_env.agents.training.validation import made_with
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 
 _NORMALISED_ON = 16
-"""Scenarios on which the figures are normalised, the last ones of a training seed, which training never comes to."""
+"""Number of scenarios for input normalisation: the last ones of a training seed, which training does not use."""
 _OF_A_SEED = 1 << 24
-"""Scenarios of one training seed."""
+"""Number of scenarios for each training seed."""
 _LEAST_STD = 2e-2
 _KEPT = 0.97
-"""Share of the mean of the weights that an update leaves."""
+"""Decay of the moving average of the weights."""
 
 
 @dataclass(frozen=True)
 class CarryOver(Training):
-    """Train a policy for feeders that it never saw."""
+    """Train a policy for new feeders."""
 
     scenario: str = FAMILY
-    """The family of scenarios on random feeders; there is no other."""
+    """Family of scenarios on random feeders; the only allowed value is the default."""
     updates: int = 300
-    """Steps of the optimiser."""
+    """Number of optimiser steps."""
     feeders: int = 6
-    """Scenarios of a batch, each on a feeder of its own."""
+    """Number of scenarios in a batch, each on a different feeder."""
     num_envs: int = 8
-    """Episodes on each."""
+    """Number of episodes for each scenario of a batch."""
     steps: int = 60
-    """Steps of an episode in training, all in one window; it is judged on episodes of 120."""
+    """Length of a training episode, in steps. Gradients pass through the complete episode. Validation episodes have 120
+    steps."""
     learning_rate: float = 3e-3
-    """At the beginning; it falls to nothing along a cosine."""
+    """Initial learning rate; it decays to zero along a cosine."""
     max_grad_norm: float = 0.3
-    """Gradients are cut to this norm."""
+    """Maximum norm of the gradient; larger gradients are scaled down."""
     hidden: tuple[int, ...] = (48, 48)
     """Widths of the hidden layers."""
     validation_feeders: int = 16
-    """Held-out scenarios that a policy is judged on."""
+    """Number of held-out scenarios on which a policy is evaluated."""
     validation_episodes: int = 4
-    """Episodes of each."""
+    """Number of episodes for each held-out scenario."""
     validate_every: int = 25
-    """Updates from one validation to the next."""
+    """Updates between validations."""
     checkpoint_every: int = 25
-    """Updates from one checkpoint to the next."""
+    """Updates between checkpoints."""
 
     @property
     def subject(self) -> str:
-        """The family, which is no scenario that has a name of its own."""
+        """First part of the folder name: the scenario family."""
         return FAMILY
 
     @classmethod
@@ -83,9 +85,9 @@ class CarryOver(Training):
 
 
 class CommissionedEnv:
-    """Differentiable episodes of a scenario with fixed places, whose agents are commissioned.
+    """Simulate differentiable episodes of a scenario with fixed placements and commissioned agents.
 
-    ValueError where the law cannot drive it.
+    Raises ValueError if the law cannot control the scenario.
     """
 
     def __init__(self, scenario: Scenario):
@@ -98,7 +100,7 @@ class CommissionedEnv:
     def episodes(
         self, networks: Mapping[str, torch.nn.Module] | None, seeds: Sequence[int]
     ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Mean J of the episodes of these seeds, the law's alone without networks, and all that networks saw."""
+        """Return the mean J of the seeds' episodes and the network inputs; without networks, the law acts alone."""
         env, past, seen_by = self.env, Past(), {}
         joint, total = env.reset(seeds), torch.zeros(())
         while not env.over:
@@ -115,7 +117,7 @@ class CommissionedEnv:
 
 
 class Corrections(torch.nn.ModuleDict):
-    """The networks, one for each kind of agent; at the beginning all they give is exactly 0."""
+    """Store one correction network for each kind of agent; the initial outputs are exactly zero."""
 
     def __init__(self, moments: Mapping[str, tuple[torch.Tensor, torch.Tensor]], hidden: Sequence[int]):
         super().__init__({kind: Perceptron(*moments[kind], OUTPUTS[kind], hidden) for kind in moments})
@@ -123,19 +125,19 @@ class Corrections(torch.nn.ModuleDict):
             torch.nn.init.zeros_(network.layers[-1].weight)  # pyright: ignore
 
     def policy(self) -> ModelAidedPolicy:
-        """The policy as it stands, as NumPy arrays."""
+        """Return the current policy as NumPy arrays."""
         networks = {kind: network.exported() for kind, network in self.items()}  # pyright: ignore
         return ModelAidedPolicy(networks, scenario=FAMILY, made_with=made_with())
 
 
 def tensor(array: np.ndarray) -> torch.Tensor:
-    """An array as a tensor, floats in single precision."""
+    """Convert an array to a tensor, floats to single precision."""
     made = torch.from_numpy(np.array(array))
     return made.float() if made.is_floating_point() else made
 
 
 def check_settings(cfg: CarryOver) -> None:
-    """Raise ValueError, naming the field, if a setting is invalid."""
+    """Raise ValueError with the field's name if a setting is invalid."""
     check(cfg)
     plain = CarryOver()
     for field in ("scenario", "set", "view", "observe", "preview", "act", "device"):
@@ -147,12 +149,12 @@ def check_settings(cfg: CarryOver) -> None:
 
 
 def drawn_on(cfg: CarryOver, i: int) -> Scenario:
-    """Training scenario i of a configuration's seed."""
+    """Return training scenario i for the configured seed."""
     return drawn_scenario("train", cfg.seed * _OF_A_SEED + i).replace(horizon=cfg.steps)
 
 
 def moments(cfg: CarryOver) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-    """Mean and standard deviation of what each network sees under the law, over scenarios of their own."""
+    """Return mean and standard deviation of each network's inputs under the law, over separate scenarios."""
     rows: dict[str, list[torch.Tensor]] = {kind: [] for kind in FEATURES}
     with torch.no_grad():
         for i in range(_OF_A_SEED - _NORMALISED_ON, _OF_A_SEED):
@@ -163,7 +165,7 @@ def moments(cfg: CarryOver) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
 
 
 class HeldOut:
-    """Judges networks on held-out scenarios of the family, against the law on the same episodes."""
+    """Compare networks with the law on the same episodes of held-out scenarios."""
 
     def __init__(self, cfg: CarryOver):
         self.seeds = range(cfg.validation_episodes)
@@ -171,7 +173,7 @@ class HeldOut:
         self.by_law = self._costs(None)
 
     def __call__(self, networks: Mapping[str, torch.nn.Module]) -> dict[str, float]:
-        """Mean J, the law's, and the mean and largest quotient of both over the scenarios."""
+        """Return mean J of the networks and of the law, and mean and maximum of their ratio over the scenarios."""
         j = self._costs(networks)
         share = j / self.by_law
         return {"J": j.mean(), "J_law": self.by_law.mean(), "share": share.mean(), "worst_share": share.max()}
@@ -182,7 +184,7 @@ class HeldOut:
 
 
 def main(cfg: CarryOver) -> Path:
-    """Train; the folder written."""
+    """Train a policy and return the output folder."""
     check_settings(cfg)
     torch.set_num_threads(cfg.threads)
     torch.manual_seed(cfg.seed)
@@ -192,7 +194,7 @@ def main(cfg: CarryOver) -> Path:
 
 
 def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> Path:
-    """Train from the run's checkpoint on; the folder written."""
+    """Train from the checkpoint of the run, if it has one, and return the output folder."""
     optimiser = torch.optim.Adam(networks.parameters(), lr=cfg.learning_rate)
     averages = torch.optim.swa_utils
     mean = averages.AveragedModel(networks, multi_avg_fn=averages.get_ema_multi_avg_fn(_KEPT))
@@ -231,7 +233,7 @@ def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> P
 def _update(
     cfg: CarryOver, run: Run, networks: Corrections, optimiser: torch.optim.Optimizer, update: int
 ) -> dict[str, float]:
-    """One batch and one step of the optimiser; what it came to."""
+    """Process one batch, take one optimiser step, and return loss and gradient norm."""
     optimiser.zero_grad()
     losses = []
     for i in range((update - 1) * cfg.feeders, update * cfg.feeders):

@@ -1,15 +1,17 @@
-"""Proximal policy optimisation on a batch of feeders: one policy for all agents, or one agent for all actuators.
+"""Train a policy with proximal policy optimisation (PPO) on a batch of feeders.
 
-J. Schulman et al., "Proximal policy optimization algorithms", arXiv 1707.06347, as Stable-Baselines3 has it. What is
-ours: rollouts are whole episodes of all rows, collected and bootstrapped by array operations; the critic, which only
-training needs, sees all agents of an environment (C. Yu et al., "The surprising effectiveness of PPO in cooperative
-multi-agent games", arXiv 2103.01955) and is computed once for all of them; an entry of an action that never reaches the
-grid, as an inverter's clock, counts for nothing in the likelihood; means are drawn back into the actions' range, beyond
-which there is nothing to learn from.
+One policy is shared by all agents (``--view shared``), or one policy controls all of them (``--view centralised``). The
+implementation extends Stable-Baselines3. A rollout contains complete episodes and is collected by array operations. The
+critic, used in training only, observes all agents of an environment and is evaluated once for all of them. Entries of
+an action that do not reach the grid, such as an inverter's clock, do not count in the likelihood. A penalty keeps
+action means within the action range, because there is no learning signal outside it.
 
-Every agent is paid the team's reward. Where training may use the grid's model, ``ppo-counterfactual``, which pays each
-for what its own action changed, scores higher on the presets where both were compared (docs/training.md). This one
-needs no model, and drives devices of every kind, on every cost.
+Every agent receives the team reward. PPO needs no grid model and supports all devices and costs. If training may use
+the grid model, prefer ``ppo-counterfactual``: it scores higher on the presets where both were compared
+(docs/training.md).
+
+References: J. Schulman et al., "Proximal policy optimization algorithms", arXiv 1707.06347; C. Yu et al., "The
+surprising effectiveness of PPO in cooperative multi-agent games", arXiv 2103.01955.
 """
 
 from __future__ import annotations
@@ -41,34 +43,38 @@ class Ppo(sb3.Config):
     """Train a policy with PPO."""
 
     outputs: Outputs = "setpoint"
-    """Network outputs: setpoints, changes from the action that keeps the current state, or corrections of a droop."""
+    """Network outputs: set points, changes from the action that keeps the current state, or corrections of a droop."""
     gains: tuple[float, float, float] | None = None
-    """Gains of that droop: k_p in MW/p.u., k_q in Mvar/(p.u. s), alpha in 1/s. Those of the tuned droop by default."""
+    """Gains for --outputs droop: k_p in MW/p.u., k_q in Mvar/(p.u. s), alpha in 1/s. Default: the tuned droop's."""
     steps: int = 10_000_000
-    """Steps in all: of agents where one policy is shared, of environments where it is centralised."""
+    """Total number of steps: agent steps with a shared policy, environment steps with a centralised one."""
     gae_lambda: float = 0.8
     """Decay lambda of generalised advantage estimation."""
     learning_rate: float = 3e-3
-    """At the beginning; it falls linearly to nothing."""
+    """Initial learning rate; it decays linearly to zero."""
     epochs: int = 3
-    """Passes over each rollout."""
+    """Number of passes over each rollout."""
     minibatches: int = 8
-    """Parts of a pass."""
+    """Number of minibatches in each pass."""
     clip: float = 0.2
-    """Largest change of the likelihood ratio that pays."""
+    """Clip range of the likelihood ratio."""
     log_std: float = -0.7
-    """Logarithm of the exploration's standard deviation at the beginning."""
+    """Logarithm of the initial standard deviation of exploration."""
     further_begin: float | None = None
-    """Where the means of channels other than clocks and reactive power begin as setpoints, -1 to 1: at -1 sites that
-    left the grid stay away until the policy has learnt to return. Their rest unless given."""
+    """Initial mean, -1 to 1, of channels other than clock and reactive power, with --outputs setpoint. At -1,
+    disconnected sites stay disconnected until the policy has learned to reconnect. Default: the channel's rest
+    value."""
     pull: float = 1.0
-    """Weight that draws means back into the actions' range."""
+    """Weight of the penalty on action means outside the action range."""
     max_grad_norm: float = 0.5
-    """Gradients are cut to this norm."""
+    """Maximum norm of the gradient; larger gradients are scaled down."""
 
 
 class Networks(torch.nn.Module):
-    """Hidden layers of the actor, from a row's features, and of the critic, from those of all rows of its group."""
+    """Store the hidden layers of actor and critic.
+
+    The actor uses the features of a row, the critic those of all rows of its group.
+    """
 
     def __init__(self, features: int, group: int, hidden: list[int]):
         super().__init__()
@@ -87,20 +93,20 @@ class Networks(torch.nn.Module):
 
 
 class GroupPolicy(ActorCriticPolicy):
-    """SB3's actor and critic, the critic seeing all agents of an environment and giving all of them one value.
+    """Extend the actor and critic of SB3 with a critic that computes one value for all agents of an environment.
 
     Parameters
     ----------
     group
-        Rows of an environment; observations come with all rows of an environment, one after the other.
+        Number of rows of an environment. The rows of an environment are consecutive.
     used
-        ``JointVecEnv.used``: one row, or one a kind, told apart by the last figures of the observation, which are 1 for
-        the second kind, the third .. Entries of an action that reach nothing have no likelihood.
+        ``JointVecEnv.used``: one row, or one row for each kind of agent. The last entries of the observation are a
+        one-hot code of the kind, all zero for the first kind. Unused entries of an action have no likelihood.
     rest
-        Where the mean of each entry of an action begins, (n_action,).
+        Initial mean of each entry of an action, (n_action,).
     pull
-        Weight of half the squared excess of the mean over [-1, 1] in the loss: where the mean is far beyond, no action
-        drawn differs in what it does, and there is nothing to learn from.
+        Weight of half the squared excess of the mean over [-1, 1] in the loss. If the mean is far outside this range,
+        all sampled actions have the same effect and there is no learning signal.
     """
 
     used: torch.Tensor
@@ -115,7 +121,7 @@ class GroupPolicy(ActorCriticPolicy):
         self.mlp_extractor: Any = Networks(self.features_dim, self.group, self.net_arch).to(self.device)  # pyright: ignore
 
     def used_by(self, observations: torch.Tensor) -> torch.Tensor:
-        """Entries of the actions that reach the grid, (row or 1, n_action)."""
+        """Return which entries of the actions reach the grid, (row or 1, n_action)."""
         if len(self.used) == 1:
             return self.used
         kinds = observations[:, 1 - len(self.used) :]
@@ -129,19 +135,19 @@ class GroupPolicy(ActorCriticPolicy):
         return self.value_net(self.mlp_extractor.forward_critic(features)).repeat_interleave(self.group, 0)
 
     def sample(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Actions drawn, (row, n_action), and their log likelihood up to a constant, (row,)."""
+        """Sample actions, (row, n_action), and return them with their log likelihood up to a constant, (row,)."""
         mean = self.action_net(self.mlp_extractor.forward_actor(self.extract_features(observations)))
         actions = mean + torch.exp(self.log_std) * torch.randn_like(mean)
         return actions, self._likelihood(observations, actions, mean)
 
     def predict_values(self, obs: Any) -> torch.Tensor:
-        """Value of each row, (row, 1)."""
+        """Return the value of each row, (row, 1)."""
         return self._values(self.extract_features(obs))
 
     def evaluate_actions(
         self, obs: Any, actions: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Values, log likelihoods up to a constant, and the entropy up to a constant."""
+        """Return values, log likelihoods up to a constant, and the entropy up to a constant."""
         features = self.extract_features(obs)
         mean = self.action_net(self.mlp_extractor.forward_actor(features))
         if mean.requires_grad:
@@ -151,12 +157,12 @@ class GroupPolicy(ActorCriticPolicy):
 
 
 class GroupBuffer(RolloutBuffer):
-    """A rollout whose minibatches hold whole groups: all rows of an environment at a step.
+    """Store a rollout and sample minibatches of complete groups: all rows of an environment at a step.
 
     Parameters
     ----------
     group
-        Rows of an environment.
+        Number of rows of an environment.
     """
 
     def __init__(self, *args: Any, group: int, **kwargs: Any):
@@ -164,7 +170,7 @@ class GroupBuffer(RolloutBuffer):
         self.group = group
 
     def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
-        """Minibatches of about ``batch_size`` row steps, in random order."""
+        """Yield minibatches of about ``batch_size`` row steps, in random order."""
         arrays = (self.observations, self.actions, self.values, self.log_probs, self.advantages, self.returns)
         grouped = [torch.as_tensor(array, device=self.device) for array in arrays]
         grouped = [tensor.reshape(-1, self.group, *tensor.shape[2:]) for tensor in grouped]
@@ -174,10 +180,10 @@ class GroupBuffer(RolloutBuffer):
 
 
 class BatchedPpo(PPO):
-    """PPO that collects rollouts without a Python loop over rows."""
+    """Run PPO and collect rollouts without a Python loop over rows."""
 
     def collect_rollouts(self, env: Any, callback: Any, rollout_buffer: Any, n_rollout_steps: int) -> bool:
-        """Fill the buffer; the value goes on where the horizon cuts an episode off."""
+        """Fill the buffer; bootstrap the value where the horizon truncates an episode."""
         vec_env: JointVecEnv = env
         policy: Any = self.policy
         policy.set_training_mode(False)
@@ -220,7 +226,7 @@ class BatchedPpo(PPO):
 
 
 def make(cfg: Ppo, vec_env: JointVecEnv) -> BatchedPpo:
-    """The algorithm at its beginning."""
+    """Return the initialised algorithm."""
     set_random_seed(cfg.seed)
     normalisation = sb3_models.normalise(vec_env, cfg.seed, cfg.gamma)
     rollout = vec_env.num_envs * vec_env.scenario.horizon
@@ -255,7 +261,7 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> BatchedPpo:
 
 
 def exported(cfg: Ppo, vec_env: JointVecEnv, model: BatchedPpo) -> Policy:
-    """The policy's mean as it stands, as NumPy arrays."""
+    """Return the mean of the current policy as NumPy arrays."""
     policy: Any = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]
     return sb3_models.export(
@@ -264,7 +270,7 @@ def exported(cfg: Ppo, vec_env: JointVecEnv, model: BatchedPpo) -> Policy:
 
 
 def main(cfg: Ppo) -> Path:
-    """Train; the folder written."""
+    """Train a policy and return the output folder."""
     if cfg.further_begin is not None and cfg.outputs != "setpoint":
         raise ValueError(f"further_begin is {cfg.further_begin}; leave it out, or give outputs = 'setpoint'")
     if cfg.gains is not None and not (cfg.outputs == "droop" and all(0.0 <= gain <= MOST_GAIN for gain in cfg.gains)):

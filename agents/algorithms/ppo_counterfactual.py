@@ -1,19 +1,23 @@
-"""Proximal policy optimisation in which each agent is paid for what its own action changed, by the grid's model.
+"""Train a policy with proximal policy optimisation (PPO) and counterfactual advantages.
 
-Training uses the feeder's model and the voltages of all nodes: the advantage of each agent's clock and of its reactive
-power is the difference in the team's cost between what it did and what the policy's mean would have done, all others
-acting as they did (``training.counterfactual``). There is no critic and no discount. Acting stays local: the policy is
-one network for each kind of agent on what an agent observes, its outputs changes (``policy.interface``).
+Training uses the grid model and all node voltages. The advantage of an agent's clock or reactive power is a difference
+in team cost: between the agent's action and the policy's mean action, with the actions of all others unchanged
+(``training.counterfactual``). There is no critic and no discount. Each kind of agent has one network. It uses the
+agent's observations only, and its outputs are changes from the action that keeps the current state
+(``policy.interface``).
 
     loss = - sum over c of mean(min(ratio_c A_c, clip(ratio_c, 1 - clip, 1 + clip) A_c))      c: clock, reactive power
 
-with each A over its standard deviation in the rollout: J. Schulman et al., "Proximal policy optimization algorithms",
-arXiv 1707.06347, one ratio a component. A rollout is a whole episode in every environment. Of Stable-Baselines3 serve
-the vector environment, the base of algorithms and that of policies; its PPO has one advantage and one likelihood for
-a whole action, needs a critic, and has one network for all rows.
+Each A_c is divided by its standard deviation in the rollout, and each component has a separate likelihood ratio. A
+rollout is a complete episode in every environment.
 
-It scores above plain ``ppo`` where that was compared with it (docs/training.md). Plain ``ppo`` needs no model of the
-grid, and serves devices and costs that act on later steps, which are refused here.
+The algorithm scores higher than ``ppo`` where both were compared (docs/training.md). It rejects devices and costs that
+affect later steps; use ``ppo`` for them, and if there is no grid model.
+
+The implementation uses the vector environment and the base classes for algorithms and policies of Stable-Baselines3,
+but not its PPO, which has one advantage and one likelihood for each action, a critic, and one network for all rows.
+
+Reference: J. Schulman et al., "Proximal policy optimization algorithms", arXiv 1707.06347.
 """
 
 from __future__ import annotations
@@ -42,9 +46,12 @@ from dcgrid_env.baselines import make_controller
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 SMALLEST_STD = 1e-2
-"""Least standard deviation that observations are divided by."""
+"""Smallest standard deviation for the normalisation of observations."""
 NO_ADVANTAGE = 1e-9
-"""Standard deviation of advantages that are all alike, as of a clock that is held at its top."""
+"""Smallest standard deviation for the normalisation of advantages.
+
+Advantages are all equal for an action without effect, such as a clock that is fixed at its maximum.
+"""
 
 
 @dataclass(frozen=True)
@@ -52,46 +59,46 @@ class PpoCounterfactual(Training):
     """Train a policy with PPO on counterfactual advantages."""
 
     view: Literal["shared", "centralised"] = "shared"
-    """shared alone, one policy for all agents on their own observations: an advantage is a single agent's."""
+    """Only shared is allowed: one policy, applied to each agent's observations. Advantages are computed per agent."""
     num_envs: int = 32
-    """Environments that are stepped at once, each with an episode of its own."""
+    """Number of environments that are simulated in parallel, each with a separate episode."""
     steps: int = 300_000
-    """Steps of environments in all."""
+    """Total number of environment steps."""
     learning_rate: float = 3e-3
-    """At the beginning; it falls linearly to nothing."""
+    """Initial learning rate; it decays linearly to zero."""
     epochs: int = 3
-    """Passes over each rollout."""
+    """Number of passes over each rollout."""
     minibatches: int = 8
-    """Parts of a pass."""
+    """Number of minibatches in each pass."""
     clip: float = 0.2
-    """Largest change of a likelihood ratio that pays."""
+    """Clip range of the likelihood ratio."""
     q_std: float = 0.1
-    """Standard deviation of the exploration of reactive power at the beginning, as a share of an agent's limit."""
+    """Initial standard deviation of reactive power in exploration, as a fraction of the agent's limit."""
     clock_std: float = 0.15
-    """That of the clock's, in units of its action, whose range is 2."""
+    """Initial standard deviation of the clock in exploration, in units of its action, which ranges from -1 to 1."""
     last_std: float = 0.3
-    """What is left of both at the end, as a share; they fall linearly."""
+    """Final value of both standard deviations as a fraction of the initial value; they decrease linearly."""
     within_reach: bool = False
-    """Whether the mean of reactive power is cut to what the converter could dispatch at the step before; no action that
-    is drawn around a mean far beyond the limit changes anything. Of no effect with --act clock."""
+    """Limit the mean reactive power to the converter's capability at the previous step. Without this option, all
+    actions sampled around a mean far beyond the limit have the same effect. No effect with --act clock."""
     max_grad_norm: float = 0.5
-    """Gradients are cut to this norm."""
+    """Maximum norm of the gradient; larger gradients are scaled down."""
 
 
 class Rollout(NamedTuple):
-    """What a batch of episodes has shown; rows are steps and environments, columns entries of the joint action."""
+    """Data of a batch of episodes; rows are steps and environments, columns are entries of the joint action."""
 
     observations: torch.Tensor
     """Joint observations, (row, n_observation)."""
     outputs: torch.Tensor
-    """Outputs drawn, (row, n_action)."""
+    """Sampled outputs, (row, n_action)."""
     means: torch.Tensor
-    """Their means, (row, n_action)."""
+    """Means of the outputs, (row, n_action)."""
     advantages: torch.Tensor
     """(row, n_action)"""
     lowest: torch.Tensor
     highest: torch.Tensor
-    """What means are cut to, (row, n_action)."""
+    """Lower (``lowest``) and upper limit of the means, (row, n_action)."""
     costs: np.ndarray
     """Cost of each step, (step, env)."""
 
@@ -172,7 +179,10 @@ class CounterfactualPpo(BaseAlgorithm):
         return Rollout(observations, outputs, means, advantages, lowest, highest, np.array(costs))
 
     def limits(self, state: Any) -> tuple[torch.Tensor, torch.Tensor]:
-        """Lowest and highest means after a state, (env, n_action): changes of q that end at the converter's limits."""
+        """Return the lower and upper limit of the means after a state, (env, n_action).
+
+        The limits of a change in q correspond to the converter's limits.
+        """
         shape = len(state.q_kvar), len(self.first_std)
         lowest, highest = (torch.full(shape, sign * torch.inf, device=self.device) for sign in (-1.0, 1.0))
         if self.cfg.within_reach:
@@ -182,7 +192,7 @@ class CounterfactualPpo(BaseAlgorithm):
         return lowest, highest
 
     def normalised(self, advantages: torch.Tensor) -> torch.Tensor:
-        """Advantages, (row, n_action), those of each component over their standard deviation."""
+        """Divide the advantages of each component by their standard deviation, (row, n_action)."""
         scales = torch.ones_like(advantages[0])
         for entries in self.components.values():
             if entries.any():
@@ -190,7 +200,7 @@ class CounterfactualPpo(BaseAlgorithm):
         return advantages / scales
 
     def loss(self, data: Rollout, advantages: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The loss of some rows, and the share of likelihood ratios that are beyond what pays."""
+        """Return the loss of some rows and the fraction of likelihood ratios outside the clip range."""
         clip, chosen = self.cfg.clip, data.outputs[rows]
         now = forgiving_clip(self.actor.outputs(data.observations[rows]), data.lowest[rows], data.highest[rows])
         ratio = torch.exp(0.5 * (((chosen - data.means[rows]) / self.std) ** 2 - ((chosen - now) / self.std) ** 2))
@@ -200,7 +210,7 @@ class CounterfactualPpo(BaseAlgorithm):
         return -torch.stack(of_components).sum(), beyond
 
     def update(self, data: Rollout) -> None:
-        """Several passes over a rollout, a step of the optimiser after each of its parts."""
+        """Take an optimiser step for each minibatch, in several passes over a rollout."""
         optimizer, advantages, beyond = self.actor.optimizer, self.normalised(data.advantages), []
         self._update_learning_rate(optimizer)
         for _ in range(self.cfg.epochs):
@@ -220,7 +230,7 @@ class CounterfactualPpo(BaseAlgorithm):
 
 
 def vec_env_for(cfg: PpoCounterfactual) -> JointVecEnv:
-    """The vector environment of the training split; ValueError if a setting or the scenario is invalid."""
+    """Return the vector environment of the training split; raise ValueError if a setting or the scenario is invalid."""
     check(cfg)
     if cfg.view != "shared":
         raise ValueError(f"view is {cfg.view!r}; an advantage is a single agent's: give shared, or train ppo")
@@ -237,7 +247,7 @@ def vec_env_for(cfg: PpoCounterfactual) -> JointVecEnv:
 
 
 def make(cfg: PpoCounterfactual, vec_env: JointVecEnv) -> CounterfactualPpo:
-    """The algorithm at its beginning."""
+    """Return the initialised algorithm."""
     set_random_seed(cfg.seed)
     chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}
     device = device_of(cfg.device)
@@ -260,7 +270,7 @@ def make(cfg: PpoCounterfactual, vec_env: JointVecEnv) -> CounterfactualPpo:
 
 
 def exported(cfg: PpoCounterfactual, model: CounterfactualPpo) -> Policy:
-    """The policy's mean as it stands, as NumPy arrays."""
+    """Return the mean of the current policy as NumPy arrays."""
     networks: dict[str, Any] = {kind: net.exported() for kind, net in model.actor.networks.items()}  # pyright: ignore
     return Policy(
         networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=True, outputs="change",
@@ -269,7 +279,7 @@ def exported(cfg: PpoCounterfactual, model: CounterfactualPpo) -> Policy:
 
 
 def main(cfg: PpoCounterfactual) -> Path:
-    """Train; the folder written."""
+    """Train a policy and return the output folder."""
     vec_env = vec_env_for(cfg)
     with sb3.run_of(cfg) as run:
         model = make(cfg, vec_env)

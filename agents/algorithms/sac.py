@@ -1,6 +1,8 @@
-"""Soft actor-critic on a batch of feeders: one policy for all agents, or one agent for all actuators.
+"""Train a policy with soft actor-critic (SAC) on a batch of feeders.
 
-T. Haarnoja et al., "Soft actor-critic algorithms and applications", arXiv 1812.05905, as Stable-Baselines3 has it.
+One policy is shared by all agents, or one policy controls all of them. The algorithm is that of Stable-Baselines3.
+
+Reference: T. Haarnoja et al., "Soft actor-critic algorithms and applications", arXiv 1812.05905.
 """
 
 from __future__ import annotations
@@ -22,24 +24,24 @@ class Sac(sb3.OffPolicy):
     """Train a policy with SAC."""
 
     entropy_per_action: float = -2.0
-    """Entropy that the policy is held at, for each entry of an action: the lower, the less exploration."""
+    """Target entropy of the policy for each entry of an action; lower values mean less exploration."""
 
 
 def make(cfg: Sac, vec_env: JointVecEnv) -> SAC:
-    """The algorithm at its beginning."""
+    """Return the initialised algorithm."""
     entropy = cfg.entropy_per_action * float(vec_env.used.sum(-1).mean())
     model = SAC("MlpPolicy", vec_env, **sb3_models.off_policy(cfg, vec_env), target_entropy=entropy)
     return sb3_models.prepared(model, vec_env, model.actor.mu)
 
 
 def exported(cfg: Sac, vec_env: JointVecEnv, model: SAC) -> Policy:
-    """The policy's mean as it stands, as NumPy arrays."""
+    """Return the mean of the current policy as NumPy arrays."""
     actor: Any = model.actor
     return sb3_models.export(cfg, vec_env, actor.features_extractor, [*actor.latent_pi, actor.mu], "relu", "tanh")
 
 
 def main(cfg: Sac) -> Path:
-    """Train; the folder written."""
+    """Train a policy and return the output folder."""
     with sb3.begin(cfg) as (run, vec_env):
         model = make(cfg, vec_env)
         temperature: dict[str, torch.Tensor] = {"log_ent_coef": model.log_ent_coef.data}  # pyright: ignore

@@ -1,9 +1,11 @@
-"""A safe policy: monotone in the own voltage, its gain below the linear stability bound whatever it learns.
+"""Train a policy whose gains stay below a linear stability bound.
 
-The networks are those of ``monotone``, trained as ``analytic`` trains. The bounds on their slopes come from the feeder
-before training (``policy.slope_bounds``), and the margin is a share of them: both axes together move a voltage that
-both see, and the margin must leave room for that. They are of the linearised feeder, see ``baselines.laws.stability``
-for what that leaves out, and of the feeder that was trained on.
+The networks (``monotone``) are monotone in the agent's voltage and are trained as in ``analytic``. Bounds on their
+slopes are computed from the feeder before training (``policy.slope_bounds``); ``margin`` scales them. Clock and
+reactive power act on the same voltages, so the margin must leave room for both.
+
+Limitation: the bounds hold for the linearised training feeder only. ``baselines.laws.stability`` lists what the
+linearisation neglects.
 """
 
 from __future__ import annotations
@@ -24,20 +26,21 @@ from dcgrid_env.agents.training.torch_modules import Monotone
 from dcgrid_env.baselines.controller import require_known_devices
 
 TARGET_FIELDS = ("r", "x", "p_ref_next")
-"""What moves the voltage that is aimed at: where the agent stands, and what its site is about to draw. Nothing here
-depends on what the policy does, or it would be a second loop without a bound."""
+"""Inputs of the voltage target: electrical distance of the agent and coming demand of its site.
+
+They must not depend on the policy's actions: that would close a second feedback loop without a bound."""
 
 
 @dataclass(frozen=True)
 class Safe(Analytic):
-    """Train a policy by gradients through the grid that is monotone and of bounded gain."""
+    """Train a monotone policy with bounded gain by gradients through the grid."""
 
     margin: float = 0.5
-    """Largest gain as a share of the stability bound."""
+    """Maximum gain as a fraction of the stability bound."""
 
 
 class SafeLearner(Learner):
-    """Learner of monotone networks."""
+    """Train monotone networks."""
 
     def __init__(self, cfg: Safe, grids: Sequence[Scenario]):
         for grid in grids:
@@ -47,7 +50,7 @@ class SafeLearner(Learner):
         super().__init__(cfg, grids)
 
     def network(self, name: str, mean: torch.Tensor, std: torch.Tensor, n_out: int) -> torch.nn.Module:
-        """Heads of an agent of this kind: clock and reactive power, or the latter alone."""
+        """Return the network for agents of this kind: clock and reactive power, or reactive power only."""
         fields = self.fields["dc_0" if name == "datacenter" else "inv_0"]
         n_own = len(fields)
         plates = [n_own, n_own + 1]  # draw and reach; the third figure of the nameplate holds the voltage
@@ -59,7 +62,7 @@ class SafeLearner(Learner):
 
 
 def require_plain(scenario: Scenario) -> None:
-    """ValueError, naming them, for agents or channels for which no bound of the gain is known."""
+    """Raise ValueError for agents or channels without a known bound on the gain."""
     require_known_devices("safe training", scenario)
     for group in agent_groups(scenario).values():
         if group.channels != PLAIN_CHANNELS[group.kind]:
@@ -70,7 +73,7 @@ def require_plain(scenario: Scenario) -> None:
 
 
 def main(cfg: Safe) -> Path:
-    """Train; the folder written."""
+    """Train a policy and return the output folder."""
     if cfg.view != "shared" or cfg.observe != "local":
         raise ValueError(f"view is {cfg.view!r} and observe {cfg.observe!r}; a safe policy is shared and local")
     if cfg.history:

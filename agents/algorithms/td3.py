@@ -1,7 +1,8 @@
-"""Twin delayed deep deterministic policy gradient: one policy for all agents, or one agent for all actuators.
+"""Train a policy with twin delayed deep deterministic policy gradient (TD3) on a batch of feeders.
 
-S. Fujimoto et al., "Addressing function approximation error in actor-critic methods", arXiv 1802.09477, as
-Stable-Baselines3 has it.
+One policy is shared by all agents, or one policy controls all of them. The algorithm is that of Stable-Baselines3.
+
+Reference: S. Fujimoto et al., "Addressing function approximation error in actor-critic methods", arXiv 1802.09477.
 """
 
 from __future__ import annotations
@@ -24,28 +25,28 @@ class Td3(sb3.OffPolicy):
     """Train a policy with TD3."""
 
     noise: float = 0.2
-    """Standard deviation of the exploration."""
+    """Standard deviation of exploration noise."""
     target_noise: float = 0.1
     """Standard deviation of the noise that smooths the critics' targets."""
 
 
 class BatchedNoise(VectorizedActionNoise):
-    """Normal noise for all rows in one draw."""
+    """Sample normal noise for all rows at once."""
 
     def __init__(self, std: float, vec_env: int, n_action: int):
         super().__init__(NormalActionNoise(np.zeros(n_action), std * np.ones(n_action)), 1)
         self.std, self.shape = std, (vec_env, n_action)
 
     def __call__(self) -> np.ndarray:
-        """Noise, (row, n_action)."""
+        """Return noise, (row, n_action)."""
         return self.std * np.random.standard_normal(self.shape).astype(np.float32)  # noqa: NPY002 (SB3 seeds this one)
 
     def reset(self, indices: Any = None) -> None:
-        """Nothing to forget."""
+        """Do nothing, because the noise has no state."""
 
 
 def make(cfg: Td3, vec_env: JointVecEnv) -> TD3:
-    """The algorithm at its beginning."""
+    """Return the initialised algorithm."""
     noise = BatchedNoise(cfg.noise, vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore
     model = TD3(
         "MlpPolicy", vec_env, **sb3_models.off_policy(cfg, vec_env), action_noise=noise,
@@ -57,13 +58,13 @@ def make(cfg: Td3, vec_env: JointVecEnv) -> TD3:
 
 
 def exported(cfg: Td3, vec_env: JointVecEnv, model: TD3) -> Policy:
-    """The policy as it stands, as NumPy arrays."""
+    """Return the current policy as NumPy arrays."""
     actor: Any = model.actor
     return sb3_models.export(cfg, vec_env, actor.features_extractor, actor.mu, "relu", "tanh")
 
 
 def main(cfg: Td3) -> Path:
-    """Train; the folder written."""
+    """Train a policy and return the output folder."""
     with sb3.begin(cfg) as (run, vec_env):
         model = make(cfg, vec_env)
         return sb3.train(

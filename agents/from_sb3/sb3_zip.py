@@ -1,8 +1,8 @@
-"""The actor of a Stable-Baselines3 zip, read without running anything that it holds.
+"""Read the actor of a Stable-Baselines3 zip without running code from it.
 
-``model.save`` writes ``policy.pth``, which ``torch.load(weights_only=True)`` reads, making tensors alone, and ``data``,
-JSON in which objects are pickled, each with its fields as plain text beside the pickle. Names and shapes of the weights
-and that text say which network it is, where SB3's own classes made it; the pickles of ``data`` are never opened.
+``model.save`` writes two files. ``policy.pth`` contains the weights; ``torch.load(weights_only=True)`` reads them and
+creates only tensors. ``data`` is JSON with pickled objects and, next to each, its fields as plain text. The text and
+the names and shapes of the weights identify networks made by SB3's classes. The pickles are never opened.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from dcgrid_env.agents.policy.neural_network import PolicyError
 
 SUFFIX = ".zip"
 MOST_MIB = 256
-"""Largest part of a zip that is read."""
+"""Maximum size of a file in a zip, MiB."""
 REMEDY = "drive it by a controller class of some ten lines (docs/own-policy.md)"
 ACTIVATIONS = {
     f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "ReLU", "ELU", "SiLU")
 }
-"""What ``policy_kwargs`` says of an activation, and what ours is called."""
+"""Activations in ``policy_kwargs`` and their names in dcgrid."""
 FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
 WITHOUT_EFFECT = {
     ":type:", ":serialized:", "net_arch", "optimizer_class", "optimizer_kwargs", "log_std_init", "ortho_init",
     "full_std", "use_expln", "share_features_extractor", "normalize_images", "n_critics", "use_sde",
     "features_extractor_kwargs",
 }  # fmt: skip
-"""Settings of ``policy_kwargs`` that the mean action does not depend on, or that the weights show."""
+"""Settings in ``policy_kwargs`` that do not affect the mean action or follow from the weights."""
 READ = {"activation_fn", "features_extractor_class", "squash_output", "clip_mean"}
-"""Those that are looked at."""
+"""Settings in ``policy_kwargs`` that are read."""
 
 
 class _Form(NamedTuple):
-    """How the weights of an actor are called."""
+    """Names of the weights of an actor."""
 
     module: str
-    """Where its class of policies stands."""
+    """Module of the policy class."""
     hidden: str
     last: str
-    """The last layer; empty where it is the last one of ``hidden``."""
+    """Name of the last layer; empty if it is the last one of ``hidden``."""
     activation: str
-    """Activation unless ``policy_kwargs`` names another."""
+    """Default activation, which ``policy_kwargs`` can override."""
     beside: tuple[str, ...]
-    """Weights that are no part of the mean action."""
+    """Weights that the mean action does not use."""
 
 
 _ACTOR_CRITIC = _Form(
@@ -75,24 +75,25 @@ class Actor(NamedTuple):
     squash: str
     """``clip`` or ``tanh``."""
     is_normalised: bool | None
-    """Whether it was trained behind VecNormalize; None where the file does not say."""
+    """Whether the model was trained with VecNormalize; None if the file does not contain this information."""
     seed: int | None
 
     @property
     def widths(self) -> tuple[int, int]:
-        """Widths of observation and action."""
+        """Number of entries in observation and action."""
         return len(self.layers[0][0]), len(self.layers[-1][1])
 
 
 def read_actor(path: Path) -> Actor:
-    """Read the actor of a zip that ``model.save`` wrote; none of its objects is unpickled.
+    """Read the actor of a zip that ``model.save`` wrote, without unpickling any object.
 
     Raises
     ------
     PolicyError
-        For what is no such zip, and for what a :class:`Network` cannot express, naming it and what would do.
+        If the file is not such a zip, or a :class:`Network` cannot represent the model. The message lists what is
+        allowed.
     OSError
-        Where the file cannot be opened.
+        If the file cannot be opened.
     """
     try:
         about, weights = _contents(path)
@@ -115,7 +116,7 @@ def read_actor(path: Path) -> Actor:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a zip says of its model in JSON, the pickles as text; PolicyError for what is no such zip."""
+    """Return the JSON description of the model, pickles as text; raise PolicyError if the file is not such a zip."""
     if not path.is_file():
         raise PolicyError("there is no such file; give the zip that Stable-Baselines3's model.save wrote")
     try:
@@ -128,7 +129,7 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def algorithm_of(about: Mapping[str, Any]) -> str:
-    """Name of the algorithm, by the settings that it alone has; PolicyError for one that is not among ``FORMS``."""
+    """Identify the algorithm by its specific settings; raise PolicyError if it is not in ``FORMS``."""
     if "cg_max_steps" not in about and "gae_lambda" in about:
         return "ppo" if "clip_range" in about else "a2c"
     if "target_entropy" in about and "top_quantiles_to_drop_per_net" not in about:
@@ -139,7 +140,7 @@ def algorithm_of(about: Mapping[str, Any]) -> str:
 
 
 def _contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What ``data`` says, and the weights by name."""
+    """Return the contents of ``data``, and the weights by name."""
     about, torch = read_about(path), import_module("torch")
     try:
         with zipfile.ZipFile(path) as archive:
@@ -156,7 +157,7 @@ def _contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _part(archive: zipfile.ZipFile, name: str) -> bytes:
-    """A part of the zip; PolicyError where it is missing or too large."""
+    """Read a file of the zip; raise PolicyError if it is missing or too large."""
     if name not in archive.namelist():
         raise PolicyError(f"{name} is missing; give a zip that Stable-Baselines3's model.save wrote")
     size_mib = archive.getinfo(name).file_size / 2**20
@@ -166,7 +167,7 @@ def _part(archive: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algorithm: str) -> None:
-    """PolicyError for what is no multilayer perceptron on a Box, by name."""
+    """Raise PolicyError, with the setting's name, unless the model is a multilayer perceptron on a Box."""
     module = about["policy_class"].get("__module__")
     if module != FORMS[algorithm].module:
         raise PolicyError(f"policy_class is one of {module}, not SB3's MlpPolicy; {REMEDY}")
@@ -196,7 +197,7 @@ def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algo
 
 
 def _layers(weights: Mapping[str, np.ndarray], form: _Form) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(weight, bias) of each layer of the actor; PolicyError for weights that belong to no such layer."""
+    """Return (weight, bias) of each layer of the actor; raise PolicyError for weights that do not belong to a layer."""
     actor = {name: value for name, value in weights.items() if not name.startswith(form.beside)}
     layers, place = [], 0
     while f"{form.hidden}{place}.weight" in actor:  # an activation stands between two layers

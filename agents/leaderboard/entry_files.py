@@ -1,7 +1,7 @@
-"""Contents of a leaderboard folder: submission.json, the files that it names, and verified.json once it is verified.
+"""Read and check the files of a leaderboard entry: submission.json, the files that it names, and verified.json.
 
-``verified.json`` is a report of ``dcgrid verify``, with the hashes of the submission and of the policy in it. It ends
-in a signature over all that it says (``signing``), so that only reports of the verifier are listed.
+``verified.json`` is the report of ``dcgrid verify``. It contains the hashes of submission and policy and a signature
+over its contents (``signing``), so only reports of the verifier are listed.
 """
 
 from __future__ import annotations
@@ -20,36 +20,36 @@ from dcgrid_env.core.files import sha256_of
 
 SUBMISSION, VERIFIED = "submission.json", "verified.json"
 FORMAT = 2
-"""Version of both files' format."""
+"""Format version of both files."""
 Learned = Literal["train", "validation", "test", "nothing"]
-"""Split that an entry was learned or tuned on."""
+"""Split on which an entry was trained or tuned."""
 POLICY, CARD, CONTROLLER = "policy.safetensors", "policy.json", "controller.py"
-"""What an entry's files are called in its folder."""
+"""File names in the folder of an entry."""
 SCORE_TOLERANCE = 5e-3
-"""Largest difference of scores, and of delays in seconds: half of the last digit that tables show."""
+"""Maximum difference of scores, and of delays in seconds: half of the last digit in tables."""
 LONGEST = 80
-"""Letters of a name or a paper at most."""
+"""Maximum length of a name or a paper, in characters."""
 NAMED, FILE, CODE = "named", "file", "code"
 T = TypeVar("T")
 
 
 class SubmissionError(ValueError):
-    """A folder that is no entry, or no longer what it says; the message names file, field, value and remedy."""
+    """Report an invalid or changed entry; the message names file, field, value and remedy."""
 
 
 class Figures(NamedTuple):
-    """What a controller comes to on some episodes, beside the tuned droop on the same."""
+    """Results of a controller and of the tuned droop on the same episodes."""
 
     J: float
     J_droop: float
     gain: tuple[float, float, float]
-    """1 - J / J_droop, both means over the episodes, and the ends of its 95 % interval over episodes."""
+    """1 - J / J_droop, with means over the episodes, and the bounds of its 95 % interval over episodes."""
     delay_mean_s: float
     droop_delay_mean_s: float
 
 
 class Score(NamedTuple):
-    """A score and the ends of its 95 % interval; 0 is the tuned droop, 1 hindsight."""
+    """Score and the bounds of its 95 % interval; the tuned droop has score 0, hindsight 1."""
 
     value: float
     low: float
@@ -58,23 +58,23 @@ class Score(NamedTuple):
 
 @dataclass(frozen=True)
 class Submission:
-    """What is claimed of a controller on the test split of a preset."""
+    """Claimed results of a controller on the test split of a preset."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     format: int
     name: str
-    """What the entry is called on the page."""
+    """Name of the entry on the leaderboard page."""
     paper: str
-    """Where it is described."""
+    """Reference to a description of the controller."""
     kind: Literal["named", "file", "code"]
-    """Whether the controller is one that has a name, a policy's file, or the submitter's code."""
+    """Kind of controller: a registered name, a policy file, or code of the submitter."""
     policy: str
-    """Its name, or its file within the folder, with class and arguments where it is code."""
+    """Name or file of the controller; for code, also class and arguments."""
     sha256: str
-    """``Policy.sha256`` of a policy, SHA-256 of the file of code, empty for a controller that the package makes."""
+    """``Policy.sha256`` of a policy or SHA-256 of a code file; empty for a controller of the package."""
     files: dict[str, str]
-    """SHA-256 of each file in the folder that the entry consists of, by name."""
+    """SHA-256 of each file of the entry, by name."""
     scenario: str
     """Name of the preset."""
     scenario_hash: str
@@ -82,13 +82,13 @@ class Submission:
     episodes: int
     """Seeds 0, 1, .. of the test split."""
     episodes_hash: str
-    """SHA-256 over the hashes of those episodes and their published costs."""
+    """SHA-256 over the hashes of the claimed episodes and their published costs."""
     scope: str
     """Scope of the data sent to the controller (``scopes``): chosen for code of the submitter, measured for others."""
     learned_on: Learned
-    """Split that it was learned or tuned on, as its submitter declares it."""
+    """Split on which the controller was trained or tuned, as declared by the submitter."""
     versions: dict[str, str | None]
-    """Versions of Python and of the packages that the figures were made with."""
+    """Versions of Python and packages with which the results were computed."""
     machine: str
     claimed: Figures
     score: Score
@@ -108,40 +108,40 @@ class Verified:
     scenario_hash: str
     episodes_hash: str
     reference: str
-    """The controller of score 0 with its parameters."""
+    """Controller with score 0, and its parameters."""
     scope: str
     """Scope of the data that was sent to the controller."""
     found: Figures
-    """On the claimed episodes."""
+    """Results on the claimed episodes."""
     score: Score
     fresh_seed: int
     """Seed of the first fresh episode, drawn for this report."""
     fresh_episodes: int
     fresh: Figures
-    """On the fresh episodes."""
+    """Results on the fresh episodes."""
     versions: dict[str, str | None]
     machine: str
     signature: str = ""
-    """Signature over all the above; empty where the verifier has no key."""
+    """Signature over all other fields; empty if the verifier has no key."""
 
     @property
     def gains_less(self) -> bool:
-        """Whether the gain on fresh episodes lies below that on the claimed ones, their intervals apart."""
+        """Whether the gain on fresh episodes is below that on claimed episodes, without overlap of the intervals."""
         return self.fresh.gain[2] < self.found.gain[1]
 
     @property
     def signed_content(self) -> bytes:
-        """All but the signature, as it is signed."""
+        """Contents to sign: all fields except the signature."""
         return json.dumps(plain(self) | {"signature": ""}, sort_keys=True).encode()
 
 
 def plain(record: Submission | Verified) -> dict[str, Any]:
-    """A record as JSON has it."""
+    """Convert a record to JSON types."""
     return {name: value._asdict() if hasattr(value, "_asdict") else value for name, value in asdict(record).items()}
 
 
 def read(path: Path, kind: type[T]) -> T:
-    """Read a record; SubmissionError, naming file and field, for what is none, and where there is no file."""
+    """Read a record; raise SubmissionError, with file and field, if it is invalid or missing."""
     if not path.is_file():
         remedy = {SUBMISSION: "give a folder that dcgrid submit wrote", VERIFIED: "run dcgrid verify on the folder"}
         raise SubmissionError(f"{path}: there is no such file; {remedy[path.name]}")
@@ -158,16 +158,16 @@ def read(path: Path, kind: type[T]) -> T:
 
 
 def check_words(**words: str) -> None:
-    """SubmissionError unless what a submitter says of an entry fits into a cell of a table; its name is not empty."""
+    """Raise SubmissionError if a text of the submitter does not fit into a table cell or the name is empty."""
     for field, text in words.items():
         if len(text) > LONGEST or not text.isprintable() or (field == "name" and not text.strip()):
             raise SubmissionError(f"{field} is {text!r}; give one line of 1 to {LONGEST} letters")
 
 
 def check_card(path: Path, submission: Submission) -> None:
-    """SubmissionError unless a card is of an entry's policy, and claims no other score on the same episodes.
+    """Raise SubmissionError if a card is for another policy or has another score on the same episodes.
 
-    PolicyError for what is no card.
+    Raises PolicyError if the file is not a card.
     """
     card = Card.load(path)
     if card.sha256 != submission.sha256:
@@ -189,7 +189,7 @@ def check_card(path: Path, submission: Submission) -> None:
 
 
 def check_contents(folder: Path, submission: Submission) -> None:
-    """SubmissionError unless an entry's words fit into a table and its files are those that were submitted."""
+    """Raise SubmissionError if a text does not fit into a table cell or a file has changed since submission."""
     try:
         check_words(name=submission.name, paper=submission.paper, scope=submission.scope)
     except SubmissionError as error:
@@ -198,7 +198,7 @@ def check_contents(folder: Path, submission: Submission) -> None:
 
 
 def _check_files(folder: Path, files: Mapping[str, str]) -> None:
-    """SubmissionError unless a folder's files are there, within it, and have these hashes."""
+    """Raise SubmissionError if a file is missing, is outside the folder, or has another hash."""
     for name, expected in files.items():
         path = folder / name
         if Path(name).name != name:

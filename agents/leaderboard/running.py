@@ -22,7 +22,7 @@ from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import REFERENCE, SPLIT, score
 
 TUNED = Path(str(files("dcgrid_env.baselines.data") / "tuned.json"))
-"""Gains of tuned controllers: those that ship, whatever stands in the working directory."""
+"""Gains of tuned controllers: the bundled ones, independent of the working directory."""
 
 
 class Runner(NamedTuple):

@@ -172,10 +172,10 @@ def _entry(policy: str) -> _Entry:
 
 
 def _trained_on(policy: str) -> str:
-    """The preset that a policy was trained on; SubmissionError where it names none."""
+    """Return the preset that a policy was trained on; raise SubmissionError if there is none."""
     _, inner = split_prefix(policy)
     file = controller_file(inner)
     if inner in SHIPPED or (file is not None and file.suffix == SUFFIX):
         return without_horizon(Policy.load(file or inner).trained_on)
     require_known(inner)
-    raise SubmissionError(f"policy {policy!r} is of no preset of its own; say on which --scenario (dcgrid list)")
+    raise SubmissionError(f"policy {policy!r} was not trained on a preset; pass --scenario (dcgrid list)")

@@ -21,7 +21,7 @@ class AgentGroup(NamedTuple):
     channels: tuple[str, ...]
     """Names of the entries of each one's action."""
     agents: slice
-    """Where they stand among all agents."""
+    """Positions of the group among all agents."""
     seen: slice
     """Where their observations stand in the joint one, one agent after the other."""
 

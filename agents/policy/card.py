@@ -1,4 +1,4 @@
-"""What stands beside a policy's weights: how they were made and what they reach, NAME.json beside NAME.safetensors."""
+"""Policy card: origin and results of a policy, stored in NAME.json next to the weights in NAME.safetensors."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ FORMAT = 3
 """Version of the card's format: 3 has costs on test and on validation of every seed, 2 had ``inputs`` and the interval
 over seeds and episodes, 1 had neither."""
 LARGEST_BYTES = 2**24
-"""Size of a file beyond which it is not read."""
+"""Maximum size of a file that is read."""
 ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
-"""What the one who trained a policy may say; the rest is filled in."""
+"""Fields that the caller may set; the other fields are computed."""
 
 
 @dataclass(frozen=True)
 class Scored:
-    """What a policy reaches on episodes that it was neither trained nor selected on."""
+    """Results of a policy on episodes that were not used for training or selection."""
 
     scenario: str
-    """Name of the preset, of the one it was trained on or of another."""
+    """Name of the preset, which can differ from the training preset."""
     split: str
     episodes: int
     """Seeds 0, 1, .."""
@@ -44,9 +44,9 @@ class Scored:
     droop_delay_mean_s: float
     """Mean delay under the tuned droop."""
     score: tuple[float, float, float]
-    """Score and the ends of its 95 % interval over episodes; 0 is the tuned droop, 1 hindsight."""
+    """Score and the bounds of its 95 % interval over episodes; the tuned droop has score 0, hindsight 1."""
     seeds: tuple[int, ...]
-    """Training seeds of the same command that were scored; the policy is the one of the best validation J."""
+    """Training seeds of the same command that were scored; the policy is the one with the best validation J."""
     seed_scores: tuple[float, ...]
     """Their scores, in the same order."""
     over_seeds: tuple[float, float, float] | None = None
@@ -89,7 +89,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Card:
-    """A policy's card.
+    """Card of a policy.
 
     Raises
     ------
@@ -98,22 +98,22 @@ class Card:
     """
 
     version: str
-    """Version of dcgrid-env that made it."""
+    """Version of dcgrid-env that created the policy."""
     n_parameters: int
-    """Figures in its arrays, those of the normalisation included."""
+    """Number of parameters, including those of the normalisation."""
     sha256: str
     """``Policy.sha256``: of weights and settings, as in the header of the weights' file."""
     algorithm: str = ""
     scenario: str = ""
-    """Name of the scenario that it was trained on."""
+    """Name of the training scenario."""
     command: str = ""
-    """What makes it again, with the settings that ship for its scenario (``settings``)."""
+    """Command that reproduces the policy with the bundled settings of its scenario (``settings``)."""
     seed: int | None = None
     """Random seed of the training."""
     training_s: float | None = None
     """Wall-clock time of the training."""
     validation_J: float | None = None
-    """Mean J on the validation episodes by which it was selected."""
+    """Mean J on the validation episodes used for selection."""
     scored: Scored | None = None
     inputs: Mapping[str, InputRange] | None = None
     """Range of what each network was given on the training split, with the nameplate figures, by the network's name;
@@ -138,7 +138,7 @@ class Card:
             self._check_seed(self.seed, self.scored)
 
     def _check_seed(self, seed: int, scored: Scored) -> None:
-        """Raise PolicyError unless the policy's figures belong to its seed."""
+        """Raise PolicyError unless the results belong to the policy's seed."""
         if seed not in scored.seeds:
             raise PolicyError(f"card: seed is {seed}; give one of scored.seeds, {', '.join(map(str, scored.seeds))}")
         pairs = (
@@ -167,7 +167,7 @@ class Card:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a card; PolicyError, which names the file, for what is none, OSError if it cannot be opened."""
+        """Read a card; raise PolicyError, with the file, if it is invalid, and OSError if it cannot be opened."""
         with Path(path).open("rb") as file:
             text = file.read(LARGEST_BYTES + 1)
         try:
@@ -183,7 +183,7 @@ class Card:
             raise PolicyError(f"{path}: not a policy's card ({error}); give one that Policy.save wrote") from None
 
     def save(self, path: str | Path) -> None:
-        """Write the card as JSON, whole or not at all."""
+        """Write the card as JSON, atomically."""
         about = dataclasses.asdict(self)
         if self.inputs is not None:
             about["inputs"] = {name: input_range._asdict() for name, input_range in self.inputs.items()}
@@ -191,7 +191,7 @@ class Card:
 
 
 def card_of(weights: Path, policy: Any) -> Card | None:
-    """The card next to a policy's file, or None without one; PolicyError for one that is not of this policy."""
+    """Return the card next to a policy's file, or None; raise PolicyError if it belongs to another policy."""
     path = weights.with_suffix(".json")
     if not path.is_file():
         return None

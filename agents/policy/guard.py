@@ -1,20 +1,19 @@
-"""A learned policy under guard: what it does is held near a droop law wherever it was not trained to act.
+"""Guard a learned policy: limit its deviation from a droop law outside the conditions of its training.
 
     u = law + clip(w (policy - law), -d, d)        u, law and policy: entries of the action of an agent
 
-- **Range.** w of an agent is 1 while all inputs of its network, and its nameplate whether the network sees it or not,
-  are in the range that its card holds (``input_range``), and falls to 0 at ``SOFT`` widths of the range beyond it: the
-  law alone. It comes back over ``RETURN_STEPS`` steps.
-- **Place.** Where some agent stands in a place, or has a rating, that is outside of the range, the policy was not made
-  for this team. Then deviations are bounded too, d is ``DEVIATION`` and not the whole range, and so is the gain: w is
-  at most what keeps the slope of u by the own voltage below the linear stability bound (``slope_bounds``), or at the
-  law's where that is above it.
-- **Law.** ``droop-tuned`` where the scenario has tuned gains, else the untrained ``droop`` with its gains cut to
+- **Range.** The policy's card stores the range of the network inputs (``input_range``). The weight w of an agent is 1
+  while all inputs and the nameplate, which the network need not use, are in this range. It decreases to 0, the law
+  alone, at ``SOFT`` widths of the range outside it. It recovers over ``RETURN_STEPS`` steps.
+- **Place.** If the location or rating of an agent is outside the range, the policy was not trained for this scenario.
+  Then d is ``DEVIATION`` instead of the complete range. In addition, w is limited so the slope of u in the agent's
+  voltage stays below the linear stability bound (``slope_bounds``), or the law's slope if that is larger.
+- **Law.** ``droop-tuned`` if the scenario has tuned gains, otherwise the untrained ``droop`` with its gains limited to
   ``MARGIN`` of the stability bound.
 
-Each agent needs its own observation alone, and one bit at the beginning, whether all stand in known places. The law has
-no word on channels other than clock and reactive power (a storage's draw, a return, routing): they are the policy's
-while its inputs are in range, without a bound, and go to rest where they are not, as under the law alone.
+Each agent needs only its observation and, at the beginning, one bit: whether all locations are known. The law does not
+control channels other than clock and reactive power, such as a storage's power, reconnection or routing. The policy
+controls them without a bound while its inputs are in range; otherwise they go to rest, as under the law alone.
 
 All constants were chosen on the validation split (docs/transfer.md).
 """
@@ -42,35 +41,34 @@ from dcgrid_env.baselines.laws.stability import PLACEMENTS, largest_stable
 from dcgrid_env.baselines.score import REFERENCE
 
 SOFT = 0.1
-"""Widths of its range beyond which an input leaves nothing to the policy."""
+"""Distance outside the range, in widths of the range, at which the law acts alone."""
 RETURN_STEPS = 1000
-"""Steps in which an agent that had left the range comes back to the policy."""
+"""Number of steps in which the weight of the policy recovers after an agent was out of range."""
 DEVIATION = {"clock": 0.25, "q": 0.3}
-"""Largest deviation from the law in places that are not the trained ones, of a range of actions from -1 to 1."""
+"""Maximum deviation from the law at locations outside the training range; actions range from -1 to 1."""
 MARGIN = 0.5
-"""Gain of the untrained law as a share of the stability bound."""
+"""Gain of the untrained law as a fraction of the stability bound."""
 STEP = 0.02
-"""Change of the voltage's deviation, in bands, from which slopes are found."""
+"""Change in voltage deviation, in bands, for the computation of slopes."""
 FAMILY_MEMBERS = 16
-"""Feeders whose bounds are looked at where they are random; the smallest holds for all."""
+"""Number of random feeders for which bounds are computed; the smallest bound is used for all."""
 FIGURES = ("guard_law_pct", "guard_bound_pct", "guard_new_places_pct")
-"""What a guard tells of itself: share of agents' steps that the law has had, of entries of actions that were held at
-the largest deviation, and whether some agent stood in a place that the policy was not trained on."""
+"""Names of the guard's statistics, in %: weight of the law, action entries at the maximum deviation, new locations."""
 
 
 class GuardedPolicy:
-    """A policy under guard, a controller; made by :func:`guarded`.
+    """Control with a guarded policy; use :func:`guarded` to create it.
 
-    It keeps what the agents have met since ``reset``, so reset it at the beginning of each run of episodes.
+    The controller has memory. Call ``reset`` at the beginning of each run of episodes.
 
     Parameters
     ----------
     policy
-        What is guarded.
+        Policy to guard.
     ranges
-        Range of the inputs of each of its networks.
+        Range of the inputs of each network.
     law
-        What it is held to; found at ``reset`` unless given.
+        Law that limits the policy; chosen at ``reset`` by default.
     """
 
     def __init__(self, policy: Policy, ranges: Mapping[str, InputRange] | None, law: Controller | None = None):
@@ -78,7 +76,7 @@ class GuardedPolicy:
         self.ranges = ranges
 
     def reset(self, env_info: Scenario) -> None:
-        """Begin episodes; PolicyError where the policy does not fit the scenario, or nothing is known of its range."""
+        """Begin episodes; raise PolicyError if the policy does not fit the scenario or its input range is unknown."""
         self._equipment = EquipmentAgents(env_info)
         self.scenario = scenario = self._equipment.others
         with on_purpose():
@@ -107,7 +105,7 @@ class GuardedPolicy:
         self._steps = 0
 
     def act(self, observations: Any) -> Any:
-        """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
+        """Return actions in the form of the observations: a mapping of agents, or joint, (..., n_observation)."""
         return self._equipment.act(observations, self._act)
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
@@ -129,7 +127,7 @@ class GuardedPolicy:
         return np.clip(law + np.clip(deviation, -most, most), -1.0, 1.0).astype(np.float32)
 
     def _of_agents(self, beyond: Mapping[str, np.ndarray]) -> np.ndarray:
-        """How far the inputs of each agent lie outside, at most over its inputs, (..., n_agent)."""
+        """Return the largest distance of each agent's inputs outside their range, (..., n_agent)."""
         if "joint" in beyond:
             return np.repeat(beyond["joint"].max(-1)[..., None], self.scenario.n_agents, -1)
         parts = {kind: distance.max(-1) for kind, distance in beyond.items()}
@@ -141,7 +139,7 @@ class GuardedPolicy:
         return of_agents
 
     def _in_new_places(self, beyond: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Whether the place or rating of some agent is outside of the range, bool, (...)."""
+        """Return whether the location or rating of any agent is outside the range, bool, (...)."""
         of_place = {name: distance[..., self._ranges[name].of_place] for name, distance in beyond.items()}
         known = {name: distance for name, distance in of_place.items() if distance.shape[-1]}
         if not known:
@@ -149,7 +147,7 @@ class GuardedPolicy:
         return np.asarray((self._of_agents(known) > SOFT).any(-1))
 
     def _stable_share(self, joint: np.ndarray, probed: Controller) -> np.ndarray:
-        """Share of the policy in each entry of the action at which its slope stays below the bound, (..., n_action)."""
+        """Return the weight of the policy at which each action entry's slope stays below its bound, (..., n_action)."""
         if self._steepest is None:
             reactive, clock = steepest(self.scenario)
             self._steepest = np.where(self._is_clock, clock, np.where(self._is_q, reactive, np.inf))
@@ -162,44 +160,43 @@ class GuardedPolicy:
         return np.where(slope > np.maximum(self._steepest, laws), room / np.maximum(slope - laws, 1e-9), 1.0)
 
     def _tell(self, *shares: np.ndarray) -> None:
-        """Add to what the guard tells of itself."""
+        """Update the statistics of the guard."""
         self._last = [np.asarray(share, np.float64) for share in shares]
         self._sums = [a + b for a, b in zip(self._sums, self._last, strict=True)] if self._steps else self._last
         self._steps += 1
 
     @property
     def info(self) -> dict[str, np.ndarray]:
-        """What the guard did in the last step, ``FIGURES`` in %, (row,) or a number each; flat and finite."""
+        """Return ``FIGURES`` of the last step, in %, each (row,) or a number; flat and finite."""
         return {name: 100.0 * share for name, share in zip(FIGURES, self._last, strict=True)}
 
     def episode_figures(self) -> list[dict[str, float]]:
-        """``FIGURES`` as means over the steps since ``reset``, one mapping an environment."""
+        """Return ``FIGURES`` as means over the steps since ``reset``, one mapping for each environment."""
         means = np.atleast_1d(100.0 * np.array(self._sums).reshape(len(FIGURES), -1) / max(self._steps, 1))
         return [dict(zip(FIGURES, map(float, means_of_env), strict=True)) for means_of_env in means.T]
 
 
 def guarded(policy: Policy | str | Path, law: Controller | None = None) -> GuardedPolicy | TriedPolicy:
-    """A policy under guard.
+    """Return a controller that guards a policy.
 
-    One that corrects the model-aided law is held to that law (``trial_guard``).
+    A policy that corrects the model-aided law is guarded by that law (``trial_guard``).
 
     Parameters
     ----------
     policy
         A policy, or what ``Policy.load`` takes.
     law
-        A controller that it is held to; the tuned droop of the scenario at hand, or the untrained one, unless given.
+        Controller that limits the policy. Default: the tuned droop of the scenario, or the untrained one.
 
     Returns
     -------
     GuardedPolicy
-        A controller. It falls back by the range on the policy's card, or where there is none by the moments of its
-        networks.
+        Controller that uses the range on the policy's card or, without a range, the moments of its networks.
 
     Raises
     ------
     PolicyError
-        For another law given to a policy that corrects the model-aided one.
+        If the policy corrects the model-aided law and another law is passed.
     """
     chosen = policy if isinstance(policy, Policy) else Policy.load(policy)
     if isinstance(chosen, ModelAidedPolicy):
@@ -210,9 +207,9 @@ def guarded(policy: Policy | str | Path, law: Controller | None = None) -> Guard
 
 
 def law_for(scenario: Scenario, tuned: str | Path | None = None) -> Controller:
-    """The law that policies are held to on a scenario: the tuned droop, or the droop within the stability bound.
+    """Return the law that guards policies on a scenario: the tuned droop, or the droop within the stability bound.
 
-    ValueError for a file ``tuned`` that does not have its gains.
+    Raises ValueError if the file ``tuned`` does not contain its gains.
     """
     try:
         return make_controller(REFERENCE, scenario, tuned)
@@ -231,7 +228,7 @@ def law_for(scenario: Scenario, tuned: str | Path | None = None) -> Controller:
 
 
 def steepest(scenario: Scenario) -> tuple[float, float]:
-    """The bounds of ``slope_bounds``, on random feeders the smallest over some of them."""
+    """Return the bounds of ``slope_bounds``; on random feeders, the smallest of a sample."""
     if not isinstance(scenario.feeder, RandomFeeders):
         return slope_bounds(scenario, PLACEMENTS)
     members = [scenario.member(i * scenario.feeder.batch) for i in range(FAMILY_MEMBERS)]
@@ -240,7 +237,7 @@ def steepest(scenario: Scenario) -> tuple[float, float]:
 
 
 def guard_line(name: str, figures: Mapping[str, float]) -> str:
-    """What the guard of a controller did, on one line; empty for one without."""
+    """Return a one-line summary of the guard's statistics; empty for a controller without a guard."""
     if FIGURES[0] not in figures:
         return ""
     law, bound, new = (figures[field] for field in FIGURES)

@@ -1,4 +1,4 @@
-"""The range of inputs that a policy's networks have seen: recorded as it drives its own scenario, kept on its card."""
+"""Record the input range of a policy's networks on its training scenario, for storage on its card."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 EPISODES = 64
 """Episodes of the training split over which a range is recorded, on each scenario."""
 MOMENTS = 3.0
-"""Standard deviations about the mean that stand for the range where none was recorded."""
+"""Half-width of the range, in standard deviations, if no range was recorded."""
 SMALLEST_SPAN = 1e-2
-"""Least width of a range by which a distance is measured: what never moved in training has no width of its own."""
+"""Smallest width of a range for the computation of distances; constant inputs have zero width."""
 OF_PLACE = ("r", "x", "draw", "reach")
-"""Inputs that say where an agent stands and how large it is, and do not move within an episode."""
+"""Inputs that describe location and size of an agent and are constant within an episode."""
 
 
 class InputRange(NamedTuple):
-    """What one network has been given, input by input."""
+    """Range of each input of a network."""
 
     fields: tuple[str, ...]
     """Names of its inputs, see ``PolicyInterface.input_fields``."""
     low: tuple[float, ...]
-    """Least figure of each."""
+    """Minimum of each input."""
     high: tuple[float, ...]
-    """Largest figure of each."""
+    """Maximum of each input."""
 
     def beyond(self, inputs: np.ndarray) -> np.ndarray:
-        """How far each input lies outside, in widths of its range, 0 within it: (..., n_in) as ``inputs``."""
+        """Return the distance of each input outside its range, in widths of the range, (..., n_in); 0 inside."""
         low, high = np.array(self.low), np.array(self.high)
         width = np.maximum(high - low, SMALLEST_SPAN)
         return np.maximum(np.maximum(low - inputs, inputs - high) / width, 0.0)
 
     @property
     def of_place(self) -> np.ndarray:
-        """Which inputs say where the agent stands, bool, (n_in,)."""
+        """Inputs that describe location and size of the agent, bool, (n_in,)."""
         return np.array([field.rpartition(".")[2] in OF_PLACE for field in self.fields])
 
 
 def with_plates(policy: Any) -> PolicyInterface:
-    """What the networks of a policy see on the scenario that it was reset with, with the nameplate figures always.
+    """Return the network inputs on the scenario of the last ``reset``, always with the nameplate inputs.
 
     A policy that does not see its ratings is no less made for those that it was trained with.
     """
@@ -56,7 +56,7 @@ def with_plates(policy: Any) -> PolicyInterface:
 
 
 class _Recorded:
-    """A controller that drives as a policy does, and keeps the least and largest of each input of its networks."""
+    """Control with a policy and record the minimum and maximum of each network input."""
 
     def __init__(self, policy: Any):
         self.policy, self.observe = policy, policy.observe
@@ -79,7 +79,7 @@ class _Recorded:
 
 
 def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODES) -> dict[str, InputRange] | None:
-    """The range of each network's inputs, with the nameplate figures, as the policy drives the training split.
+    """Return the range of each network's inputs, with the nameplate inputs, on the training split.
 
     None for a policy that is given a model of the feeder: its inputs are figures of a law, the same on any feeder.
 

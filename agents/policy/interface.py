@@ -1,18 +1,18 @@
-"""What stands between a policy's networks and a scenario: the inputs of each network, and what its outputs do.
+"""Connect a policy's networks to a scenario: compute network inputs, and actions from network outputs.
 
-Array code for NumPy and torch alike, so that a policy acts in use exactly as it did in training. Outputs are setpoints,
-the action itself, or changes of what holds everything as it is, or corrections of a droop law with cumulative memory
-(residual learning: T. Johannink et al., "Residual reinforcement learning for robot control", arXiv 1812.03201):
+The array code runs with NumPy and torch, so a policy acts in use exactly as in training. Outputs are set points (the
+action itself), changes from the action that keeps the current state, or corrections of a droop law with cumulative
+memory (residual learning: T. Johannink et al., "Residual reinforcement learning for robot control", arXiv 1812.03201):
 
             change                                                                  droop
-    clock   that which just serves all work at hand, arriving and queued,           the law's, plus output
+    clock   clock that just serves all arriving and queued work,                    the law's, plus output
             less max(output, 0)
-    q       that which is dispatched now, plus output                               the law's, plus output
-    other   its rest, plus output                                                   its rest, plus output
+    q       current dispatch, plus output                                           the law's, plus output
+    other   rest value, plus output                                                 rest value, plus output
 
-With changes a law that integrates, as the droop does, is one that ignores most of what it sees, and a policy need not
-learn to copy its own reactive power to four digits; and the clock starts where holding it back has an effect. Other
-channels are whatever else devices have: the draw of a storage, whose rest is 0, or the return of a site behind a UPS.
+Changes have two advantages. A network can represent an integrating law, such as the droop, without copying its reactive
+power to four digits. The clock starts where slowing it down has an effect. Other channels are further device outputs,
+such as the power of a storage, with rest value 0, or the reconnection of a site with a UPS.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.baselines.equipment_agents import at_rest
 
 KINDS = ("joint", "shared")
-"""Kinds of policies: one network for all agents together, or one for each kind of agent, named as the device's kind."""
+"""Kinds of policies: one network for all agents, or one for each kind of agent, named after the device kind."""
 SCOPES = ("local", "neighbours", "feeder")
 ACTS = ("both", "clock", "q")
 OUTPUTS = ("setpoint", "change", "droop")
 PLATES = ("draw", "reach", "needed")
-"""Names of the nameplate figures, see :class:`Policy`."""
+"""Names of the nameplate inputs, see :class:`Policy`."""
 SMALLEST_REACH, MOST_NEEDED = 1e-3, 3.0
-"""Limits of the nameplate figures: least reach of power, bands, and most of it that a deviation can need."""
+"""Limits of the nameplate inputs: minimum effect of reactive power, bands, and maximum share needed."""
 
 
 class Gains(NamedTuple):
-    """Gains of the droop law that the outputs correct, see ``baselines.Droop``."""
+    """Gains of the droop law that the outputs correct; see ``baselines.Droop``."""
 
     k_p_mw_per_pu: float
     k_q_mvar_per_pu_s: float
@@ -48,7 +48,7 @@ class Gains(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Gains:
-        """The gains in this order; PolicyError unless there are as many, each at least 0 and finite."""
+        """Create gains from values in this order; raise PolicyError for a wrong number or an invalid value."""
         figures = [float(value) for value in values]
         if len(figures) != len(cls._fields) or not all(0.0 <= value < float("inf") for value in figures):
             raise PolicyError(f"gains are {values!r}; give {', '.join(cls._fields)}, each at least 0")
@@ -56,25 +56,25 @@ class Gains(NamedTuple):
 
 
 def cut(x: Any, low: float, high: float) -> Any:
-    """``x`` within these limits, elementwise."""
+    """Limit ``x`` elementwise."""
     return x.clip(low, high)
 
 
 class PolicyInterface:
-    """Between a scenario and a policy's networks: their inputs from observations, and actions from their outputs.
+    """Compute network inputs from observations, and actions from network outputs.
 
     Parameters
     ----------
     scenario
-        What is to be driven.
+        Scenario to control.
     kind
         ``joint`` or ``shared``, see ``KINDS``.
     preview, act, nameplate, outputs, gains
         Settings of the policy, see :class:`Policy`.
     array
-        Makes the arrays to compute with out of NumPy ones: ``np.asarray``, or one that makes tensors.
+        Function that converts NumPy arrays: ``np.asarray``, or a conversion to tensors.
     clip
-        Cuts to a lowest and highest value: ``cut``, or one with another derivative.
+        Function that limits values to a range: ``cut``, or one with another derivative.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class PolicyInterface:
         self.scenario, self.kind, self.nameplate, self.outputs = scenario, kind, nameplate, outputs
         self._clip = clip
         self.groups = agent_groups(scenario)
-        """The agents of each kind."""
+        """Agents of each kind."""
         self._n_observed = sum(map(len, names))
         joined = tuple(name for group_names in names for name in group_names)
         # What a policy without preview is not given.
@@ -121,7 +121,7 @@ class PolicyInterface:
             self._alpha_per_s = gains.alpha_per_s
 
     def _lay_out(self, act: str, array: Callable[[np.ndarray], Any]) -> None:
-        """Find where the joint action has clocks, reactive setpoints and other channels, and what each of them sees."""
+        """Find the positions of clocks, reactive set points and other channels in the joint action and their inputs."""
         agents = {agent: i for i, agent in enumerate(self.scenario.agents)}
         owner = np.array([agents[agent] for agent, _ in action_layout(self.scenario).names], dtype=np.int64)
         self.is_clock, self.is_q = axes(self.scenario)
@@ -140,14 +140,14 @@ class PolicyInterface:
         self._of_clock = {name: self._columns(name, self._clock_agents, array) for name in of_clock}
 
     def _columns(self, field: str, agents: Any, array: Callable[[np.ndarray], Any]) -> Any:
-        """Where the joint observation has a field of these agents, (n,)."""
+        """Return the positions of a field of these agents in the joint observation, (n,)."""
         names = field_names(self.scenario)
         positions = [self._starts[i] + names[self.scenario.agents[i]].index(field) for i in agents]
         return array(np.array(positions, dtype=np.int64))
 
     @property
     def widths(self) -> dict[str, tuple[int, int]]:
-        """Width of what each network that is needed sees, and of what it gives."""
+        """Number of inputs and outputs of each required network."""
         more = 3 * self.nameplate
         if self.kind == "joint":
             return {"joint": (self._n_observed + more * self.scenario.n_agents, self._n_action)}
@@ -155,7 +155,7 @@ class PolicyInterface:
 
     @property
     def input_fields(self) -> dict[str, tuple[str, ...]]:
-        """Names of what each network sees, in order; of a joint one each with its agent's name before a dot."""
+        """Names of each network's inputs, in order; in a joint network with the agent's name and a dot as prefix."""
         plates = PLATES if self.nameplate else ()
         if self.kind == "shared":
             return {kind: (*group.fields, *plates) for kind, group in self.groups.items()}
@@ -165,15 +165,14 @@ class PolicyInterface:
 
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
-        """Names of what each network gives, in order."""
+        """Names of each network's outputs, in order."""
         if self.kind == "joint":
             return {"joint": tuple(channel for _, channel in action_layout(self.scenario).names)}
         return {kind: group.channels for kind, group in self.groups.items()}
 
     @property
     def plain_channels(self) -> dict[str, tuple[str, ...]]:
-        """What ``channels`` are taken to be where a policy says nothing of them: clocks of data centres, which come
-        first in a joint action, and reactive power."""
+        """Default of ``channels`` for a policy without this setting: clocks of data centres, then reactive power."""
         if self.kind == "joint":
             counts = {"datacenter": self.scenario.datacenters.count, "inverter": self.scenario.inverters.count}
             return {"joint": tuple(name for kind, n in counts.items() for name in n * PLAIN_CHANNELS[kind])}
@@ -181,12 +180,12 @@ class PolicyInterface:
 
     @property
     def further_channels(self) -> dict[str, tuple[str, ...]]:
-        """Those of ``channels`` that a policy must say: where they are not what is taken without a word."""
+        """Entries of ``channels`` that differ from the default and that a policy must list."""
         known = PLAIN_CHANNELS if self.kind == "shared" else self.plain_channels
         return {name: channels for name, channels in self.channels.items() if channels != known.get(name)}
 
     def inputs(self, joint: Any) -> dict[str, Any]:
-        """What each network sees, (..., n) for a joint one, (..., n_agent, n) for one of single agents."""
+        """Return the inputs of each network: (..., n) for a joint one, (..., n_agent, n) for a kind of agent."""
         if self._visible is not None:
             joint = joint * self._visible
         plates = self._plates(joint) if self.nameplate else ()
@@ -200,14 +199,14 @@ class PolicyInterface:
         return networks
 
     def _plates(self, joint: Any) -> tuple[Any, Any, Any]:
-        """The three figures of the nameplate, (..., n_agent) each, see :class:`Policy`."""
+        """Return the three nameplate inputs, each (..., n_agent); see :class:`Policy`."""
         draw, reach = (joint[..., self._of_all[z]] * scale for z, scale in zip("rx", self._scales_mw, strict=True))
         by = reach if self._reactive is None else _chosen(self._reactive, reach, draw)
         needed = joint[..., self._of_all["v_deviation"]] / by.clip(SMALLEST_REACH, None)
         return draw, reach, needed.clip(-MOST_NEEDED, MOST_NEEDED)
 
     def action(self, joint: Any, outputs: Mapping[str, Any]) -> Any:
-        """The joint action, (..., n_action) in [-1, 1], that the networks' outputs mean after a joint observation."""
+        """Return the joint action, (..., n_action) in [-1, 1], for a joint observation and the network outputs."""
         out = outputs["joint"] if self.kind == "joint" else self._of_agents(joint, outputs)
         if self.outputs != "setpoint":
             q, clock = joint[..., self._of_q["q"]] + out[..., self._q_at], out[..., self._clock_at]
@@ -223,14 +222,14 @@ class PolicyInterface:
         return out if self._at_rest is None else _chosen(self._at_rest, self._rest, out)
 
     def _of_agents(self, joint: Any, outputs: Mapping[str, Any]) -> Any:
-        """Outputs of networks of single agents in the order of the joint action, (..., n_action)."""
+        """Arrange the outputs of the agents' networks in the order of the joint action, (..., n_action)."""
         actions = [outputs[kind].reshape(*joint.shape[:-1], -1) for kind in self.groups]
         return actions[0] if len(actions) == 1 else _joined(actions)
 
     def _clock(self, joint: Any, backlog_per_s: float, more: Any = 0.0) -> Any:
-        """The clock that allows p_ref, this share of the backlog and ``more``, shares of the rating, (..., n_dc).
+        """Return the clock that serves p_ref, a share of the backlog and ``more``, shares of the rating, (..., n_dc).
 
-        Those that do not see p_ref have the top clock, less what ``more`` takes off the rating.
+        Without p_ref in the observation, it is the maximum clock, reduced if ``more`` is negative.
         """
         backlog_s = joint[..., self._of_clock["backlog"]]
         power = joint[..., self._of_clock["p_ref_next"]] if self._ahead else 0.0 * backlog_s + 1.0
@@ -239,7 +238,7 @@ class PolicyInterface:
 
 
 def require_one_policy_fits(interfaces: Sequence[PolicyInterface]) -> None:
-    """ValueError, naming network and scenarios, unless one policy fits all of these scenarios."""
+    """Raise ValueError, with network and scenarios, unless one policy fits all scenarios."""
     first = interfaces[0]
     for interface in interfaces:
         for name, widths in interface.widths.items():
@@ -266,5 +265,5 @@ def _chosen(condition: Any, one: Any, other: Any) -> Any:
 
 
 def _namespace(array: Any) -> Any:
-    """NumPy, or torch where it is a tensor of it: both spell what is used here alike."""
+    """Return the module of an array, NumPy or torch; the functions used here have the same names in both."""
     return np if isinstance(array, np.ndarray) else array_namespace(array)

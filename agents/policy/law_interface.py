@@ -1,16 +1,16 @@
-"""What stands between the networks of a model-aided policy and a scenario: the law's figures in, corrections out.
+"""Connect the networks of a model-aided policy to a scenario: inputs from the law, and corrections of its decisions.
 
-What a network sees of an agent are figures of the law (``law_step``), all without a unit, so that they mean the same on
-any feeder: voltages in bands, reactive power as a share of the agent's own, slopes as a share of the largest that
-deviations alone can have. Its outputs y correct the law's decisions within bounds, and 0 leaves them as they are:
+The inputs for an agent are quantities of the law (``law_step``) without units, so they mean the same on any feeder.
+Voltages are in bands, reactive power is relative to the agent's maximum, and slopes are relative to the largest slope
+that deviations alone can have. The outputs y correct the law's decisions within bounds; 0 leaves them unchanged:
 
-    served power    the law's - SERVED tanh(y) dynamic rating, from 0 to all work at hand
+    served power    the law's - SERVED tanh(y) dynamic rating, from 0 to all available work
     q               the law's + tanh(y) (u* - the law's) + REACTIVE tanh(y') largest reactive power, within the limit
 
-The first of q leads towards the static optimum, or as far away from it: where others do not what the statistics say,
-agents may hold each other in a state that none of them leaves alone, and u* is the way out.
+The first correction of q moves it towards the static optimum u*, or away from it. If other agents do not act as the
+statistics predict, agents can be trapped in a state that no single agent leaves. Moving towards u* resolves it.
 
-Array code for NumPy and torch alike, as ``interface``.
+The array code runs with NumPy and torch, as in ``interface``.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ from dcgrid_env.agents.policy.law_step import Columns, LawStep, Past, Step
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site
 
 SERVED, REACTIVE = 0.3, 0.3
-"""Bounds of the corrections: of the dynamic rating, and of the largest reactive power."""
+"""Bounds of the corrections, relative to dynamic rating and largest reactive power."""
 OF_ALL = (
     "deviation", "change", "surprise", "share", "to_rest", "step", "slope", "violation_slope", "mean_deviation",
     "spread", "reach", "own_reach", "crowd", "effort", "draw", "gain", "answered", "damping",
 )  # fmt: skip
 OF_SITES = ("coming", "backlog", "relief", "cut", "to_serve", "draw_reach")
 FEATURES = {"datacenter": (*OF_ALL, *OF_SITES), "inverter": OF_ALL}
-"""Names of what the networks see, by the kind of agent."""
+"""Names of the network inputs, by kind of agent."""
 OUTPUTS = {"datacenter": 3, "inverter": 2}
-"""Width of what they give: served power and twice q, or q alone."""
+"""Number of network outputs: served power and two for q, or two for q."""
 
 
 class LawInterface:
-    """Between a placement and the networks of a model-aided policy.
+    """Connect a placement to the networks of a model-aided policy.
 
     Parameters
     ----------
     site, known
         See ``LawStep``.
     array
-        Makes the arrays to compute with out of NumPy ones.
+        Function that converts NumPy arrays.
     clip
-        Cuts to a lowest and highest value: ``interface.cut``, or one with another derivative.
+        Function that limits values to a range: ``interface.cut``, or one with another derivative.
     tops
-        Whether clocks are at the top where all work is served, as the law has them; else at what just serves it, which
-        comes to the same and has a derivative.
+        Whether clocks are at their maximum if all work is served, as in the law. Otherwise they have the value that
+        just serves it, which has the same effect and a derivative.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class LawInterface:
         self._drop, self._sum_own = array(_small(drop)), array(np.maximum(response.sum(-1), 1e-12))
 
     def figures(self, joint: Any, past: Past) -> tuple[Step, Mapping[str, Any]]:
-        """The law's step after a joint observation, and what each network sees, (row, n_agent of its kind, n)."""
+        """Return the law's step for a joint observation and each network's inputs, (row, n_agent of its kind, n)."""
         fields = self.columns.of(joint)
         step = self.law(self.columns.own(fields), past)
         return step, self._seen(fields, step)
@@ -118,7 +118,7 @@ class LawInterface:
         return seen
 
     def action(self, step: Step, outputs: Mapping[str, Any]) -> Any:
-        """The joint action, (row, n_action) in [-1, 1], under the networks' corrections of the law's decisions."""
+        """Return the joint action, (row, n_action) in [-1, 1], with the networks' corrections of the law."""
         xp, parts = _namespace(step.share), []
         shift, pull = (
             xp.concat([xp.tanh(outputs[kind][..., column]) for kind in self.groups], axis=-1) for column in (-1, -2)
@@ -137,7 +137,7 @@ class LawInterface:
 
 
 def _small(x: np.ndarray) -> np.ndarray:
-    """Figures of several sizes on a scale that tells the small ones apart."""
+    """Compress values of different magnitude to a scale that separates small ones."""
     return np.log(np.maximum(x, 1e-4))
 
 

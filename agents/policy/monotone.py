@@ -1,26 +1,27 @@
-"""A local policy that is monotone in its own voltage, with a slope that nothing it learns can exceed.
+"""Local policy that is monotone in the agent's voltage and has a bounded slope, whatever it learns.
 
-Each output, a change of reactive power or of the clock (see ``view``), is a head of its own:
+Each output, a change of reactive power or of the clock (``interface``), has a separate head:
 
     output = offset(c) - slope psi(z, c)          psi = a_0 (z - b_0) + sum_h a_h t_h tanh((z - b_h) / t_h)
 
-with z the voltage's deviation in bands and c what else the head may see. The weights a(c) are the first entries of a
-softmax, so that they are positive and sum to less than 1, and the derivative of psi by z lies between 0 and 1: a lower
-voltage never means less reactive power or a faster clock, whatever was learned. Where b, and for a clock the offset,
-move with c, they move the voltage that is aimed at, not the gain.
+with z the voltage deviation in bands and c the other inputs of the head. The weights a(c) are the first entries of a
+softmax. They are therefore positive with a sum below 1, and the derivative of psi by z is between 0 and 1. A lower
+voltage never means less reactive power or a faster clock. b, and for a clock the offset, depend on c and change the
+target voltage, not the gain.
 
-Why this keeps the loop stable. Where c does not depend on q, all agents' reactive power moves by
-q' = q - S psi(X q + w) with S the diagonal of slopes. Let Psi be the sum over agents of slope times the integral of psi
-by z, convex as psi is monotone, with second derivatives no larger than S. With u = S psi a step changes Psi by at most
--u'X u + 0.5 u'X S X u, so Psi falls at every step if
+Stability. If c does not depend on q, the reactive power of all agents changes by q' = q - S psi(X q + w), with S the
+diagonal matrix of slopes. Let Psi be the sum over agents of slope times the integral of psi by z. Psi is convex because
+psi is monotone, and its second derivatives are at most S. With u = S psi, a step changes Psi by at most
+-u'X u + 0.5 u'X S X u. Psi therefore decreases at every step if
 
     lambda_max(S^1/2 X S^1/2) < 2
 
-which for equal slopes is the bound of the integrating droop (``baselines.stability``). This is for a c that stands
-still, and while no agent is at its reactive limit: there q stays where it is, which the argument leaves out. Monotone
-networks under such a bound are those of W. Cui, J. Li and B. Zhang, "Decentralized safe reinforcement learning for
-inverter-based voltage control", arXiv 2110.01126, and Y. Shi, G. Qu, S. Low, A. Anandkumar and A. Wierman, "Stability
-constrained reinforcement learning for real-time voltage control", arXiv 2109.14854 and 2209.07669.
+For equal slopes this is the bound of the integrating droop (``baselines.stability``). The argument assumes constant c
+and no agent at its reactive limit, where q does not change.
+
+References for monotone networks with such a bound: W. Cui, J. Li and B. Zhang, "Decentralized safe reinforcement
+learning for inverter-based voltage control", arXiv 2110.01126; Y. Shi, G. Qu, S. Low, A. Anandkumar and A. Wierman,
+"Stability constrained reinforcement learning for real-time voltage control", arXiv 2109.14854 and 2209.07669.
 """
 
 from __future__ import annotations
@@ -34,28 +35,28 @@ from array_api_compat import array_namespace
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError, figures
 
 UNITS = 6
-"""Bent units of psi beside the straight one."""
+"""Number of tanh units in psi, in addition to the linear one."""
 WIDTH = 2 * UNITS + 4
-"""Figures that a head's context network gives: UNITS + 2 logits (one for the rest of 1), UNITS + 1 centres, offset."""
+"""Outputs of a head's context network: UNITS + 2 logits (one for the remainder of 1), UNITS + 1 centres, offset."""
 
 
 class Head(NamedTuple):
-    """One output."""
+    """Head of one output."""
 
     context: Network
-    """From what the head may see to ``WIDTH`` figures."""
+    """Network from the head's inputs to ``WIDTH`` outputs."""
     columns: np.ndarray
-    """Where that stands in the observation, int, (n,)."""
+    """Positions of the head's inputs in the observation, int, (n,)."""
     widths: np.ndarray
     """t_h, bands, (UNITS,)."""
     slope: float
-    """Largest slope, units of the output for each band of voltage."""
+    """Maximum slope, units of the output per voltage band."""
     offset: bool
-    """Whether there is one: for a clock, not for reactive power, which it would let run away."""
+    """Whether the head has an offset: a clock has one; reactive power has none, because it would drift."""
 
 
 def head_output(z: Any, context: Any, widths: Any, slope: float, offset: bool) -> Any:
-    """Output of a head for deviations ``z`` (...) and its context network's output (..., WIDTH); NumPy or torch."""
+    """Return a head's output for deviations ``z`` (...) and context outputs (..., WIDTH); NumPy or torch."""
     xp = np if isinstance(z, np.ndarray) else array_namespace(z)
     share = xp.exp(context[..., : UNITS + 2].clip(-15.0, 15.0))
     share = share / share.sum(-1)[..., None]
@@ -66,21 +67,21 @@ def head_output(z: Any, context: Any, widths: Any, slope: float, offset: bool) -
 
 
 class MonotoneNetwork:
-    """A network of monotone heads, one for each output.
+    """Network of monotone heads, one for each output.
 
     Parameters
     ----------
     heads
-        In the order of the outputs.
+        Heads in the order of the outputs.
     n_in
-        Width of the observation.
+        Number of entries in the observation.
     v_at
-        Where the voltage's deviation stands in it.
+        Position of the voltage deviation in the observation.
 
     Raises
     ------
     PolicyError
-        For heads that do not fit.
+        If a head does not fit.
     """
 
     family: ClassVar[str] = "monotone"
@@ -107,11 +108,11 @@ class MonotoneNetwork:
 
     @property
     def n_out(self) -> int:
-        """Width of the output."""
+        """Number of outputs."""
         return len(self.heads)
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Output, float32, (..., n_out), for an observation (..., n_in)."""
+        """Return the output, float32, (..., n_out), for an observation (..., n_in)."""
         x = np.asarray(observation, dtype=np.float32)
         outputs = [
             head_output(x[..., self.v_at], h.context(x[..., h.columns]), h.widths, h.slope, h.offset)
@@ -128,13 +129,13 @@ class MonotoneNetwork:
         return arrays
 
     def settings(self) -> dict[str, Any]:
-        """Width, place of the voltage, and each head's slope, offset and context network's settings."""
+        """Width, position of the voltage, and slope, offset and context settings of each head."""
         heads = [{"slope": h.slope, "offset": h.offset, "context": h.context.settings()} for h in self.heads]
         return {"n_in": self.n_in, "v_at": self.v_at, "heads": heads}
 
     @classmethod
     def read(cls, arrays: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> Self:
-        """The network of these arrays and settings."""
+        """Create the network from arrays and settings."""
         heads = []
         for i, head in enumerate(settings["heads"]):
             of = f"context{i}."

@@ -25,16 +25,16 @@ FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Networ
 
 
 def read_network(name: str, settings: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Family:
-    """Make a network of what a file says of it; PolicyError, naming it, for what cannot be one.
+    """Create a network from the settings and arrays in a file; raise PolicyError with its name if they are invalid.
 
     Parameters
     ----------
     name
-        Its name in the file, before a dot in the names of its arrays.
+        Name of the network in the file; the names of its arrays begin with it and a dot.
     settings
-        Its family and settings.
+        Family and settings of the network.
     arrays
-        All arrays of the file.
+        All arrays in the file.
     """
     settings = dict(settings)
     family = settings.pop("family")
@@ -51,59 +51,58 @@ def read_network(name: str, settings: Mapping[str, Any], arrays: Mapping[str, np
 
 FOLDER = Path(__file__).parents[1] / "policies"
 SHIPPED = tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
-"""Names of the policies that ship."""
+"""Names of the bundled policies."""
 OBSERVED = "observed"
-"""What a policy's networks see of an agent, where its file says nothing else: the observation."""
+"""Default network inputs, if a policy's file does not name others: the agent's observation."""
 FORMS: dict[str, type[Policy]] = {}
-"""Forms of policies by what their networks see, as files name it; each is there once its module is imported."""
+"""Policy classes by the network inputs that files name; importing a module registers its class."""
 
 
 class Policy:
-    """A controller that is one network, or one for each kind of agent.
+    """Control with one network, or with one network for each kind of agent.
 
     Parameters
     ----------
     networks
-        ``{"joint": network}``: from the joint observation to the joint action, as ``gymnasium.make`` has them; fits
-        scenarios with the same numbers of agents. Or one for each kind of agent, by the ``kind`` of its device,
-        ``{"datacenter": network, "inverter": network, "storage": network}``: from each agent's own observation to its
-        own action, its device's channels in order, as ``parallel_env`` has them; fits any number of agents on any
-        feeder. Regulators and capacitor banks need none: they stay under their own control.
+        ``{"joint": network}`` maps the joint observation to the joint action of ``gymnasium.make``, for scenarios with
+        the same numbers of agents. ``{"datacenter": network, "inverter": network, "storage": network}``, with the
+        ``kind`` of a device as key, maps each agent's observation to its action in ``parallel_env``, with the device's
+        channels in order. It fits any number of agents on any feeder. Regulators and capacitor banks need no network:
+        their built-in control is used.
     observe
-        Scope of observation that it was trained with.
+        Scope of observation in training.
     preview
-        Whether it sees the coming interval's p_ref; if not, those fields are 0 for it whatever the scenario shows.
+        Whether the policy uses p_ref of the next interval. If not, these inputs are 0 in every scenario.
     act
-        Which axes it moves: ``both``, and all further channels; ``q``, with every clock at the top; ``clock``, with all
-        reactive setpoints at 0. With one axis alone further channels stay at rest.
+        Controlled axes: ``both``, and all further channels; ``q``, with all clocks at their maximum; ``clock``, with
+        all reactive set points at 0. With ``q`` or ``clock``, further channels keep their rest value.
     nameplate
-        Whether an agent's observation has three more figures at its end: r times its rating in MW (of a data centre
-        p_rated, of an inverter s_rated) and x times its reactive limit at zero active power in Mvar, both in bands of
-        voltage, and v_deviation over the latter, cut to +-3: the share of its reactive power that would bring its own
-        voltage to 1; where it has no reactive power, v_deviation over the first. A joint network has the first of all
-        agents, then the second, then the third.
+        Whether each agent's observation ends with three further numbers. The first is r times the rating in MW, p_rated
+        of a data centre or s_rated of an inverter. The second is x times the reactive limit at zero active power in
+        Mvar. Both are in voltage bands. The third is v_deviation divided by the second and limited to +-3: the share of
+        the agent's reactive power that would bring its voltage to 1. Without reactive power, the first is the divisor.
+        A joint network has the first number of all agents, then the second, then the third.
     outputs
-        Whether the networks give setpoints, changes of what holds everything as it is, or corrections of a droop law,
-        see ``interface``.
+        Meaning of the network outputs: set points, changes from the action that keeps the current state, or corrections
+        of a droop law; see ``interface``.
     gains
-        Gains of that law: k_p, MW per p.u., k_q, Mvar per p.u. and s, and alpha, per s.
+        Gains of the droop law: k_p in MW/p.u., k_q in Mvar/(p.u. s), alpha in 1/s.
     scenario
-        Name of the scenario that it was trained on.
+        Name of the training scenario.
     made_with
-        The command that made it.
+        Command that created the policy.
     channels
-        Names of the channels that a network gives, in order, for networks that give something else than (clock, q) for
-        a data centre and (q,) for an inverter, a joint one for all data centres and then all inverters. A scenario's
-        must be the same.
+        Names of the output channels of a network, in order, and the same as in the scenario. Default: (clock, q) for a
+        data centre and (q,) for an inverter; in a joint network all data centres, then all inverters.
 
     Raises
     ------
     PolicyError
-        For networks of neither kind, or settings that there are not.
+        If the names of the networks or a setting are invalid.
     """
 
     def __init_subclass__(cls, features: str) -> None:
-        """Have a file that names these features read as a policy of this form."""
+        """Register the class for files that name these features."""
         FORMS[features] = cls
 
     def __init__(
@@ -146,10 +145,10 @@ class Policy:
         self.made_with = made_with
         self.source = "policy"
         self.card: Card | None = None
-        """Card of the policy, if it was read from a file with a card."""
+        """Card of the policy, if the policy was read from a file with a card."""
 
     def reset(self, env_info: Scenario) -> None:
-        """Begin episodes; PolicyError where the widths do not fit the scenario, or it has agents without a network."""
+        """Begin episodes; raise PolicyError if the widths do not fit the scenario or an agent has no network."""
         if env_info.sensing.observe != self.observe:
             raise PolicyError(
                 f"{self.source}: trained with observe={self.observe!r}, given {env_info.sensing.observe!r}"
@@ -158,7 +157,7 @@ class Policy:
         self._begin(self._equipment.others)
 
     def _begin(self, env_info: Scenario) -> None:
-        """Begin episodes, regulators and capacitor banks under their own control."""
+        """Begin episodes, with built-in control of regulators and capacitor banks."""
         chosen = {
             "preview": self.preview,
             "act": self.acts,
@@ -174,7 +173,7 @@ class Policy:
         warn_of_unseen(self.source, self.trained_on, env_info)
 
     def _check_fits(self, name: str, view: PolicyInterface, scenario: Scenario) -> None:
-        """PolicyError unless there is a network of this name, with the widths and channels of the scenario's agents."""
+        """Raise PolicyError unless the network exists and has the widths and channels of the scenario's agents."""
         widths, channels = view.widths[name], view.channels[name]
         trained = f"it was trained on {self.trained_on or 'another'}; train one for this scenario"
         if name not in self.networks:
@@ -198,7 +197,7 @@ class Policy:
             )
 
     def act(self, observations: Any) -> Any:
-        """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
+        """Return actions in the form of the observations: a mapping of agents, or joint, (..., n_observation)."""
         return self._equipment.act(observations, self._joint)
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
@@ -209,17 +208,17 @@ class Policy:
 
     @property
     def remembers(self) -> bool:
-        """Whether actions depend on earlier observations: if so, ``reset`` begins the episodes of all environments."""
+        """Whether actions depend on earlier observations. If so, ``reset`` begins the episodes of all environments."""
         return any(isinstance(network, Remembers) for network in self.networks.values())
 
     def probe(self, joint: np.ndarray) -> np.ndarray:
-        """The joint action for a joint observation of all but the equipment, which is not remembered."""
+        """Return the joint action for a joint observation without equipment; the observation is not remembered."""
         outputs = outputs_of(self.networks, self._interface.inputs(joint), dict(self._memory))
         return self._interface.action(joint, outputs)
 
     @property
     def interface(self) -> PolicyInterface:
-        """What stands between its networks and the scenario that it was reset with."""
+        """Interface between the networks and the scenario of the last ``reset``."""
         return self._interface
 
     @property
@@ -229,7 +228,7 @@ class Policy:
 
     @property
     def n_parameters(self) -> int:
-        """Figures in its arrays."""
+        """Number of parameters in all arrays."""
         return sum(array.size for array in self._arrays().values())
 
     def _arrays(self) -> dict[str, np.ndarray]:
@@ -251,14 +250,14 @@ class Policy:
         }
 
     def save(self, path: str | Path, card: Mapping[str, Any] | None = None) -> Path:
-        """Write weights and card, each whole or not at all; folders are made.
+        """Write weights and card, each atomically, and create missing folders.
 
         Parameters
         ----------
         path
-            File of the weights, with ``.safetensors`` at its end or without; the card has ``.json`` there.
+            File of the weights, with or without the suffix ``.safetensors``; the card has the suffix ``.json``.
         card
-            How it was made (``card.ORIGIN_FIELDS``); scenario and command are the policy's own unless given.
+            Origin of the policy (``card.ORIGIN_FIELDS``). Scenario and command default to those of the policy.
 
         Returns
         -------
@@ -268,7 +267,7 @@ class Policy:
         Raises
         ------
         PolicyError
-            For another suffix, or a card that cannot be.
+            If the suffix or the card is invalid.
         """
         path = Path(path)
         if path.suffix not in ("", SUFFIX):
@@ -282,17 +281,17 @@ class Policy:
 
     @classmethod
     def _read(cls, networks: Mapping[str, Family], about: Mapping[str, Any]) -> Policy:
-        """The policy of these networks and what ``_about`` said; KeyError for what is missing."""
+        """Return the policy with these networks and the data of ``_about``; raise KeyError if data are missing."""
         chosen: dict[str, Any] = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
         chosen |= {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
         return cls(networks, **chosen, gains=about.get("gains"), channels=about.get("channels"))
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Policy:
-        """Read a policy that ships, by its name (``SHIPPED``), or a file, with its card where it has one.
+        """Read a bundled policy by name (``SHIPPED``), or a file, with its card if there is one.
 
-        PolicyError for what is none, of an unknown version, broken or too large, and for a card that is none or is of
-        another policy; OSError if it cannot be opened.
+        Raises PolicyError if the file is not a policy, has an unknown version, is damaged or too large, or if its card
+        is invalid or belongs to another policy. Raises OSError if the file cannot be opened.
         """
         if str(name_or_path) in SHIPPED:
             policy = _load(FOLDER / f"{name_or_path}{SUFFIX}")
@@ -308,7 +307,7 @@ FORMS[OBSERVED] = Policy
 
 
 def _is_kind(name: str) -> bool:
-    """Whether a network may have this name beside others: that of a kind, without the dot that ends it in a file."""
+    """Return whether a name is a valid kind of agent; it must not contain a dot, which ends it in a file."""
     return name not in ("", "joint") and "." not in name
 
 

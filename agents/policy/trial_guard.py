@@ -25,7 +25,7 @@ EPISODES = 4
 STEPS = 60
 """Their length at most."""
 LAW_PCT = "guard_law_pct"
-"""What the guard tells of itself: share of agents' steps that the law has had, %, all or nothing in an episode."""
+"""Name of the guard's statistic: share of agents' steps under the law, %; 0 or 100 in an episode."""
 
 
 class TriedPolicy:

@@ -1,12 +1,14 @@
-"""A search over an algorithm's settings for a scenario, judged on the validation split.
+"""Search the settings of a training algorithm for a scenario, evaluated on the validation split.
 
-Optuna (T. Akiba et al., "Optuna: a next-generation hyperparameter optimization framework", arXiv 1907.10902) suggests
-settings by its tree-structured Parzen estimator; a trial is a training, whose validations are reported to the median
-pruner, which stops it where it lags behind the trials before. The first trial has the settings that a training begins
-with anyway, so that what is found is no worse on these episodes. Trials are suggested in batches, whose trainings are
-units of work. A trial's suggestions, and where it is stopped, depend on the search's seed, its own number and the
-batches before alone: the same search gives the same trials, in one go or in several, on one core or on many machines,
-as far as the trainings are the same to the last bit.
+Optuna suggests settings with its tree-structured Parzen estimator. A trial is a training. Its validations are reported
+to the median pruner, which stops a trial that is worse than earlier trials. The first trial uses the settings with
+which ``dcgrid train`` starts. The result is therefore at least as good on the validation episodes.
+
+Trials are suggested in batches. Suggestions and pruning depend only on the seed of the search, the number of the trial
+and the earlier batches. The search is therefore reproducible on any number of cores or machines, and in one call or
+several, if the trainings are reproducible bit by bit.
+
+Reference: T. Akiba et al., "Optuna: a next-generation hyperparameter optimization framework", arXiv 1907.10902.
 """
 
 from __future__ import annotations
@@ -28,17 +30,17 @@ from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place
 
 JOURNAL = "journal.log"
-"""File of the trials, to which each is added when it has ended."""
+"""Name of the file to which each trial is added when it ends."""
 NUMBER, SECONDS = "number", "seconds"
-"""Attributes of a trial: its place in the order of suggestions, and how long it took."""
+"""Names of trial attributes: position in the order of suggestions, and duration."""
 NO_SETTINGS = (
     "scenario", "set", "seed", "out", "resume", "threads", "device", "validation_episodes", "checkpoint_every",
 )  # fmt: skip
-"""Fields of a configuration that say what is trained, where and how it is judged, not how it learns."""
+"""Configuration fields that define the task, the output and the evaluation, but not how the algorithm learns."""
 
 
 def require_optuna() -> Any:
-    """The module optuna; ValueError, saying how to install it, where it is missing."""
+    """Return the module optuna; raise ValueError with an installation hint if it is missing."""
     try:
         return importlib.import_module("optuna")
     except ImportError as error:
@@ -55,33 +57,33 @@ def search(
     batch: int = 1,
     place: Place = ONE_PROCESS,
 ) -> Any:
-    """Add trials to a search until it has so many; the optuna study.
+    """Run trials until the search has the given number and return the optuna study.
 
     Parameters
     ----------
     base
         Configuration of the algorithm.
     trials
-        In all, those of an earlier call in the same folder included.
+        Total number of trials, including those of earlier calls with the same folder.
     seed
-        Seed of the search; that of the trainings is the configuration's own.
+        Seed of the search. The seed of the trainings is that of the configuration.
     folder
-        Where the journal and the trials' trainings are kept.
+        Folder of the journal and of the trainings.
     fixed
-        Fields that stay as they are in ``base``, beside those that have no space in ``SPACES``.
+        Fields that keep their value in ``base``, in addition to those without a search space in ``SPACES``.
     on_trial
-        Called after each trial with it.
+        Function that is called with each completed trial.
     batch
-        Trials that are suggested together, none of which knows what the others of them found. So many can be trained at
-        once; what is found depends on it, and not on where and in which order they are trained.
+        Number of trials that are suggested together, independently of each other's results, and can be trained in
+        parallel. The result depends on this number, but not on where and in which order the trials are trained.
     place
-        Where they are trained.
+        Where the trials are trained.
 
     Raises
     ------
     ValueError
-        For an algorithm without a space, a folder with the journal of another search, where optuna is missing, or for
-        trials that cannot be done: when the others of their batch are.
+        If the algorithm has no search space, the folder contains the journal of another search, or optuna is missing.
+        If a trial fails, the error is raised after the other trials of its batch.
     """
     optuna = require_optuna()
     algorithm = base.algorithm()
@@ -123,7 +125,7 @@ def search(
 
 
 def _journal(path: Path, algorithm: str) -> Any:
-    """The search that a journal holds, or a new one; ValueError for what is no journal of this version."""
+    """Return the search in a journal, or a new one; raise ValueError if the file is not a journal of this version."""
     optuna = require_optuna()
     try:
         backend = optuna.storages.journal.JournalFileBackend(str(path))
@@ -137,19 +139,19 @@ def _journal(path: Path, algorithm: str) -> Any:
 
 
 def ended(study: Any) -> list[Any]:
-    """Trials that came to an end, or were stopped by the pruner, in their order; one that was interrupted is not."""
+    """Return completed and pruned trials in order, without interrupted ones."""
     return sorted((trial for trial in study.trials if trial.state.name in ("COMPLETE", "PRUNED")), key=number_of)
 
 
 def number_of(trial: Any) -> int:
-    """The number of a trial in the order in which they are suggested, which is not that in which they end."""
+    """Return the position of a trial in the order of suggestions, which can differ from the order of completion."""
     return trial.user_attrs.get(NUMBER, -1)
 
 
 def _suggestions(
     earlier: Sequence[Any], numbers: Iterable[int], space: Mapping[str, Any], begin: Mapping[str, Any], seed: int
 ) -> dict[int, Any]:
-    """The trials of a batch by their numbers, suggested by what the earlier batches found and by their own seeds."""
+    """Return the trials of a batch by number, suggested from earlier batches with a seed for each trial."""
     optuna = require_optuna()
     study = optuna.create_study()
     study.add_trials(earlier)
@@ -165,7 +167,7 @@ def _suggestions(
 
 
 def _result(trial: Any, number: int, folder: Path) -> Any:
-    """A trial that has ended, as its training's folder tells."""
+    """Return a completed trial from the output folder of its training."""
     optuna, told = require_optuna(), read_trial(folder)
     costs = dict(enumerate(told.costs.values(), start=1))
     states = optuna.trial.TrialState
@@ -186,12 +188,12 @@ def _suggest(trial: Any, name: str, space: Any) -> None:
 
 
 def seconds(study: Any) -> float:
-    """Time that all trials of a search took, training and validation, s."""
+    """Return the total time of all trials of a search, training and validation, s."""
     return sum(trial.user_attrs.get(SECONDS, 0.0) for trial in study.trials)
 
 
 def best_as_toml(study: Any, base: Any) -> str:
-    """The best settings as they stand in agents/training/preset_settings.toml: what differs from the defaults."""
+    """Return the best settings that differ from the defaults, in the format of agents/training/preset_settings.toml."""
     import tomli_w
 
     best = dataclasses.replace(base, **study.best_trial.params)
@@ -205,5 +207,5 @@ def best_as_toml(study: Any, base: Any) -> str:
 
 
 def _rounded(value: Any) -> Any:
-    """A number with three figures: more than that a search does not tell."""
+    """Round a number to three significant digits, the precision of a search."""
     return float(f"{value:.3g}") if isinstance(value, float) else value

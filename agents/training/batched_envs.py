@@ -1,8 +1,8 @@
-"""Stable-Baselines3 vector environments made directly on the native batch; all is array operations over its rows.
+"""Stable-Baselines3 vector environments on the native batch, implemented as array operations over the rows.
 
-``JointVecEnv`` has a row for each environment: the joint observation and action, as ``gymnasium.make`` has them.
-``agent_vec_env`` has a row for each agent of each. Actions are setpoints, changes or corrections of the droop, as
-``policy.interface`` has them.
+``JointVecEnv`` has a row for each environment, with the joint observation and action of ``gymnasium.make``.
+``agent_vec_env`` has a row for each agent of each environment. Actions are set points, changes or corrections of the
+droop, as in ``policy.interface``.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from dcgrid_env.baselines.equipment_agents import at_rest
 
 Outputs = Literal["setpoint", "change", "droop"]
 REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 0.25), "droop": (0.5, 0.5, 0.25)}
-"""What an action of 1 is, of a clock, a reactive setpoint and another channel, as an output of a network."""
+"""Network output for an action of 1: clock, reactive set point and other channel."""
 LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
-"""Largest action; changes are meant to stay well within it."""
+"""Largest action; changes should stay well below it."""
 
 
 def droop_gains(scenario: Scenario) -> Gains:
-    """Those of the tuned droop law; ValueError where none ship."""
+    """Return the gains of the tuned droop; raise ValueError if there are no bundled gains."""
     law: Any = make_controller("droop-tuned", scenario)
     return Gains(law.k_p_mw_per_pu, law.k_q_mvar_per_pu_s, law.alpha_per_s)
 
@@ -88,7 +88,7 @@ class JointVecEnv(VecEnv):
 
     @property
     def rows_per_env(self) -> int:
-        """Rows of an environment."""
+        """Number of rows of an environment."""
         return 1
 
     @property
@@ -108,12 +108,12 @@ class JointVecEnv(VecEnv):
 
     @property
     def further_channels(self) -> dict[str, tuple[str, ...]]:
-        """What a policy says of its networks, see ``PolicyInterface.further_channels``."""
+        """Channels that a policy must list; see ``PolicyInterface.further_channels``."""
         return self._interface.further_channels
 
     @property
     def rest(self) -> np.ndarray:
-        """What an action is at rest as a setpoint, float32, (n_action,)."""
+        """Rest value of each action entry as a set point, float32, (n_action,)."""
         return at_rest(self.scenario).astype(np.float32)
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
@@ -128,7 +128,7 @@ class JointVecEnv(VecEnv):
         return spaces.Box(-largest, largest, (n_action,), np.float32)
 
     def _rows(self, joint: np.ndarray) -> np.ndarray:
-        """Observations of the rows, from joint ones (env, n_observation)."""
+        """Convert joint observations, (env, n_observation), to observations of the rows."""
         return joint
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
@@ -137,7 +137,7 @@ class JointVecEnv(VecEnv):
 
     @cached_property
     def reach(self) -> np.ndarray:
-        """What an action of 1 is as an output, float32, (n_action,)."""
+        """Network output for an action of 1, float32, (n_action,)."""
         clock, q, other = REACH[self.outputs]
         return np.array([{"clock": clock, "q": q}.get(channel, other) for channel in self.channels], np.float32)
 
@@ -149,12 +149,12 @@ class JointVecEnv(VecEnv):
         return self._interface.action(joint, self._means(predict(self._rows(joint))))
 
     def arrived(self) -> np.ndarray:
-        """What the last step led to, before any new episode began: (row, n_observation)."""
+        """Return the observations after the last step, before any new episode, (row, n_observation)."""
         return self._rows(self.batch.transition.observation)
 
     @property
     def truncated(self) -> np.ndarray:
-        """Whether the last step was the horizon's, bool, (row,)."""
+        """Whether the last step reached the horizon, bool, (row,)."""
         return np.repeat(self.batch.transition.truncated, self.rows_per_env)
 
     def reset(self) -> np.ndarray:
@@ -193,11 +193,11 @@ class JointVecEnv(VecEnv):
         return observation, paid, done, infos
 
     def _end_costs(self) -> np.ndarray:
-        """What an episode's end would charge after the last step, (env,)."""
+        """Return the end-of-episode cost after the last step, (env,)."""
         return sum(end_costs(self.scenario, self.batch.transition.state).values(), np.zeros(self.n_envs))
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """An image (height, width, 3) of each environment; RuntimeError unless the render mode is "rgb_array"."""
+        """Return an image (height, width, 3) of each environment; RuntimeError unless render mode is "rgb_array"."""
         if self.render_mode != "rgb_array":
             raise RuntimeError(f"render_mode is {self.render_mode!r}; make the rows with 'rgb_array' for images")
         return self.batch.render() or ()
@@ -214,7 +214,7 @@ class JointVecEnv(VecEnv):
         self.batch.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batch, once for each row asked for."""
+        """Return an attribute of the batch, once for each requested row."""
         return [getattr(self.batch, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -234,5 +234,5 @@ class JointVecEnv(VecEnv):
 
 
 def in_hand(act: str, channel: str) -> bool:
-    """Whether a policy moves the channels of this name."""
+    """Return whether a policy controls the channels of this name."""
     return act in ("both", channel)

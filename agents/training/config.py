@@ -1,4 +1,7 @@
-"""Settings of every algorithm: each algorithm's configuration, which is its command line, begins with these fields."""
+"""Settings shared by all training algorithms.
+
+The fields of an algorithm's configuration are its options on the command line.
+"""
 
 from __future__ import annotations
 
@@ -18,80 +21,81 @@ Act = Literal["both", "clock", "q"]
 
 @dataclass(frozen=True)
 class Training:
-    """What to train, and how it is judged.
+    """Training and validation settings of an algorithm.
 
-    Fields that are not given are the algorithm's own defaults; :meth:`for_scenario` takes what was found for
-    a scenario.
+    Fields that are left out have the algorithm's defaults. :meth:`for_scenario` uses the tuned settings of a scenario.
     """
 
     scenario: str = "ieee123"
-    """What to train on: a preset, or one of your own, path/to/file.toml, or path/to/file.py:function or
-    package.module:function that makes it; for analytic and safe also several, separated by commas."""
+    """Training scenario: a preset, path/to/file.toml, path/to/file.py:function or package.module:function. analytic and
+    safe also accept several, separated by commas."""
     set: tuple[str, ...] = ()
-    """Fields of the scenario to change, FIELD=VALUE, for instance --set horizon=60 background.load_sigma=0.1."""
+    """Scenario fields to override, as FIELD=VALUE. Example: --set horizon=60 background.load_sigma=0.1."""
     view: Literal["shared", "centralised"] = "shared"
-    """One policy for all agents on their own observations, or one that observes and drives all of them."""
+    """shared: one policy, applied to each agent's observations. centralised: one policy that observes and controls all
+    agents."""
     seed: int = 0
     """Random seed of the training."""
     out: Path | None = None
-    """Folder of the run; results/train/SCENARIO-ALGORITHM-SEED by default."""
+    """Output folder of the run. Default: results/train/SCENARIO-ALGORITHM-SEED."""
     device: str = "cpu"
-    """Where the networks live, and for analytic and safe the grid, as torch names it."""
+    """Torch device of the networks, for example cpu or cuda; analytic and safe also simulate the grid on it."""
     resume: bool = False
-    """Go on from the folder's checkpoint."""
+    """Continue from the checkpoint in the output folder."""
     observe: Literal["local", "neighbours", "feeder"] = "local"
     """Scope of observation."""
     preview: bool = True
-    """Whether p_ref of the coming step is observed (where the scenario shows it)."""
+    """Include p_ref of the next step in the observation, if the scenario provides it."""
     act: Act = "both"
-    """What the policy has in hand; the rest is held at the top clock or at no reactive power."""
+    """Actions that the policy controls. A clock that it does not control stays at its maximum, a reactive power at
+    zero."""
     num_envs: int = 128
-    """Environments that are stepped at once, each with an episode of its own."""
+    """Number of environments that are simulated in parallel, each with a separate episode."""
     hidden: tuple[int, ...] = (64, 64)
     """Widths of the hidden layers."""
     validation_episodes: int = 32
-    """Episodes of the validation split that a policy is judged on."""
+    """Number of episodes of the validation split on which a policy is evaluated."""
     validate_every: int = 10
-    """Iterations, batches of whole episodes, from one validation to the next."""
+    """Iterations between validations; an iteration is a batch of complete episodes."""
     checkpoint_every: int = 10
-    """Iterations from one checkpoint to the next."""
+    """Iterations between checkpoints."""
     threads: int = 1
-    """Threads of torch; networks this small gain little from more, and lose much where other processes compete."""
+    """Number of torch threads. More threads help small networks little and slow them down when other processes run."""
 
     @classmethod
     def for_scenario(cls, scenario: str | None = None, view: str | None = None, **fields: Any) -> Self:
-        """The configuration with which ``dcgrid train`` begins on a scenario, before its options.
+        """Return the configuration that ``dcgrid train`` uses for a scenario if no options are given.
 
         Parameters
         ----------
         scenario, view
-            What to train on, and for whom; the algorithm's defaults unless given.
+            Training scenario and view; the algorithm's defaults if left out.
         fields
-            Further fields, by name; they stand before those that were found for the scenario
-            (``dcgrid_env.agents.training.preset_settings``), and those before the algorithm's defaults.
+            Further fields, by name. They take precedence over the tuned settings of the scenario
+            (``dcgrid_env.agents.training.preset_settings``), which take precedence over the algorithm's defaults.
 
         Raises
         ------
         TypeError
-            For a field that there is not.
+            If a field does not exist.
         """
         chosen: dict[str, Any] = {"scenario": scenario or cls.scenario, "view": view or cls.view}
         return cls(**(settings(cls.algorithm(), **chosen) | chosen | fields))
 
     @property
     def folder(self) -> Path:
-        """Folder of the run; ValueError where it is named after a scenario that cannot be."""
+        """Output folder of the run; raises ValueError if its name contains a scenario and the scenario is invalid."""
         return self.out or Path("results/train") / f"{self.subject}-{self.kind}-{self.seed}"
 
     @property
     def subject(self) -> str:
-        """What a run's folder is named after first: what is trained on."""
+        """First part of the folder name: the training scenarios."""
         named = [name.strip() for name in self.scenario.split(",") if name.strip()]
         return "+".join(file_name(ScenarioSpec(name, self.set).make("validation").name) for name in named)
 
     @property
     def kind(self) -> str:
-        """What a run's folder is named after next."""
+        """Second part of the folder name: the algorithm."""
         return self.algorithm()
 
     @classmethod
@@ -101,13 +105,13 @@ class Training:
 
 
 RENAMED: dict[str, str] = {"lanes": "num_envs"}
-"""Fields of a configuration by the names under which earlier runs may have stored them."""
+"""Old names of configuration fields, as earlier runs may have stored them, and their current names."""
 
 
 def stored_config(folder: Path) -> dict[str, Any] | None:
-    """Configuration of the training run in a folder, by the names that its fields have now; None where there is none.
+    """Return the configuration of the training run in a folder, with current field names; None if there is none.
 
-    ValueError, naming the file, where it cannot be read.
+    Raises ValueError with the file's path if the file cannot be read.
     """
     path = folder / "config.json"
     if not path.exists():
@@ -120,10 +124,10 @@ def stored_config(folder: Path) -> dict[str, Any] | None:
 
 
 def trained_on(cfg: Training) -> str:
-    """Name of the training scenario for a policy's file: the preset, or a description of another scenario."""
+    """Return the name of the training scenario for a policy's file: a preset or a description of the scenario."""
     return ScenarioSpec(cfg.scenario, cfg.set).label
 
 
 def check(cfg: Training) -> None:
-    """Raise ValueError, naming the field, if a figure is invalid."""
+    """Raise ValueError with the field's name if a number is invalid."""
     check_figures(vars(cfg))

@@ -1,20 +1,21 @@
-"""What each agent's own part of an action was worth in a step: counterfactual advantages from the grid's model.
+"""Compute counterfactual advantages of each agent's action components with the grid model.
 
-For each agent and each component of its action, what the team would have paid for the step had this component alone
-been what the policy's mean asks for: a difference reward (D. Wolpert and K. Tumer, "Optimal payoff functions for
-members of collectives", Advances in Complex Systems 4, 2001) whose default is the mean action, as is the baseline of
-J. Foerster et al., "Counterfactual multi-agent policy gradients", arXiv 1705.08926. With c the cost of all voltages V,
+An advantage compares the team's cost of a step with its cost if one component of one agent's action had been the
+policy's mean. It is a difference reward (D. Wolpert and K. Tumer, "Optimal payoff functions for members of
+collectives", Advances in Complex Systems 4, 2001) with the mean action as the default. The baseline of J. Foerster et
+al., "Counterfactual multi-agent policy gradients", arXiv 1705.08926, is similar. With c the cost of all voltages V,
 
     q      A = c(V - M (q - q')) - c(V) + effort(q') - effort(q)        M = dV / dq of the agent
     clock  A = c(V + R (p - p')) - c(V) + w (b' - b) / sum(p_rated)     R = dV / dp of the agent, injected
 
-where q' is what the converter would have dispatched under the mean action, p' and b' what the site would have drawn and
-left queued under the mean clock, found by the device's own step. Work put off is charged there and then, at
-w = w_backlog + w_leftover for each second at full load: as if it waited as long as what is left at an episode's end is
-charged for, which is a bias. What a step does to later ones else, and what a changed draw leaves the converter, is left
-out.
+where q' is the converter's dispatch under the mean action. p' and b' are the demand and the backlog of the site under
+the mean clock, computed by the device's step function.
 
-This uses the feeder's model and the voltages of all nodes. Training alone does: the policy acts on what an agent sees.
+Deferred work is charged immediately, at w = w_backlog + w_leftover for each second at full load. This is a bias: it
+assumes the waiting time that is charged for leftover work at an episode's end. Other effects on later steps are
+neglected, and so is the effect of a changed demand on the converter's limit.
+
+Only training uses the grid model and all node voltages. The policy uses the agents' observations.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from dcgrid_env.devices import DataCenters, Work, work_classes_of
 
 
 def require_one_step(who: str, scenario: Scenario) -> None:
-    """ValueError, naming the field, where a step's own cost does not tell what an agent's action is worth."""
+    """Raise ValueError, with the field's name, unless the cost of a single step determines the advantages."""
     require_known_devices(who, scenario)
     if isinstance(scenario.feeder, RandomFeeders):
         raise ValueError(f"{who} needs the model of one feeder; {scenario.name!r} has random ones: train analytic")
@@ -50,12 +51,12 @@ def require_one_step(who: str, scenario: Scenario) -> None:
 
 
 class Counterfactual:
-    """Advantages of the actions in a batch of rows.
+    """Compute the advantages of the actions in a batch of rows.
 
     Parameters
     ----------
     scenario
-        What is stepped; ``require_one_step`` says which.
+        Scenario of the batch; it must pass ``require_one_step``.
     """
 
     def __init__(self, scenario: Scenario):
@@ -75,17 +76,17 @@ class Counterfactual:
         self._buses = np.zeros((0, 0), np.int64)
 
     def of_step(self, before: Any, after: Any, action: np.ndarray, mean: np.ndarray) -> np.ndarray:
-        """Advantage of each entry of a step's joint actions, (row, n_action): what the team paid less for it.
+        """Return the advantage of each action entry in a step, (row, n_action): the decrease in team cost.
 
         Parameters
         ----------
         before
-            What the batch's ``save()`` gave before the step.
+            Result of the batch's ``save()`` before the step.
         after
-            The state at its end, before any new episode began; its voltages are the last solved ones where the power
-            flow had no solution.
+            State at the end of the step, before any new episode. If the power flow has no solution, the state contains
+            the last solved voltages.
         action, mean
-            Joint actions, that which was taken and the policy's mean, (row, n_action).
+            Joint actions, (row, n_action): the action taken and the policy's mean.
         """
         self._place(before.episode.buses)
         advantages = np.empty(action.shape)
@@ -95,7 +96,7 @@ class Counterfactual:
         return advantages
 
     def _place(self, buses: np.ndarray) -> None:
-        """How far each agent moves each judged voltage, p.u. per kW and kvar injected, (row, n_agent, n_node)."""
+        """Set the voltage sensitivities to each agent, p.u. per injected kW and kvar, (row, n_agent, n_node)."""
         if not np.array_equal(buses, self._buses):
             by_p, by_q = sensitivity_to_agents(self.scenario, buses)
             judged, n_dc = self.scenario.feeder.load_slice, self.scenario.datacenters.count
@@ -121,7 +122,7 @@ class Counterfactual:
         return waiting - self._saved(after, self._by_p, (p_mean - p_kw) * connected)
 
     def _saved(self, after: Any, by: np.ndarray, injected: np.ndarray) -> np.ndarray:
-        """What all voltages cost more with this injection of each agent than without it, (row, agent)."""
+        """Return the increase in voltage cost due to an injection of each agent, (row, agent)."""
         v = after.v_pu[:, None, self.scenario.feeder.load_slice]
         moved = by * injected[..., None]
         if isinstance(self.scenario.feeder, Feeder):
@@ -129,12 +130,12 @@ class Counterfactual:
         return self._cost(v) - self._cost(v - moved)
 
     def _cost(self, v_pu: np.ndarray) -> np.ndarray:
-        """Cost of voltages, (..., n_node), summed over the nodes."""
+        """Return the cost of voltages, (..., n_node), summed over the nodes."""
         deviation = np.abs(v_pu - 1.0)
         beyond = np.maximum(deviation - self.scenario.cost.band_pu, 0.0)
         return self._voltage * deviation.sum(-1) + self._violation * beyond.sum(-1)
 
 
 def _mhz(params: Any, clock: np.ndarray) -> np.ndarray:
-    """Clock setpoints, MHz, of actions in [-1, 1]."""
+    """Return clock set points, MHz, for actions in [-1, 1]."""
     return params.f_min_mhz + 0.5 * (clock + 1.0) * (params.f_max_mhz - params.f_min_mhz)

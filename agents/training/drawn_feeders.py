@@ -1,9 +1,8 @@
-"""Scenarios on random feeders to train on what is to carry over: a named family, the same for the same number.
+"""Family of training scenarios on random feeders; a split and a number identify a scenario.
 
-Scenario i of a split has a feeder of its own (``random_feeder``). Drawn beside it are how many data centres and
-inverters there are, where they stand and how large they are, the substation's voltage, how much the load fluctuates,
-and what work comes. Ratings are shares of the feeder's load, so that a small feeder has small devices. No two splits
-share one.
+Each scenario of a split has a different feeder (``random_feeder``). The number, location and size of data centres and
+inverters, the substation voltage, the load fluctuation and the work are also random. Ratings are relative to the
+feeder's load, so small feeders have small devices. Splits have no scenario in common.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from dcgrid_env import Feeder, FeederError, Scenario, make_scenario, random_feeder
 
 FAMILY = "drawn-feeders"
-"""What policies trained on it say they were trained on."""
+"""Training scenario in the files of policies that were trained on the family."""
 _SALT = {"train": 1, "validation": 2}
 _STYLES = {"us-mv": 0.7, "rural": 0.25, "urban": 0.05}
 _TRACES = {"inference": 0.55, "code": 0.2, "mixed": 0.25}
@@ -23,7 +22,7 @@ _LARGEST_FEEDERS = 1 << 32
 
 
 def drawn_scenario(split: str, i: int) -> Scenario:
-    """Scenario i of the family's split, ``train`` or ``validation``, on that split's traces and episodes."""
+    """Return scenario i of a split, ``train`` or ``validation``, with the traces and episodes of that split."""
     rng = np.random.default_rng([16, _SALT[split], i])
     n_bus = round(float(np.exp(rng.uniform(np.log(16), np.log(130)))))
     load_kw = float(np.exp(rng.uniform(np.log(1500.0), np.log(9000.0))))
@@ -57,7 +56,7 @@ def drawn_scenario(split: str, i: int) -> Scenario:
 
 
 def drawn_scenarios(split: str) -> Iterator[Scenario]:
-    """Every scenario of a split, 0, 1, .., without end."""
+    """Yield the scenarios of a split, 0, 1, .., without end."""
     i = 0
     while True:
         yield drawn_scenario(split, i)

@@ -15,7 +15,7 @@ SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
 
 
 class Limits(NamedTuple):
-    """What a policy must keep at the least cost of the rest; None where there is no limit."""
+    """Limits that a policy must meet while it minimises the other costs; None for no limit."""
 
     delay_s: float | None
     """Mean delay, s."""
@@ -23,7 +23,7 @@ class Limits(NamedTuple):
     """Mean excess of the voltage over the band, p.u."""
 
     def merit(self, figures: Mapping[str, float]) -> float:
-        """What the best policy has least of: J less the cost of what is limited, dearly paid beyond the limits."""
+        """Return the selection criterion, smallest for the best policy: J without limited costs, with a penalty."""
         left, beyond = figures["J"], 0.0
         if self.delay_s is not None:
             left -= figures["J_waiting"]
@@ -35,9 +35,9 @@ class Limits(NamedTuple):
 
 
 def updated_factor(factor: float, limit: float | None, measured: float, rate: float) -> float:
-    """A multiplier moved by ``rate`` times how far its limit is exceeded or kept, as a share of the limit.
+    """Update a price factor in proportion to ``rate`` and the relative distance from its limit.
 
-    It stays where there is no limit.
+    Without a limit the factor does not change.
     """
     if limit is None:
         return factor

@@ -1,9 +1,9 @@
-"""A training run's folder: its configuration, curve, TensorBoard events and checkpoint, for every algorithm alike.
+"""Output folder of a training run, with the same files for every algorithm.
 
-config.json        the configuration and the version that it was run with
-curve.csv          a row for each record: step, then figures; a repetition changes times and rates alone
-events.out.*       the same for TensorBoard
-checkpoint.pt      tensors and plain figures, read with ``weights_only=True``, so that loading never runs code
+config.json        configuration and version of dcgrid
+curve.csv          a row for each record: step and measurements; only times and rates differ when a run is repeated
+events.out.*       the same data for TensorBoard
+checkpoint.pt      tensors and plain numbers, read with ``weights_only=True``, so loading does not run code
 policy.*           the best policy on the validation split so far, written by the algorithm
 """
 
@@ -36,13 +36,13 @@ from dcgrid_env.core.lock import LockedError, locked
 
 CHECKPOINT = "checkpoint.pt"
 EVENT_BYTES = 2**16
-"""More than TensorBoard writes of a record."""
+"""Upper bound on the size of a TensorBoard record."""
 FREE = ("out", "resume")
-"""Fields of a configuration that a resumed run may have otherwise."""
+"""Configuration fields that a resumed run may change."""
 
 
 def device_of(name: str) -> torch.device:
-    """The device of that name; ValueError unless torch knows it and this machine has it."""
+    """Return the named torch device; raise ValueError if the name is invalid or the device is not available."""
     try:
         device = torch.device(name)
         torch.zeros(1, device=device)
@@ -53,20 +53,20 @@ def device_of(name: str) -> torch.device:
 
 
 class TrainingError(RuntimeError):
-    """A run that cannot begin or go on; the message names file, field, value and remedy."""
+    """Report a run that cannot start or continue; the message names file, field, value and remedy."""
 
 
 class Diverged(TrainingError):
-    """A training whose figures are no longer finite."""
+    """Report a training with infinite or NaN values."""
 
 
 _watchers: list[Callable[[Mapping[str, float]], None]] = []
-"""What is told of each validation of the trainings in this process."""
+"""Functions that are called with the results of each validation in this process."""
 
 
 @contextmanager
 def watched(watcher: Callable[[Mapping[str, float]], None]) -> Iterator[None]:
-    """Tell ``watcher`` the figures of each validation within the block; what it raises ends the training."""
+    """Call ``watcher`` with the results of each validation in the block; an exception from it ends the training."""
     _watchers.append(watcher)
     try:
         yield
@@ -76,27 +76,27 @@ def watched(watcher: Callable[[Mapping[str, float]], None]) -> Iterator[None]:
 
 @contextmanager
 def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequence[Scenario] = ()) -> Iterator[Run]:
-    """A training run in a folder that nobody else trains in meanwhile.
+    """Open a training run in a folder and lock the folder.
 
-    A run that ends by an error or an interruption before it has anything to go on from leaves nothing behind.
+    If the run fails or is interrupted before the first checkpoint or policy, its configuration is deleted.
 
     Parameters
     ----------
     folder
-        Where it stands; made if need be.
+        Output folder; created if it is missing.
     config
-        The algorithm's configuration, a dataclass.
+        Configuration of the algorithm, a dataclass.
     resume
-        Go on from the folder's checkpoint. Where there is none yet ``Run.load`` says so on a line, and the run begins
-        anew, so that a queue may start and restart a training by the same command.
+        Continue from the checkpoint in the folder. If there is none, ``Run.load`` prints a message and the run starts
+        from scratch. A queue can therefore start and restart a training with the same command.
     scenarios
-        What is trained on; their hashes stand in config.json, so that no run goes on with others of the same names.
+        Scenarios of the run. config.json stores their hashes, and a run cannot be resumed with different scenarios.
 
     Raises
     ------
     TrainingError
-        Where another process trains in the folder, or it holds a run and ``resume`` is not asked for, or a run with
-        another configuration.
+        If another process trains in the folder, if it contains a run and ``resume`` is false, or if it contains a run
+        with another configuration.
     """
     try:
         with new_folder(folder), locked(folder, "training"):
@@ -114,7 +114,7 @@ def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequenc
 
 
 class Run:
-    """A training run's folder; made by :func:`open_run`."""
+    """Read and write the folder of a training run; use :func:`open_run` to create it."""
 
     def __init__(self, folder: Path, config: Any, resume: bool, scenarios: Sequence[Scenario]):
         self.folder, self.scenarios, self.resume = folder, tuple(scenarios), resume
@@ -145,7 +145,7 @@ class Run:
                 )
 
     def load(self) -> dict[str, Any] | None:
-        """What the last checkpoint holds, or None without one; later rows of the curve are dropped."""
+        """Return the contents of the last checkpoint, or None; remove later rows of the curve."""
         path = self.checkpoint_path
         if not path.exists():
             if self.resume:
@@ -170,7 +170,7 @@ class Run:
         return state
 
     def save(self, state: Mapping[str, Any]) -> None:
-        """Write a checkpoint, whole or not at all; tensors, numbers, strings, and lists and dicts of those."""
+        """Write a checkpoint atomically; it may contain tensors, numbers, strings, and lists and dicts of these."""
         with whole(self.checkpoint_path) as file:
             try:
                 torch.save({**state, "step": self.step, "seconds": self.seconds}, file)
@@ -179,7 +179,7 @@ class Run:
 
     @property
     def seconds(self) -> float:
-        """Time spent on this run, before and after an interruption."""
+        """Computing time of the run, s, including the time before an interruption."""
         return self._before_s + time.perf_counter() - self._began_s
 
     def record(self, figures: Mapping[str, float]) -> None:
@@ -199,12 +199,12 @@ class Run:
             watcher(row)
 
     def require_finite(self, what: str, tensors: Iterable[torch.Tensor]) -> None:
-        """TrainingError, with the step and the checkpoint that is kept, unless all is finite."""
+        """Raise TrainingError, with the step and the last checkpoint, unless all values are finite."""
         if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
             raise self.diverged(what)
 
     def diverged(self, what: str) -> Diverged:
-        """The error for figures that are not finite."""
+        """Return the error for values that are not finite."""
         checkpoint = (
             f"the checkpoint in {self.checkpoint_path} is from before"
             if self.checkpoint_path.exists()
@@ -215,7 +215,7 @@ class Run:
         )
 
     def close(self) -> None:
-        """Close TensorBoard's file."""
+        """Close the TensorBoard file."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
@@ -234,9 +234,9 @@ def _write_row(file: TextIO, row: Mapping[str, float], with_header: bool) -> Non
 
 
 def finish(run: Run, scenarios: Sequence[Scenario] = ()) -> None:
-    """Write into the best policy's card how long the whole run took, and the range of its inputs.
+    """Add the duration of the run and the range of the inputs to the best policy's card.
 
-    ``scenarios`` are what it was trained on where that is more than what it was judged on, as variants of it.
+    ``scenarios`` are the training scenarios, if they include more than the validation scenarios, such as variants.
     """
     path = run.folder / "policy.json"
     inputs = recorded(Policy.load(path.with_suffix(SUFFIX)), scenarios or run.scenarios)
@@ -244,7 +244,7 @@ def finish(run: Run, scenarios: Sequence[Scenario] = ()) -> None:
 
 
 def read_curve(folder: Path) -> list[dict[str, float]]:
-    """Rows of a run's curve; a figure that was not measured is NaN, steps are whole."""
+    """Return the rows of a learning curve; missing measurements are NaN, steps are integers."""
     path = folder / "curve.csv"
     if not path.exists():
         return []
@@ -255,7 +255,7 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 
 @contextmanager
 def progress(description: str, total: int, done: int) -> Iterator[Any]:
-    """A progress bar; yields ``advance(completed, text)``."""
+    """Show a progress bar and yield ``advance(completed, text)``."""
     label, status = (TextColumn(form, markup=False) for form in ("{task.description}", "{task.fields[text]}"))
     columns = (label, BarColumn(), TimeRemainingColumn(), status)
     with Progress(*columns) as bar:

@@ -1,8 +1,8 @@
-"""What the Stable-Baselines3 algorithms share: configuration, the training split as they see it, and the training loop.
+"""Configuration, training split and training loop of the Stable-Baselines3 algorithms.
 
-A run is a sequence of iterations. At the beginning of each the generators are seeded, and every environment begins a
-new episode, by the iteration's number; so what an iteration does depends on its number and the checkpoint before it
-alone, and a run that was killed goes on with the same curve.
+A run is a sequence of iterations. Each starts with new episodes and random generators seeded with the iteration number.
+An iteration therefore depends only on its number and the previous state, and an interrupted run resumes with the same
+learning curve.
 """
 
 from __future__ import annotations
@@ -36,18 +36,19 @@ class Config(Training):
     """Settings of all Stable-Baselines3 algorithms."""
 
     nameplate: bool = False
-    """Also observe what full draw and full reactive power do to the own voltage (shared policy)."""
+    """Also observe the effect of full demand and full reactive power on the agent's voltage (shared policy)."""
     num_envs: int = 384
-    """Rows of the batch that Stable-Baselines3 steps at once, about: agents of all environments where the policy is
-    shared, environments where it is centralised."""
+    """Approximate number of rows that Stable-Baselines3 steps in parallel. A row is an agent with a shared policy, an
+    environment with a centralised one."""
     gamma: float = 0.9
-    """Discount; 1 / (1 - gamma) steps is how far the policy looks ahead."""
+    """Discount factor; the effective planning horizon is 1 / (1 - gamma) steps."""
     wait: float = 10.0
-    """Steps of waiting that cost the same with the discount as without; the longer, the dearer is deferral."""
+    """Waiting time, in steps, that costs the same with and without the discount. Larger values make deferral more
+    expensive."""
 
     @property
     def kind(self) -> str:
-        """The algorithm, and whether it drives all agents at once."""
+        """Second part of the folder name: the algorithm, and whether the policy is centralised."""
         return self.algorithm() if self.view == "shared" else f"{self.algorithm()}-centralised"
 
 
@@ -56,35 +57,35 @@ class OffPolicy(Config):
     """Further settings of the algorithms with a replay buffer."""
 
     num_envs: int = 96
-    """Rows of the batch that Stable-Baselines3 steps at once, about: agents of all environments where the policy is
-    shared, environments where it is centralised."""
+    """Approximate number of rows that Stable-Baselines3 steps in parallel. A row is an agent with a shared policy, an
+    environment with a centralised one."""
     checkpoint_every: int = 50
-    """Iterations from one checkpoint to the next; it holds the replay buffer."""
+    """Iterations between checkpoints, which contain the replay buffer."""
     steps: int = 1_000_000
-    """Steps in all: of agents where one policy is shared, of environments where it is centralised."""
+    """Total number of steps: agent steps with a shared policy, environment steps with a centralised one."""
     learning_rate: float = 1e-3
-    """At the beginning; it falls linearly to nothing."""
+    """Initial learning rate; it decays linearly to zero."""
     buffer: int = 200_000
-    """Steps of agents or environments that the replay buffer holds."""
+    """Size of the replay buffer, in agent or environment steps."""
     batch: int = 512
-    """Steps of agents or environments that a gradient step draws."""
+    """Minibatch size, in agent or environment steps."""
     gradient_steps: int = 2
-    """Gradient steps for each step of the batch."""
+    """Gradient steps for each step of the vector environment."""
     tau: float = 0.01
-    """How far the target networks follow in a gradient step."""
+    """Update rate of the target networks for each gradient step."""
 
     def iterations(self, vec_env: JointVecEnv) -> int:
-        """Iterations that make up the steps, at least 1."""
+        """Return the number of iterations for the total number of steps, at least 1."""
         return max(1, round(self.steps / (vec_env.num_envs * vec_env.scenario.horizon)))
 
     def rate(self, done: float) -> float:
-        """Learning rate when this share of the training is done."""
+        """Return the learning rate after this fraction of the training."""
         return self.learning_rate * (1.0 - done)
 
 
 @contextmanager
 def begin(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> Iterator[tuple[Run, JointVecEnv]]:
-    """The run's folder, held for the block, and the vector environment of the training split.
+    """Lock the folder of the run for the block and return the vector environment of the training split.
 
     Raise ValueError if a setting is invalid, and TrainingError if the training in the folder cannot be continued.
     """
@@ -94,13 +95,13 @@ def begin(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None
 
 
 def run_of(cfg: Training) -> AbstractContextManager[Run]:
-    """The run's folder, locked for the block; TrainingError if the training in it cannot be continued."""
+    """Lock the folder of the run for the block; raise TrainingError if the training in it cannot be continued."""
     judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
     return open_run(cfg.folder, cfg, cfg.resume, [judged_on])
 
 
 def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> JointVecEnv:
-    """The vector environment of the training split; ValueError if a setting is invalid."""
+    """Return the vector environment of the training split; raise ValueError if a setting is invalid."""
     check(cfg)
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
@@ -120,16 +121,16 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None 
 
 
 def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
-    """The scenario with backlog priced for a policy that neither sees the time nor, under a discount, far ahead.
+    """Return the scenario with a backlog price for policies that do not observe time and use a discount.
 
-    To a policy that does not see the time each of T steps is the last with the same chance, and a second of backlog at
-    the last costs ``leftover``: so each step charges ``leftover / T`` more for it, the same in the mean, instead of one
-    large charge that no observation foretells. The horizon is then a mere truncation, after which the value goes on.
+    For a policy that does not observe time, each of the T steps is equally likely to be the last, where a second of
+    backlog costs ``leftover``. Each step therefore charges ``leftover / T`` more, the same on average, instead of one
+    large unpredictable charge at the end. The horizon then only truncates an episode, and values are bootstrapped.
 
-    A discount hides most of a long wait, so that deferral would pay that should not. A wait of n steps costs n in truth
-    and (1 - gamma^n) / (1 - gamma) discounted: the price is raised by the ratio of the two at n = ``wait``.
+    A discount reduces the cost of long waiting and would make deferral too attractive. Waiting n steps costs n without
+    and (1 - gamma^n) / (1 - gamma) with the discount. The price is raised by the ratio of the two at n = ``wait``.
 
-    What else an episode's end charges, as energy that is missing in storages, is charged by the rows as it arises
+    Other end-of-episode costs, such as energy missing in storages, are charged by the rows when they arise
     (``JointVecEnv.end_as_it_arises``).
     """
     w = scenario.cost.weights
@@ -140,7 +141,7 @@ def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
 
 
 def episode_seed(seed: int, iteration: int, n_envs: int) -> int:
-    """Seed of the first environment's episode in an iteration; no two iterations or runs of a seed share one."""
+    """Return the seed of the first environment's episode in an iteration; iterations and runs have different seeds."""
     return (seed << 40) + iteration * n_envs
 
 
@@ -155,25 +156,25 @@ def train(
     learning_rate: Callable[[float], float],
     extra: Callable[[], Mapping[str, Any]] = dict,
 ) -> Path:
-    """Train a model whose iterations are an episode of every row; the folder written.
+    """Train a model, with one episode of every row in each iteration, and return the output folder.
 
     Parameters
     ----------
     cfg, run, vec_env, model
-        What :func:`begin` and the algorithm made.
+        Results of :func:`begin` and the algorithm.
     iterations
-        In all, an interrupted run's included.
+        Total number, including those of an interrupted run.
     exported
-        The policy as it stands.
+        Function that returns the current policy.
     learning_rate
-        Learning rate as a function of the share of the training that is done.
+        Learning rate as a function of the completed fraction of the training.
     extra
-        What the checkpoint must hold beside networks and optimisers: arrays and tensors, put back where they are.
+        Further checkpoint contents, in addition to networks and optimisers: arrays and tensors, restored in place.
 
     Raises
     ------
     TrainingError
-        Where parameters or losses are not finite; the checkpoint before stays.
+        If parameters or losses are not finite; the previous checkpoint is kept.
     """
     judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
     validate, state = Validation([judged_on], cfg.validation_episodes), run.load()
@@ -215,7 +216,7 @@ def train(
 
 
 def _iterate(run: Run, vec_env: JointVecEnv, model: BaseAlgorithm, seed: int, iteration: int, rate: float) -> None:
-    """One episode of every row and what is learned from it."""
+    """Run one episode of every row and learn from it."""
     set_random_seed((seed * 1_000_003 + iteration) % 2**32)
     vec_env.seed(episode_seed(seed, iteration, vec_env.n_envs))
     model._last_obs = None  # so that it begins with a reset
@@ -234,12 +235,12 @@ def _iterate(run: Run, vec_env: JointVecEnv, model: BaseAlgorithm, seed: int, it
 
 
 def logged(model: BaseAlgorithm) -> dict[str, float]:
-    """Figures that the algorithm logged last."""
+    """Return the last values that the algorithm logged."""
     return {name: float(value) for name, value in model.logger.name_to_value.items()}
 
 
 def timing(steps: int, spent_s: np.ndarray) -> dict[str, float]:
-    """Where the time went; the rate counts physics and learning, not validation."""
+    """Return computing times and the step rate, which includes physics and learning but not validation."""
     physics_s, learning_s, validation_s = spent_s
     return {
         "physics_s": physics_s,

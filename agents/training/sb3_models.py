@@ -88,7 +88,7 @@ def off_policy(cfg: OffPolicy, vec_env: JointVecEnv) -> dict[str, Any]:
 
 
 def prepared(model: Any, vec_env: JointVecEnv, last: Any) -> Any:
-    """The model with a logger that only remembers, and an actor whose ``last`` layer begins about at rest."""
+    """Return the model with an in-memory logger and an actor whose ``last`` layer starts near rest."""
     with torch.no_grad():
         last.bias += 2.0 * torch.as_tensor(vec_env.rest, dtype=torch.float32, device=last.bias.device)
     model.set_logger(Logger(folder=None, output_formats=[]))

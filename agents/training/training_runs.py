@@ -1,8 +1,8 @@
-"""Training runs that belong together: each in a folder of its own, resumed where it stopped, and not done again.
+"""Run a group of trainings, each in a separate folder, and resume or skip those that exist.
 
-A run is a training configuration with its folder, ``out``. When it is over, its settings are left there in
-``finished.json``; what it says while it trains goes into ``training.log``. Runs are units of work, in their own folders
-where the worker sees these, else in one that travels with them.
+A run is a training configuration with its folder, ``out``. ``finished.json`` stores the settings of a completed run and
+``training.log`` its output. Runs are units of work. They use their folders directly if the worker can access them, and
+otherwise a folder that is transferred with the work.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
 
 FINISHED, LOG = "finished.json", "training.log"
 PLACES = ("out", "resume")
-"""Fields of a configuration that say where and how it is run, not what comes out."""
+"""Configuration fields that do not affect the result."""
 
 
 def command(config: Any) -> str:
@@ -53,7 +53,7 @@ def words_of(config: Any) -> list[str]:
 
 
 def finished(config: Any) -> bool:
-    """Whether the run has been done, with exactly these settings."""
+    """Return whether the run is complete, with exactly these settings."""
     try:
         return json.loads((config.out / FINISHED).read_text(encoding="utf-8")) == _settings(config)
     except (OSError, ValueError):
@@ -110,16 +110,16 @@ def _settings(config: Any) -> dict[str, Any]:
 
 
 Files = dict[str, bytes]
-"""Contents of a run's folder by their names in it."""
+"""Contents of a run's folder by file name."""
 
 
 class _Sent(NamedTuple):
-    """What a worker needs to do a run."""
+    """Data that a worker needs for a run."""
 
     work: Callable[[Any], str | None]
     config: Any
     words: Sequence[str]
-    """The command that the policy's card is to name."""
+    """Command for the policy's card."""
     files: Files | None
     """What the run's folder holds, for a worker that does not see it."""
 
@@ -186,7 +186,7 @@ def _train(sent: _Sent) -> tuple[str | None, Files | None]:
 
 
 def _held(folder: Path) -> Files:
-    """What a run's folder holds, without locks and what is half written."""
+    """Return the contents of a run's folder, without locks and incomplete files."""
     paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.name.startswith(".")]
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 

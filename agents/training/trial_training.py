@@ -1,6 +1,4 @@
-"""The training of a trial in a search over settings, stopped where it lags behind earlier trials; its folder tells how
-it went.
-"""
+"""Train a trial of a search over settings and stop it if it is worse than earlier trials."""
 
 from __future__ import annotations
 
@@ -17,25 +15,25 @@ from typing import Any
 from dcgrid_env.core.files import write_json
 
 TRIAL = "trial.json"
-"""File in the folder of a trial's training: what :class:`TrialStatus` holds."""
+"""Name of the file with the :class:`TrialStatus` in the folder of a trial."""
 STARTUP_TRIALS, WARMUP_VALIDATIONS = 4, 1
-"""Trials, and validations of each, before which none is stopped."""
+"""Minimum number of trials, and of validations of a trial, before a trial is stopped."""
 
 
 @dataclasses.dataclass(frozen=True)
 class TrialStatus:
-    """How a trial's training went so far."""
+    """Progress of a trial's training."""
 
     costs: dict[int, float] = dataclasses.field(default_factory=dict)
-    """J on validation by the training's own step."""
+    """Validation J by training step."""
     stopped: bool = False
-    """Whether it was stopped, or diverged."""
+    """Whether the training was stopped or diverged."""
     seconds: float = 0.0
-    """Time that it took."""
+    """Computing time, s."""
 
 
 def read_trial(folder: Path) -> TrialStatus:
-    """How the training in a folder went; nothing yet where there is no file, ValueError for one that is damaged."""
+    """Read the status of a trial, empty without a file; raise ValueError if the file is damaged."""
     path = folder / TRIAL
     if not path.exists():
         return TrialStatus()
@@ -48,14 +46,14 @@ def read_trial(folder: Path) -> TrialStatus:
 
 
 def train_trial(config: Any, earlier: Sequence[Any]) -> None:
-    """Train with the settings of a trial until it ends, or lags behind the earlier trials; its folder tells which.
+    """Train with the settings of a trial until completion or pruning; its folder stores the result.
 
     Parameters
     ----------
     config
-        Configuration of the training, with its folder, in which it goes on where it stopped.
+        Configuration of the training. An interrupted training in its folder is resumed.
     earlier
-        The trials that it is held against.
+        Earlier trials for comparison.
     """
     from dcgrid_env.agents.training.run_folder import Diverged, watched
 
@@ -89,11 +87,11 @@ def train_trial(config: Any, earlier: Sequence[Any]) -> None:
 
 
 class _Stopped(Exception):
-    """Ends a training that lags behind."""
+    """Stop a training that is worse than earlier trials."""
 
 
 def _lags(costs: Sequence[float], earlier: Sequence[Any]) -> bool:
-    """Whether the median pruner stops a trial with these costs on validation so far."""
+    """Return whether the median pruner stops a trial with these validation costs."""
     optuna = importlib.import_module("optuna")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     study = optuna.create_study(pruner=optuna.pruners.MedianPruner(STARTUP_TRIALS, WARMUP_VALIDATIONS))

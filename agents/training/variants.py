@@ -9,21 +9,21 @@ from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
 
 def scenarios(names: str, overrides: tuple[str, ...] = (), split: str = "train", **chosen: object) -> list[Scenario]:
-    """Scenarios named in one string, separated by commas, with overrides ``FIELD=VALUE`` and fields that are chosen.
+    """Return the scenarios in a comma-separated string, with overrides ``FIELD=VALUE`` and further fields.
 
-    ValueError for one that cannot be, or none.
+    Raises ValueError if a scenario is invalid or there is none.
     """
     given = [name.strip() for name in names.split(",") if name.strip()]
     if not given:
-        raise ValueError(f"scenario is {names!r}; name at least one (dcgrid list)")
+        raise ValueError(f"scenario: must name at least one scenario (dcgrid list), got {names!r}")
     return [ScenarioSpec(name, overrides).make(split, **chosen) for name in given]
 
 
 def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
-    """The scenario with other places, ratings, and substation voltage.
+    """Return the scenario with other placements, ratings and substation voltage.
 
-    Data centres are drawn anew in each episode, from half to 1.1 times their rating each; inverters stand at other load
-    buses, at half to twice their rating each; the substation is held up to 0.01 p.u. higher or lower.
+    Data centres are placed at random in each episode, with 0.5 to 1.1 times their rating. Inverters are placed at other
+    load buses, with 0.5 to 2 times their rating. The substation voltage changes by up to 0.01 p.u.
     """
     if isinstance(scenario.feeder, RandomFeeders):
         raise ValueError(f"vary: {scenario.name} has another feeder in each batch by itself; leave vary out")

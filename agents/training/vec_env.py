@@ -23,7 +23,7 @@ def sb3_vec_env(
 ) -> JointVecEnv:
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
 
-    Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) take it as it is. After ``seed(n)`` the next
+    Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next
     reset begins the episodes of seeds n, n + 1 and so on, one in each environment. In the last step of an episode
     ``infos[row]`` holds ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
 

@@ -93,4 +93,4 @@ def no_hindsight(case: Case, episodes: int, published: Callable[[Scenario], Publ
     if not missing:
         return None
     command = f"dcgrid hindsight {case.spec.options('--scenarios')} --episodes {episodes}"
-    return f"hindsight is not known for {missing} of the {episodes} episodes; solve them with `{command}`"
+    return f"the hindsight cost is missing for {missing} of {episodes} episodes; compute it with `{command}`"

@@ -104,7 +104,7 @@ def require_tuned(path: str | Path | None) -> None:
 def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
     """Entries by law and scenario of a file that ``dcgrid tune`` wrote, none where there is no such file.
 
-    ValueError for a file that is none of tuned parameters.
+    Raises ValueError if the file does not contain tuned parameters.
     """
     own = shared(CARRIED, {}).get(str(path))
     if own is not None or not path.exists():
@@ -115,7 +115,7 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
             return laws
     except (ValueError, KeyError, TypeError, AttributeError):
         pass
-    raise ValueError(f"{path} is no file that dcgrid tune wrote; name another")
+    raise ValueError(f"{path}: is not a file of tuned parameters; pass a file that dcgrid tune wrote")
 
 
 def own_parameters(path: Path | None) -> dict[str, dict[str, dict[str, dict[str, Any]]]]:

@@ -73,7 +73,7 @@ def test_a_policy_can_be_scored_on_another_scenario_than_its_own(tmp_path):
 def test_what_cannot_ship_is_named_and_writes_nothing(tmp_path):
     good = trained(tmp_path, 0, 0.2, 0.4)
     cases = [
-        ([], "toy6-ppo", "folders is empty"),
+        ([], "toy6-ppo", "folders: must name at least one folder"),
         ([good, good], "toy6-ppo", "seed 0 is there twice"),
         (
             [good, trained(tmp_path, 1, 0.2, 0.4, algorithm="sac")],

@@ -144,7 +144,7 @@ def test_nothing_is_unpickled_without_trust(tmp_path, capsys):
     said = stopped(capsys, "evaluate", str(tmp_path / "model.zip"), "--scenario", SCENARIO)
     assert "policy: must be trusted, got the Stable-Baselines3 zip" in said
     assert "dcgrid export-sb3" in said
-    with pytest.raises(ValueError, match="which is pickle"):
+    with pytest.raises(ValueError, match="which contains pickled objects"):
         find_controller(str(tmp_path / "model.zip"), dcgrid_env.make_scenario(SCENARIO))
     assert policy.n_parameters > 0
     assert not mark.exists()
@@ -217,7 +217,7 @@ def test_files_and_scenarios_that_do_not_fit(tmp_path, capsys):
     )
     assert "there is no such file; give the zip" in stopped(capsys, "export-sb3", "no.zip", "--scenario", SCENARIO)
     guarded = f"guarded:{tmp_path / 'none.zip'}"
-    assert "which is pickle" in stopped(capsys, "evaluate", guarded, "--scenario", SCENARIO, "--trust")
+    assert "which contains pickled objects" in stopped(capsys, "evaluate", guarded, "--scenario", SCENARIO, "--trust")
     made(PPO).save(tmp_path / "model")
     said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", "ieee33-weak")
     assert "observation and action have 23 and 4 figures; on ieee33-weak they have 55 and 10 (joint), 10 and 2" in said

@@ -16,7 +16,7 @@ def test_names_are_separated_by_commas():
 
 @pytest.mark.parametrize("names", ["", " , "])
 def test_no_name(names):
-    with pytest.raises(ValueError, match=r"name at least one \(dcgrid list\)"):
+    with pytest.raises(ValueError, match=r"must name at least one scenario \(dcgrid list\)"):
         scenarios(names)
 
 

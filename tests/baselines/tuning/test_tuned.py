@@ -138,7 +138,9 @@ def test_the_hash_of_a_file_is_that_of_the_validation_split():
 def test_a_damaged_file_is_named():
     OWN.parent.mkdir()
     OWN.write_text("{")
-    with pytest.raises(ValueError, match=r"results/tuned\.json is no file that dcgrid tune wrote; name another"):
+    with pytest.raises(
+        ValueError, match=r"results/tuned\.json: is not a file of tuned parameters; pass a file that dcgrid tune wrote"
+    ):
         make_controller("droop-tuned", make_scenario("toy6", name="mine"))
 
 

@@ -304,9 +304,7 @@ def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsy
     printed = capsys.readouterr().out
     first, second = (line for line in printed.splitlines() if line.startswith("[/] will have no score: "))
     assert "`dcgrid tune --laws droop --scenarios mine.py:make`" in first
-    assert second.endswith(
-        "of the 2 episodes; solve them with `dcgrid hindsight --scenarios mine.py:make --episodes 2`"
-    )
+    assert second.endswith("of 2 episodes; compute it with `dcgrid hindsight --scenarios mine.py:make --episodes 2`")
     assert printed.index(first) < printed.index("episodes ")
     assert [f["controller"] for f in results["failures"]] == ["droop-tuned"]
 

@@ -167,9 +167,9 @@ def _interrupted(*_, **__):
     ("make", "message"),
     [
         (lambda path: path.mkdir(), "out: must be a file, got the folder"),
-        (lambda path: path.write_text("{"), "is no file that dcgrid tune wrote; name another"),
-        (lambda path: path.write_text('{"laws": []}'), "is no file that dcgrid tune wrote"),
-        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is no file that dcgrid tune wrote"),
+        (lambda path: path.write_text("{"), "is not a file of tuned parameters; pass a file that dcgrid tune wrote"),
+        (lambda path: path.write_text('{"laws": []}'), "is not a file of tuned parameters"),
+        (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is not a file of tuned parameters"),
         (lambda path: path.parent.write_text(""), "a folder that can be created"),
     ],
 )
