@@ -52,3 +52,9 @@ def test_every_page_can_be_reached_from_the_readme():
             left += [(path.parent / target).resolve() for target in (*targets(path), *listed(path))]
     pages = set((ROOT / "docs").glob("*.md"))
     assert {path.name for path in pages - reached} == set()
+
+
+def test_the_sidebar_is_short():
+    """At most 30 entries; pages of detail are listed by the page above them."""
+    blocks = TOCTREE.findall((ROOT / "docs" / "index.md").read_text(encoding="utf-8"))
+    assert 20 <= sum(bool(line) and not line.startswith(":") for block in blocks for line in block.splitlines()) <= 30
