@@ -38,7 +38,9 @@ nb_execution_mode = "off"  # tests run the notebooks
 
 html_theme = "furo"
 html_title = f"dcgrid {release}"
+html_logo = "static/logo.svg"
 html_static_path = ["static"]
+html_extra_path = ["llms.txt"]
 html_css_files = ["site.css"]
 html_js_files = [("tables.js", {"defer": "defer"})]
 html_math_renderer = "svg"
@@ -58,14 +60,6 @@ napoleon_custom_sections = ["Problem", "Action space", "Observation space", "Rew
 napoleon_custom_sections += ["Information"]
 
 
-def without_empty_globs(app: Any, docname: str, source: list[str]) -> None:
-    """Leave out of the first page's lists the patterns that no page matches, of which Sphinx would warn."""
-    if docname == root_doc:
-        lines = source[0].splitlines()
-        pages = [Path(app.srcdir).glob(f"{line}.*") if line.endswith("*") else [line] for line in lines]
-        source[0] = "\n".join(line for line, found in zip(lines, pages, strict=True) if any(True for _ in found))
-
-
 def notebook_output_with_the_site(app: Any) -> None:
     """Write what notebooks show into the site's own folder, not into ``jupyter_execute`` in the folder above it."""
     output_folder = str(Path(app.doctreedir) / "jupyter_execute")
@@ -74,5 +68,4 @@ def notebook_output_with_the_site(app: Any) -> None:
 
 def setup(app: Any) -> None:
     """Connect the functions of this file."""
-    app.connect("source-read", without_empty_globs)
     app.connect("builder-inited", notebook_output_with_the_site, priority=900)  # after myst_nb has set its own
