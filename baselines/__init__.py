@@ -1,4 +1,4 @@
-"""Controllers made by hand, through the public interface alone."""
+"""Controllers that are not learned, written on the public interface only."""
 
 from dcgrid_env.baselines.controller import Controller, Local, LocalController, NeedsPlacement
 from dcgrid_env.baselines.hindsight_costs import Published, published

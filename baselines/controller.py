@@ -1,4 +1,4 @@
-"""The interface of controllers: given a scenario, they turn observations into actions, of one environment or many."""
+"""Define the interface of controllers, which compute actions from observations of one environment or many."""
 
 from __future__ import annotations
 
@@ -12,45 +12,45 @@ from dcgrid_env.baselines.equipment_agents import EquipmentAgents, at_rest
 
 @runtime_checkable
 class Controller(Protocol):
-    """Anything with these two methods drives any of the environments."""
+    """Interface of a controller: an object with these two methods can drive any of the environments."""
 
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes of a scenario (an environment's ``scenario``); raise ValueError if it cannot be driven."""
         ...
 
     def act(self, observations: Any) -> Any:
-        """Actions for observations, in the same form.
+        """Return actions for observations, in the same form.
 
-        Either a mapping of agent to its observation, as from ``parallel_env``, or the agents' joined, (..., n), as from
-        ``gymnasium.make`` and ``gymnasium.make_vec``.
+        Observations are either a mapping of agent to its observation, as from ``parallel_env``, or the concatenated
+        observations of all agents, (..., n), as from ``gymnasium.make`` and ``gymnasium.make_vec``.
         """
         ...
 
 
 @runtime_checkable
 class NeedsPlacement(Protocol):
-    """A controller that must also be given the agents' buses, as one with a model of the feeder.
+    """Interface of a controller that also needs the agents' buses, such as one with a model of the feeder.
 
-    Besides, a class attribute ``observe`` (``Scenario.observe``) says which scope of observation a controller needs;
-    without one it takes the scenario's.
+    In addition, the class attribute ``observe`` (``Scenario.observe``) selects the scope of observation that a
+    controller needs; the default is the scenario's.
     """
 
     def place(self, buses: np.ndarray) -> None:
-        """Positions in ``bus_ids`` of the agents' buses, (row, n_agent), given after ``reset`` and before ``act``."""
+        """Set the agents' buses, positions in ``bus_ids``, (row, n_agent); called between ``reset`` and ``act``."""
         ...
 
 
 @runtime_checkable
 class ReportsFigures(Protocol):
-    """A controller that reports figures of its episodes, which results contain next to the metrics."""
+    """Interface of a controller that reports figures of its episodes, which results contain next to the metrics."""
 
     def episode_figures(self) -> list[dict[str, float]]:
-        """Figures since ``reset``, one mapping an environment, of the same names for all."""
+        """Return the figures since ``reset``, one mapping for each environment, with the same names in all."""
         ...
 
 
 def with_figures(controller: Controller, metrics: list[dict[str, float]]) -> list[dict[str, float]]:
-    """Metrics of episodes, one mapping each, with the figures that the controller reports."""
+    """Add the figures that a controller reports to the metrics of the episodes, one mapping each."""
     if not isinstance(controller, ReportsFigures):
         return metrics
     return [measured | figures for measured, figures in zip(metrics, controller.episode_figures(), strict=True)]
@@ -60,21 +60,21 @@ class Local(NamedTuple):
     """Local observations in physical units; leading dimensions are those of the observations."""
 
     v_pu: np.ndarray
-    """(..., n_agent), data centres first, see :class:`LocalController`."""
+    """Voltage at each agent's bus, p.u., (..., n_agent), data centres first, see :class:`LocalController`."""
     p_kw: np.ndarray
-    """Draw, an inverter's injection negative, (..., n_agent)."""
+    """Active power drawn, kW, negative for the injection of an inverter, (..., n_agent)."""
     q_kvar: np.ndarray
-    """Reactive injection as dispatched, (..., n_agent)."""
+    """Dispatched reactive injection, kvar, (..., n_agent)."""
     p_ref_next_kw: np.ndarray
-    """(..., n_dc)"""
+    """Reference draw of the next interval, kW, (..., n_dc)."""
     backlog_kws: np.ndarray
-    """(..., n_dc)"""
+    """Queued work, kW s, (..., n_dc)."""
     r_pu_per_mw: np.ndarray
-    """R_ii: drop of the own voltage for each MW drawn, p.u., (..., n_agent)."""
+    """R_ii: voltage drop at the agent's bus for each MW drawn, p.u., (..., n_agent)."""
     x_pu_per_mvar: np.ndarray
-    """X_ii: the same for each Mvar drawn, and so the rise for each injected, (..., n_agent)."""
+    """X_ii: voltage drop at the agent's bus for each Mvar drawn, or rise for each injected, p.u., (..., n_agent)."""
     stored_kwh: np.ndarray
-    """(..., n_storage)"""
+    """Stored energy, kWh, (..., n_storage)."""
 
 
 _OF_ALL = ("v_deviation", "p", "q", "r", "x")
@@ -84,13 +84,13 @@ _CLOCK, _Q, _P = "clock", "q", "p"
 
 
 KNOWN_DEVICES = ("datacenter", "inverter")
-"""Kinds of devices that controllers with a model, and policies, are made for, in the order of their agents."""
+"""Kinds of devices that model-based controllers and policies support, in the order of their agents."""
 
 
 def require_known_devices(who: str, scenario: Scenario, further: tuple[str, ...] = ()) -> None:
-    """ValueError, saying why, where a scenario has devices other than data centres first and inverters then.
+    """Raise ValueError unless a scenario's devices are data centres, then inverters, in this order.
 
-    ``further`` are kinds that may follow behind these.
+    ``further`` are kinds that may follow these.
     """
     known = (*KNOWN_DEVICES, *further)
     kinds = [device.kind for device in scenario.devices if device.count]
@@ -110,7 +110,7 @@ def require_known_devices(who: str, scenario: Scenario, further: tuple[str, ...]
 
 
 def require_draws_of_work(who: str, scenario: Scenario) -> None:
-    """ValueError, naming the field, where sites draw something else than what their work takes."""
+    """Raise ValueError, naming the field, if the draw of sites is not the power of the work served."""
     for field in ("smoothing", "cooling"):
         if any(getattr(device, field, None) is not None for device in scenario.devices):
             raise ValueError(
@@ -120,23 +120,23 @@ def require_draws_of_work(who: str, scenario: Scenario) -> None:
 
 
 class LocalController:
-    """Base of controllers that work on physical units: subclasses write ``control``.
+    """Base class of controllers that work in physical units; subclasses implement ``control``.
 
-    It drives the clocks of data centres and the reactive power of every agent that gives any, whatever its device, and
-    the draws of storages where a subclass writes ``draw``. Other channels, of devices that it does not know, stay at
-    rest. Regulators and capacitor banks that are agents are driven beside it, see ``equipment_agents``. In
-    :class:`Local` and in what ``control`` returns, data centres stand before all others, which follow in the scenario's
-    order, without regulators and capacitor banks.
+    It sets the clocks of data centres and the reactive power of every agent that can supply it, whatever its device. It
+    also sets the draws of storages if a subclass implements ``draw``. All other channels keep their initial value.
+    ``equipment_agents`` drives regulators and capacitor banks that are agents. In :class:`Local` and in the result of
+    ``control``, data centres come first. The other agents follow in the scenario's order, without regulators and
+    capacitor banks.
     """
 
     moves_taps: ClassVar[bool] = True
-    """Whether regulators that are agents follow their banks' own control, or stay at rest."""
+    """Whether regulators that are agents follow the control of their banks, or keep their initial position."""
 
     scenario: Scenario
-    """What is driven, its regulators and capacitor banks under their own control."""
+    """The scenario with regulators and capacitor banks under automatic control."""
 
     def reset(self, env_info: Scenario) -> None:
-        """Begin new episodes of a scenario; ValueError for one that the controller cannot drive."""
+        """Begin new episodes of a scenario; raise ValueError if the controller cannot drive it."""
         self._equipment = EquipmentAgents(env_info, self.moves_taps)
         self.scenario = env_info = self._equipment.others
         kinds = np.array([device.kind for device in env_info.devices for _ in range(device.count)])
@@ -144,7 +144,7 @@ class LocalController:
         names = field_names(env_info)
         starts = np.cumsum([0, *(len(names[agent]) for agent in env_info.agents)])[:-1][order]
         first = names[env_info.agents[order[0]]]
-        # The fields that all agents have stand at the same place in each, and so do those of the data centres.
+        # The fields that all agents have are at the same position in each, and so are those of the data centres.
         self._at = {
             name: starts[: None if name in _OF_ALL else env_info.datacenters.count] + first.index(name)
             for name in (*_OF_ALL, *_OF_SITES)
@@ -163,7 +163,7 @@ class LocalController:
         self._lay_out([env_info.agents[i] for i in order])
 
     def _lay_out(self, agents: list[str]) -> None:
-        """Find where the joint action has the clocks and the reactive setpoints of agents, and what it is at rest."""
+        """Find the positions of clocks and reactive set points in the joint action, and its initial value."""
         at = {entry: i for i, entry in enumerate(action_layout(self.scenario).names)}
         self._clock_at = [at[agent, _CLOCK] for agent in agents[: self.scenario.datacenters.count]]
         self._reactive = [i for i, agent in enumerate(agents) if (agent, _Q) in at]
@@ -172,19 +172,19 @@ class LocalController:
         self._rest = at_rest(self.scenario)
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
-        """Clock of the data centres, MHz, (..., n_dc), and reactive setpoint of all agents, kvar, (..., n_agent)."""
+        """Return the data centres' clocks, MHz, (..., n_dc), and all reactive set points, kvar, (..., n_agent)."""
         raise NotImplementedError
 
     def draw(self, local: Local) -> np.ndarray | None:
-        """Draw of the storages, kW, negative to discharge, (..., n_storage); None leaves them at rest."""
+        """Return the draw of the storages, kW, negative to discharge, (..., n_storage); None leaves them inactive."""
         return None
 
     def act(self, observations: Any) -> Any:
-        """See :class:`Controller`."""
+        """Return actions for observations, see :class:`Controller`."""
         return self._equipment.act(observations, self._act)
 
     def _act(self, joint: np.ndarray) -> np.ndarray:
-        """The joint action for a joint observation, both without regulators and capacitor banks."""
+        """Return the joint action for a joint observation, both without regulators and capacitor banks."""
         local = self._local(joint)
         return self._joint(*self.control(local), self.draw(local))
 

@@ -1,4 +1,4 @@
-"""Regulators and capacitor banks that are agents, driven beside a controller that is made for the other agents."""
+"""Drive regulators and capacitor banks that are agents, in addition to a controller for the other agents."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ _TAP = "tap"
 
 
 class EquipmentAgents:
-    """The equipment of the feeder among a scenario's agents, if there is any.
+    """Feeder equipment among a scenario's agents, if any.
 
-    Regulators follow what the control of their own bank would do; capacitor banks stay as they stand. It keeps the
-    relays' clocks, and so is made anew for each run of episodes.
+    Regulators follow the automatic control of their bank; capacitor banks keep their state. The object stores the
+    timers of the relays, so each run of episodes needs a new one.
 
     Parameters
     ----------
     scenario
-        What is to be driven.
+        Scenario to drive.
     moves_taps
-        Whether regulators are driven, or stay where they are at t = 0 too.
+        Whether regulators are driven; if not, they also keep their position of t = 0.
     """
 
     def __init__(self, scenario: Scenario, moves_taps: bool = True) -> None:
         self.scenario, self.others = scenario, under_own_control(scenario)
-        """``others`` is the scenario as a controller of the other agents is to see it."""
+        """``others`` is the scenario that a controller of the other agents receives."""
         among = set(self.others.agents)
         self.is_other = np.array([agent in among for agent in scenario.agents])
-        """Which agents are no equipment, bool, (n_agent,)."""
+        """Mask of the agents other than equipment, bool, (n_agent,)."""
         names, self._layout = field_names(scenario), action_layout(scenario)
         seen = np.array([agent in among for agent in scenario.agents for _ in names[agent]])
         self._seen = None if seen.all() else np.flatnonzero(seen)
@@ -41,9 +41,9 @@ class EquipmentAgents:
         self._regulators = _Regulators(scenario) if driven else None
 
     def act(self, observations: Any, of_others: Callable[[np.ndarray], np.ndarray]) -> Any:
-        """Actions of all agents in the form of the observations: a mapping of agents, or joint, (..., n).
+        """Return the actions of all agents in the form of the observations: a mapping of agents, or joint, (..., n).
 
-        ``of_others`` gives the joint action of the others, (..., n_action), for their joint observation.
+        ``of_others`` returns the joint action of the others, (..., n_action), for their joint observation.
         """
         if isinstance(observations, Mapping):
             joint = np.concatenate([observations[agent] for agent in self.scenario.agents], axis=-1)
@@ -63,7 +63,7 @@ class EquipmentAgents:
 
 
 class _Regulators:
-    """The regulators that are agents of a scenario, driven as their banks' own control would from what they observe."""
+    """The regulators among the agents, driven by the automatic control of their banks from their observations."""
 
     def __init__(self, scenario: Scenario) -> None:
         relays = acting_relays(scenario, "agent")
@@ -78,7 +78,7 @@ class _Regulators:
         self.action_at = np.flatnonzero(action_layout(scenario).is_channel(_TAP))
 
     def actions(self, joint: np.ndarray) -> np.ndarray:
-        """Entries of the action, (..., n), from the joint observation."""
+        """Return the regulators' entries of the action, (..., n), from the joint observation."""
         tap = np.rint(joint[..., self._tap_at] * self._farthest)
         relay_v = self._control.target_v * (1.0 + self._band * joint[..., self._relay_at])
         asked = self._control.taps(*(values.reshape(-1, tap.shape[-1]) for values in (tap, relay_v)))
@@ -88,7 +88,7 @@ class _Regulators:
 
 
 def at_rest(scenario: Scenario) -> np.ndarray:
-    """The joint action that leaves every channel where it is at t = 0, (n_action,); 0 where it has no range."""
+    """Return the joint action that keeps every channel at its value of t = 0, (n_action,); 0 without a range."""
     entries = [
         np.stack([_at_rest(channel) for channel in device.channels], axis=-1).ravel()
         for device in scenario.devices

@@ -1,4 +1,4 @@
-"""Episodes of a scenario under a controller or a policy, and the score that they come to."""
+"""Evaluate a controller or a policy on episodes of a scenario, and score it."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from dcgrid_env.baselines.controller import with_figures
 from dcgrid_env.baselines.score import Score, score
 
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
-"""Hashes of episodes that have been found to be the same here, so that many policies on them cost one check."""
+"""Hashes of episodes that have been verified, so that many policies on the same episodes need only one check."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a controller comes to on some episodes of a scenario."""
+    """Results of a controller on some episodes of a scenario."""
 
     scenario: Scenario
     seeds: tuple[int, ...]
     J: np.ndarray
     """Cost of each episode, (n_episode,), in the order of the seeds."""
     means: Mapping[str, float]
-    """Mean over the episodes of each metric, and of figures of the controller (``controller.ReportsFigures``)."""
+    """Mean over the episodes of each metric, and of the controller's figures (``controller.ReportsFigures``)."""
 
     def score(self, droop: Evaluation, hindsight: Published | None = None) -> Score:
         """Score against the tuned droop on the same episodes, and hindsight's costs of them.
@@ -34,15 +34,15 @@ class Evaluation:
         Parameters
         ----------
         droop
-            What the tuned droop comes to on the same episodes.
+            Results of the tuned droop on the same episodes.
         hindsight
-            Costs of perfect foresight, ``published(scenario, folder)``; those that ship unless given.
+            Costs of perfect foresight, ``published(scenario, folder)``; the bundled ones by default.
 
         Raises
         ------
         ValueError
-            Where there is no score, saying why: other episodes, no hindsight of exactly this scenario, split and seeds,
-            or episodes that are drawn otherwise here than there.
+            If a score cannot be computed. The episodes differ, hindsight is missing for exactly this scenario, split
+            and seeds, or its episodes were drawn differently.
         """
         if droop.seeds != self.seeds or droop.scenario != self.scenario:
             raise ValueError("no score: the droop was run on other episodes; evaluate both on the same")
@@ -52,9 +52,9 @@ class Evaluation:
 
 
 def hindsight_costs(scenario: Scenario, seeds: Sequence[int], hindsight: Published | None = None) -> np.ndarray:
-    """Hindsight's costs of these episodes, (n_episode,), once it is sure that they are the same here.
+    """Return the hindsight costs of these episodes, (n_episode,), after checking that the episodes are the same here.
 
-    ``hindsight`` is as in :meth:`Evaluation.score`, which says when this raises ValueError.
+    See :meth:`Evaluation.score` for ``hindsight`` and ValueError.
     """
     hindsight = hindsight or published(scenario)
     if hindsight is None:
@@ -73,23 +73,23 @@ def hindsight_costs(scenario: Scenario, seeds: Sequence[int], hindsight: Publish
 
 
 def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int], name: str | None = None) -> Evaluation:
-    """Run a policy, or any controller, through the episodes of these seeds.
+    """Run a policy or any other controller through the episodes of these seeds.
 
     Parameters
     ----------
     controller
-        What drives the agents; a policy gets the scope of observation that it was trained with.
+        Controller of the agents; a policy receives the scope of observation that it was trained with.
     scenario
-        What to run; its split says which episodes the seeds mean.
+        Scenario to run; its split determines the episode of each seed.
     seeds
-        One episode each, all at once as a batch.
+        Seeds of the episodes, which run as one batch.
     name
-        What errors call the controller; its class by default.
+        Name of the controller in errors; its class by default.
 
     Raises
     ------
     ControllerError
-        A ValueError, where the controller fails or cannot drive the scenario, saying what differs.
+        A ValueError, if the controller fails or cannot drive the scenario; the message names the difference.
     """
     recorder = rollout(scenario, controller, seeds, name=name)
     metrics = with_figures(controller, recorder.metrics())

@@ -1,8 +1,8 @@
-"""Hindsight's costs of episodes: those of the presets' test episodes, which ship, and those of one's own scenarios.
+"""Read the hindsight costs of episodes: the bundled ones of the presets' test episodes, and those of user scenarios.
 
-The presets' stand in ``data/hindsight/<preset>.json`` with the hashes of scenario and episodes and the command that
-made them, ``dcgrid hindsight``; that command writes one's own into a folder, in the same form. A scenario that
-differs in any field has none of them.
+The costs of the presets are in ``data/hindsight/<preset>.json``, with the hashes of scenario and episodes and the
+command that made them, ``dcgrid hindsight``. That command writes the costs of other scenarios into a folder, in the
+same form. They apply only to exactly the same scenario: none of them is used if any field differs.
 
 If sites trip or agents smooth their power, no linear program describes the episode. The files of such presets contain
 the best known cost instead, the result of a search over its actions, which their ``kind`` states. The actions are in
@@ -27,42 +27,42 @@ from dcgrid_env.baselines.file_names import file_name
 FOLDER = Path("results/hindsight")
 """Where ``dcgrid hindsight`` writes by default, in the working directory."""
 FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
-"""What the record of an episode holds."""
+"""Fields of an episode's record in a file of hindsight costs, with their types."""
 BEST_KNOWN = "best known"
-"""The ``kind`` of a file of best-known costs; files of hindsight have none."""
+"""Value of ``kind`` in a file of best-known costs; files of hindsight have no ``kind``."""
 FIELDS_OF_BEST_KNOWN = {"seed": int, "hash": str, "J": float, "start": str, "rounds": int}
-"""What the record of an episode holds there."""
+"""Fields of an episode's record in a file of best-known costs, with their types."""
 
 
 class Published(NamedTuple):
-    """Episodes of a scenario that have been solved, (n,) each."""
+    """Solved episodes of a scenario, (n,) each."""
 
     seeds: np.ndarray
     J: np.ndarray
-    """Hindsight's actions, replayed; where there is no hindsight the best that is known."""
+    """Cost of replaying the hindsight actions; without hindsight the best known cost."""
     bound: np.ndarray
-    """Optimum of the linear program behind them, see ``hindsight``; -inf where there is none."""
+    """Optimum of the linear program behind the actions, see ``hindsight``; -inf without one."""
     episode_hashes: tuple[str, ...]
 
     @property
     def is_best_known(self) -> bool:
-        """Whether the costs are the best that is known, which others may beat, and not hindsight's."""
+        """Whether the costs are best-known costs, which a controller may beat, instead of hindsight costs."""
         return not np.isfinite(self.bound).any()
 
     def missing(self, seeds: Iterable[int]) -> list[int]:
-        """Those of the seeds that have not been solved."""
+        """Return the seeds that have not been solved."""
         solved_seeds = set(self.seeds.tolist())
         return [seed for seed in seeds if seed not in solved_seeds]
 
     def of(self, seeds: Sequence[int]) -> Published:
-        """The episodes of these seeds, in their order; all must have been solved."""
+        """Return the episodes of the given seeds, in that order; all must have been solved."""
         position = {int(seed): i for i, seed in enumerate(self.seeds)}
         index = [position[seed] for seed in seeds]
         hashes = tuple(self.episode_hashes[i] for i in index)
         return Published(self.seeds[index], self.J[index], self.bound[index], hashes)
 
     def check_episodes(self, scenario: Scenario, n: int) -> None:
-        """Raise ValueError unless the first ``n`` episodes are drawn here as they were where the values were made."""
+        """Raise ValueError unless the first ``n`` episodes are drawn as they were when the values were computed."""
         for seed, expected in list(zip(self.seeds.tolist(), self.episode_hashes, strict=True))[:n]:
             drawn_hash = episode_hash(scenario, seed)
             if drawn_hash != expected:
@@ -80,19 +80,19 @@ def shipped_content(name: str) -> dict[str, Any] | None:
 
 
 def published(scenario: Scenario, folder: Path | None = None) -> Published | None:
-    """What hindsight costs in the episodes of a scenario; None where there is nothing of exactly this one.
+    """Return the hindsight costs for the episodes of a scenario; None if exactly this scenario has none.
 
     Parameters
     ----------
     scenario
-        With its split, which says which episodes the seeds mean.
+        Scenario with its split; the split determines the episode of each seed.
     folder
-        Where ``dcgrid hindsight`` has written besides; what ships counts first.
+        Additional folder of ``dcgrid hindsight`` files; the bundled costs take precedence.
 
     Raises
     ------
     ValueError
-        Where the scenario's file in the folder is damaged; one of another scenario of that name counts for nothing.
+        If the scenario's file in the folder is damaged; a file of another scenario of that name is ignored.
     """
     episodes = records(scenario, folder)
     if not episodes:
@@ -102,7 +102,7 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
 
 
 def records(scenario: Scenario, folder: Path | None = None) -> list[dict[str, Any]]:
-    """The records of the episodes of exactly this scenario by their seeds, of which ``published`` makes arrays."""
+    """Return the records of the episodes of exactly this scenario, by seed; ``published`` converts them to arrays."""
     about, shipped = scenario_hash(scenario), shipped_content(scenario.name)
     solved: dict[int, dict[str, Any]] = {}
     if folder is not None and (content := read_hindsight(folder, scenario.name)) and content["scenario_hash"] == about:
@@ -113,14 +113,14 @@ def records(scenario: Scenario, folder: Path | None = None) -> list[dict[str, An
 
 
 def hindsight_file(folder: Path, name: str) -> Path:
-    """Where the episodes of a scenario of this name are kept."""
+    """Return the path of the file for a scenario of this name."""
     return folder / f"{file_name(name)}.json"
 
 
 def read_hindsight(folder: Path, name: str) -> dict[str, Any] | None:
-    """What a scenario's file holds, its ``scenario_hash`` and ``episodes``; None where there is no file.
+    """Read a scenario's file with its ``scenario_hash`` and ``episodes``; None if the file does not exist.
 
-    ValueError, naming file and remedy, for a damaged one.
+    Raises ValueError if the file is damaged, naming the file and the remedy.
     """
     path = hindsight_file(folder, name)
     if not path.exists():
@@ -145,7 +145,7 @@ def _damaged(path: Path, wrong: str) -> ValueError:
 
 
 def _wrong(episode: Any, fields: Mapping[str, type]) -> str | None:
-    """What is missing in an episode's record, or not what it should be; None if it is whole."""
+    """Describe the first missing or invalid entry of an episode's record; None if it is complete."""
     if not isinstance(episode, dict):
         return "no record"
     for key, kind in fields.items():

@@ -1,4 +1,4 @@
-"""Controllers as the command line names them: by a name, as a class of the user's own, or as a file."""
+"""Make controllers from the texts of the command line: a name, a user's class, or a file."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from dcgrid_env.core.work.packing import packed
 from dcgrid_env.core.work.worker import shared
 
 CARRIED = "controllers"
-"""Name of the shared value that has pickles of the user's own controllers, by what names them, on workers elsewhere."""
+"""Name of the shared value with pickles of the user's controllers, by their text, on workers elsewhere."""
 
 
 def _profile(name: str) -> Callable[[], Controller]:
-    """What makes the law of power smoothing at a profile."""
+    """Return a function that makes the law of power smoothing with a profile."""
     return lambda: FixedSmoothing(**PROFILES[name])
 
 
@@ -89,55 +89,55 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "mpc-one-step": ("model predictive control of the next step", lambda: Mpc(horizon=1)),
     "mpc": ("model predictive control over 12 steps with preview and forecast", Mpc),
 }
-"""Description and factory of each."""
+"""Description and factory of each controller that does not depend on the scenario, by name."""
 
 TUNED: dict[str, str] = {
     f"{law}{SUFFIX}": f"{law}, its parameters tuned on the validation split of the scenario" for law in TUNABLE
 }
-"""Description of those whose parameters depend on the scenario."""
+"""Description of each controller whose parameters depend on the scenario, by name."""
 
 
 class ForScenario(NamedTuple):
     """An entry of the registry whose controller depends on the scenario."""
 
     about: str
-    """What it is, in a few words."""
+    """Short description of the controller."""
     make: Callable[[Scenario, str | Path | None], Controller]
-    """Makes a fresh controller from the scenario and a file of tuned parameters, see ``make_controller``."""
+    """Function that makes a new controller from the scenario and a file of tuned parameters, or None."""
 
 
 ENTRIES: ChainMap[str, Entry] = ChainMap(
     {name: ForScenario(about, partial(tuned_controller, name.removesuffix(SUFFIX))) for name, about in TUNED.items()},
     CONTROLLERS,
 )
-"""What is made by hand, as entries of the registry: ``CONTROLLERS``, then ``TUNED``."""
+"""Registry entries of the controllers in this package: ``CONTROLLERS``, then ``TUNED``."""
 CONTROLLER_REGISTRY = Registry("dcgrid.controllers", "controller", Controller, ENTRIES)
-"""All controllers that have a name: those made by hand, policies, and those of other packages.
+"""All named controllers: those of this package, policies, and those of other packages.
 
-An entry is a pair of what it is and a function without arguments that makes a fresh one, or a ``ForScenario``. A name
-that begins with a dot, as ``.safetensors``, stands for the files that end in it; its function takes the path. One that
-ends in a colon, as ``guarded:``, stands before what names another controller; its function takes that controller, the
-scenario and the file of tuned parameters.
+An entry is a pair of a description and a function without arguments that makes a new controller, or a ``ForScenario``.
+A name that begins with a dot, such as ``.safetensors``, matches all files with that ending; its function takes the
+path. A name that ends in a colon, such as ``guarded:``, is a prefix of the text of another controller; its function
+takes that controller, the scenario and the file of tuned parameters.
 """
 
 
 def make_controller(name: str, scenario: Scenario | None = None, tuned: str | Path | None = None) -> Controller:
-    """Make a fresh controller.
+    """Make a new controller by its name.
 
     Parameters
     ----------
     name
-        A name of ``CONTROLLER_REGISTRY``: of ``CONTROLLERS``, of ``TUNED``, of a policy, or of another package's.
+        A name of ``CONTROLLER_REGISTRY``: of ``CONTROLLERS``, of ``TUNED``, of a policy, or of another package.
     scenario
-        What it is to drive; tuned controllers look up their parameters by it, and names of policies on every preset.
+        Scenario to drive; it selects the parameters of a tuned controller, and the policy if a name has one per preset.
     tuned
-        A file of ``dcgrid tune`` that must have them; ``tuned.tuned_parameters`` says where they are without one.
+        A file of ``dcgrid tune`` that must contain the parameters; see ``tuned.tuned_parameters`` for the default.
 
     Raises
     ------
     ValueError
-        For an unknown name, naming similar ones; for one that depends on the scenario where none is given or
-        there is nothing for it; a ``PluginError`` where another package's controller cannot be made.
+        If the name is unknown; the message suggests similar names. Also if the controller depends on the scenario and
+        ``scenario`` is None or has no parameters for it. A ``PluginError`` if a controller of another package fails.
     """
     if name not in CONTROLLER_REGISTRY:
         raise ValueError(CONTROLLER_REGISTRY.unknown(name))
@@ -149,25 +149,26 @@ def make_controller(name: str, scenario: Scenario | None = None, tuned: str | Pa
 
 
 def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = None) -> Controller:
-    """Make a fresh controller from what names it on the command line.
+    """Make a new controller from its text on the command line.
 
     Parameters
     ----------
     spec
-        A name, see ``make_controller``; ``package.module:Class`` or ``path/to/file.py:Class``, which runs the user's
-        code (modules of the working directory are found too), with literals as arguments if the class takes any,
-        ``file.py:Class(gain=0.5)``; or a saved policy, the path of its .safetensors or of the training run's folder
-        that holds it (this runs no code). Before what names a learned policy ``guarded:`` may stand.
+        One of three forms. A name, see ``make_controller``. A class, ``package.module:Class`` or
+        ``path/to/file.py:Class``, with literals as arguments if it takes any, ``file.py:Class(gain=0.5)``; this runs
+        the user's code, and modules of the working directory are found too. A saved policy, as the path of its
+        .safetensors file or of the training run's folder that contains it; this does not run code. The prefix
+        ``guarded:`` may precede a learned policy.
     scenario
-        What it is to drive; tuned controllers look up their gains by it.
+        Scenario to drive; it selects the gains of a tuned controller.
     tuned
-        A file of ``dcgrid tune`` that the gains must come from, see ``make_controller``.
+        A file of ``dcgrid tune`` that must contain the gains, see ``make_controller``.
 
     Raises
     ------
     ValueError
-        For a spec that names nothing, or something that is no controller, or one that has no gains for the scenario;
-        an ``OwnCodeError`` where the user's code fails.
+        If ``spec`` does not name a controller, or the controller has no gains for the scenario. An ``OwnCodeError`` if
+        the user's code fails.
     """
     before, inner = split_prefix(spec)
     if before:
@@ -181,13 +182,13 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
 
 
 def require_known(spec: str) -> None:
-    """Raise ValueError for what is neither a name nor the form of a file or of code."""
+    """Raise ValueError if a text is neither a known name nor has the form of a file or of code."""
     if parse(spec) is None and controller_file(spec) is None and spec not in CONTROLLER_REGISTRY:
         raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
 
 
 def _own_controller(spec: str) -> Controller:
-    """A controller that a file or code of the user's own gives; errors as of ``find_controller``."""
+    """Make a controller from a user's file or code; errors as of ``find_controller``."""
     reference = parse(spec)
     if reference is not None:
         controller = _construct(spec, reference, load(reference, f"controller {spec!r}"))
@@ -204,9 +205,9 @@ def _own_controller(spec: str) -> Controller:
 
 
 def own_controllers(specs: Iterable[str]) -> dict[str, bytes]:
-    """Pickles of the user's own among the controllers that texts name, each fresh; without those that cannot be made.
+    """Return pickles of new instances of the user's controllers among those that texts name; leave out invalid ones.
 
-    Those are asked for again where they are to act, and say there why.
+    Invalid ones are loaded on the worker, and the error is reported there.
     """
     found: dict[str, bytes] = {}
     for _, inner in map(split_prefix, specs):
@@ -217,9 +218,9 @@ def own_controllers(specs: Iterable[str]) -> dict[str, bytes]:
 
 
 def split_prefix(spec: str) -> tuple[str, str]:
-    """What stands before a controller's name, as ``guarded:``, and that name; the former empty where nothing does.
+    """Split a text into its prefix, such as ``guarded:``, and the controller's name; the prefix may be empty.
 
-    ValueError where no name follows.
+    Raises ValueError if no name follows the prefix.
     """
     first, colon, rest = spec.partition(":")
     is_prefix = bool(colon) and first.isidentifier() and f"{first}:" in CONTROLLER_REGISTRY
@@ -229,10 +230,10 @@ def split_prefix(spec: str) -> tuple[str, str]:
 
 
 def controller_file(spec: str) -> Path | None:
-    """The file that a text names a controller by, whether it is there or not; None for a name or one's own code.
+    """Return the file that a text names, whether it exists or not; None for a name or user code.
 
-    It has an ending that stands in the registry; of a folder, as a training run leaves one, it is ``policy`` with such
-    an ending. ``spec`` has no prefix (``split_prefix``).
+    Its ending is in the registry. For a folder, such as that of a training run, the file is ``policy`` with such an
+    ending. ``spec`` has no prefix (``split_prefix``).
     """
     if spec in CONTROLLER_REGISTRY or parse(spec) is not None:
         return None
@@ -244,12 +245,12 @@ def controller_file(spec: str) -> Path | None:
 
 
 def _endings() -> list[str]:
-    """Endings of the files that a controller can be read from, the policies' first."""
+    """Return the endings of files that a controller can be read from, those of policies first."""
     return [name for name in CONTROLLER_REGISTRY if name.startswith(".")]
 
 
 def _forms() -> str:
-    """How to name a controller that has no name."""
+    """Explain how to specify a controller that is not in the registry."""
     return (
         "give package.module:Class or path/to/file.py:Class for one of your own, with its arguments in parentheses if "
         f"it takes any, a saved policy's {', '.join(_endings())} file, or the folder of a training run"

@@ -1,4 +1,4 @@
-"""Run a controller through episodes of a scenario, many at once on the native batch."""
+"""Run a controller through episodes of a scenario, in parallel on the native batch."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ AnyRecorder = TypeVar("AnyRecorder", Recorder, StreamingRecorder)
 
 
 class ControllerError(OwnCodeError):
-    """A controller that fails, or refuses the scenario; what it raised is the cause.
+    """Error of a controller that fails or refuses the scenario; the exception it raised is the cause.
 
     Parameters
     ----------
     name
-        What the controller is called.
+        Name of the controller.
     during
-        ``reset``, ``place`` or ``act``.
+        Method that failed: ``reset``, ``place`` or ``act``.
     cause
-        What was raised there.
+        The exception.
     refuses
-        The scenario's name where the controller says, by a ValueError in ``reset``, that it cannot drive it.
+        Name of the scenario if the controller refused it by a ValueError in ``reset``, else None.
     """
 
     def __init__(self, name: str, during: str, cause: BaseException, refuses: str | None = None):
-        plain = isinstance(cause, ActionError) or refuses is not None  # what tells all without its kind
+        plain = isinstance(cause, ActionError) or refuses is not None  # clear without the exception's type
         at = place(cause)
         self.refuses, self.reason = refuses, one_line(cause) if plain else described(cause)
         self.where, self.traced = f"{during}{at}", not plain
@@ -57,25 +57,26 @@ def rollout(
 ) -> Recorder:
     """Drive one episode for each seed to its end; environment i of the recorder has seed i.
 
-    On random feeders a controller that is given buses is reset for each feeder in turn, with the scenario on it.
+    On random feeders, a controller that needs buses is reset for each feeder in turn, with the scenario on that feeder.
 
     Parameters
     ----------
     scenario
-        What to run; its split says which episodes the seeds mean.
+        Scenario to run; its split determines the episode of each seed.
     controller
-        Reset once, given the agents' buses if it is :class:`NeedsPlacement`, then asked at each step.
+        Controller to run. It is reset once and receives the agents' buses if it is :class:`NeedsPlacement`. Then
+        ``act`` is called at each step.
     seeds
-        One environment each.
+        Seeds of the episodes, one environment each.
     on_step
-        Called after each step (for progress).
+        Function called after each step, for progress.
     name
-        What errors call the controller; its class by default.
+        Name of the controller in errors; its class by default.
 
     Raises
     ------
     ControllerError
-        A ValueError, where the controller raises anything, refuses the scenario or gives what is no action.
+        A ValueError, if the controller raises an exception, refuses the scenario or returns an invalid action.
     """
     groups = scenario.members(seeds) if isinstance(controller, NeedsPlacement) else [(scenario, np.arange(len(seeds)))]
     groups = [(as_driven(on, controller), env_indices) for on, env_indices in groups]
@@ -107,21 +108,21 @@ def streaming_rollout(
     on_step: Callable[[], None] | None = None,
     name: str | None = None,
 ) -> StreamingRecorder:
-    """Drive episodes of any length, in memory that does not grow with it; else as :func:`rollout`.
+    """Drive episodes of any length in constant memory; otherwise like :func:`rollout`.
 
     Parameters
     ----------
     scenario, controller, seeds, on_step, name
         See :func:`rollout`.
     sinks
-        What is given the course as it comes, part by part, :class:`ParquetCourse` for instance.
+        Receivers of the time series, part by part during the run, for example :class:`ParquetCourse`.
 
     Raises
     ------
     ControllerError
-        Where :func:`rollout` raises it.
+        If :func:`rollout` would raise it.
     ScenarioError
-        Where the seeds are on different random feeders.
+        If the seeds are on different random feeders.
     """
     scenario = as_driven(scenario.member(seeds), controller)
 
@@ -139,7 +140,7 @@ def _driven(
     on_step: Callable[[], None] | None,
     name: str | None,
 ) -> AnyRecorder:
-    """Drive the episodes into a recorder that ``record`` makes of scenario and first transition."""
+    """Drive the episodes into a recorder that ``record`` makes from the scenario and the first transition."""
     steps = transitions(scenario, controller, seeds, name)
     recorder = record(scenario, next(steps))
     while not recorder.over:
@@ -151,9 +152,9 @@ def _driven(
 
 
 def as_driven(scenario: Scenario, controller: Controller) -> Scenario:
-    """The scenario with the scope of observation that a controller needs.
+    """Return the scenario with the scope of observation that a controller needs, and the shared reward.
 
-    Actions and metrics are those of the team, whoever is paid what.
+    Actions and metrics do not depend on how the reward is divided among agents.
     """
     reward, observe = "shared", getattr(controller, "observe", scenario.sensing.observe)
     if (scenario.cost.reward, scenario.sensing.observe) == (reward, observe):
@@ -168,16 +169,16 @@ def transitions(
     name: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Generator[Any, None, None]:
-    """Drive episodes; yield the transitions of all environments (``DcgridVectorEnv.transition``), without an end.
+    """Drive episodes and yield the transitions of all environments (``DcgridVectorEnv.transition``) without an end.
 
     Parameters
     ----------
     scenario
-        What :func:`as_driven` gives.
+        Result of :func:`as_driven`.
     controller, seeds, name
         See :func:`rollout`.
     options
-        What the reset is given of the episodes, see ``DcgridVectorEnv.reset``.
+        Options of the reset, see ``DcgridVectorEnv.reset``.
 
     Raises
     ------
@@ -206,7 +207,7 @@ def transitions(
 
 
 def _asked(called: str, during: str, method: Callable[..., Any], *given: Any, refuses: str | None = None) -> Any:
-    """What a controller's method returns; whatever it raises is a ControllerError, but for Ctrl-C."""
+    """Call a controller's method; convert every exception except a keyboard interrupt to a ControllerError."""
     try:
         return method(*given)
     except (Exception, SystemExit) as error:
@@ -215,10 +216,10 @@ def _asked(called: str, during: str, method: Callable[..., Any], *given: Any, re
 
 
 def action_of(controller: Controller, observations: np.ndarray) -> Any:
-    """The action for observations, a tensor of another library as an array.
+    """Return the action for observations, with tensors of other libraries converted to arrays.
 
-    A tensor that records gradients is refused rather than detached: all that led to it would be kept in memory step
-    after step, and no derivative ever comes back through a rollout.
+    A tensor that records gradients is refused and not detached: its graph would stay in memory step after step, and a
+    rollout does not return derivatives.
     """
     action = controller.act(observations)
     if action is None:

@@ -1,11 +1,11 @@
-"""Scenarios as the command line names them: a preset, or one of the user's own, with other values for some fields.
+"""Make scenarios from the texts of the command line: a preset or a user's scenario, with overrides for some fields.
 
     ieee33                          a preset, or a name that another package has registered
-    path/to/own.py:make             what a function without arguments gives, or a Scenario that stands there
-    package.module:make             likewise, of a module that can be imported
+    path/to/own.py:make             a function without arguments that returns a Scenario, or a Scenario in that file
+    package.module:make             the same in a module that can be imported
     horizon=60 weights={backlog=1}  fields, each with a value as in TOML or JSON; quotes around a text may be left out
 
-This is the one place where such texts become scenarios; processes that share work rebuild theirs from the same texts.
+Only this module converts such texts to scenarios; worker processes rebuild their scenarios from the same texts.
 """
 
 from __future__ import annotations
@@ -28,74 +28,74 @@ from dcgrid_env.core.work.worker import shared
 
 FORMS = "path/to/file.py:function or package.module:function for one of your own, or path/to/file.toml"
 CARRIED = "scenarios"
-"""Name of the shared value that has the user's own scenarios, by what names them, on workers elsewhere."""
+"""Name of the shared value with the user's scenarios, by their text, on workers elsewhere."""
 _specs: WeakKeyDictionary[Scenario, ScenarioSpec] = WeakKeyDictionary()
-"""What the scenarios that were made here were named by."""
+"""Specification of each scenario that was made here."""
 
 
 @dataclass(frozen=True)
 class ScenarioSpec:
-    """What names a scenario on the command line.
+    """A scenario as named on the command line.
 
     Parameters
     ----------
     where
         A scenario's name, or ``file.py:function`` or ``package.module:function``.
     set
-        ``FIELD=VALUE`` for each field that is to be otherwise.
+        ``FIELD=VALUE`` for each field to override.
     """
 
     where: str
     set: tuple[str, ...] = ()
 
     def make(self, split: str, **chosen: Any) -> Scenario:
-        """The scenario on a split; the same call gives the same object as long as a file has not changed.
+        """Make the scenario on a split; the same call returns the same object as long as a file has not changed.
 
         Parameters
         ----------
         split
             train, validation, test or ood.
         **chosen
-            Fields that a command sets itself; they must not stand in ``set`` as well.
+            Fields that a command sets itself; they must not be in ``set`` as well.
 
         Raises
         ------
         ValueError
-            For what names no scenario, or a field or value that cannot be, naming it and what would do; an
-            ``OwnCodeError`` where the user's code fails.
+            If the text does not name a scenario, or a field or value is invalid; the message names it and what is
+            allowed. An ``OwnCodeError`` if the user's code fails.
         """
         return _scenario_of(self, _base(self.where), split, tuple(chosen.items()))
 
     @property
     def is_preset(self) -> bool:
-        """Whether it is a preset as it is."""
+        """Whether the scenario is an unchanged preset."""
         return self.where in PRESETS and not self.set
 
     @property
     def label(self) -> str:
-        """What names it in files: the preset's name, or the words of the command line."""
+        """Label of the scenario in files: the preset's name, or the words of the command line."""
         return shlex.join((self.where, "--set", *self.set)) if self.set else self.where
 
     def options(self, flag: str) -> str:
-        """The words of the command line that name it, for instance ``--scenario own.py:make --set horizon=60``."""
+        """Return the options that select the scenario, such as ``--scenario own.py:make --set horizon=60``."""
         return shlex.join((flag, self.where, *(("--set", *self.set) if self.set else ())))
 
 
 def spec_of(scenario: Scenario) -> ScenarioSpec | None:
-    """What named a scenario; None for one that was not made by ``ScenarioSpec.make``."""
+    """Return the specification of a scenario; None if ``ScenarioSpec.make`` did not make it."""
     return _specs.get(scenario)
 
 
 def options_of(scenario: Scenario, flag: str) -> str:
-    """The words of the command line that name a scenario, a placeholder for one that was made in Python."""
+    """Return the command-line options that select a scenario, with a placeholder for one that was made in Python."""
     spec = spec_of(scenario)
     return spec.options(flag) if spec else f"{flag} FILE.py:FUNCTION"
 
 
 def read_overrides(texts: tuple[str, ...], option: str = "set") -> dict[str, Any]:
-    """Values by field of texts ``FIELD=VALUE`` or ``PART.FIELD=VALUE``.
+    """Parse texts ``FIELD=VALUE`` or ``PART.FIELD=VALUE`` into values by field.
 
-    ValueError, naming the option that they come from, for others, or one given twice.
+    Raises ValueError for any other text or a field that is set twice; the message names the option.
     """
     overrides: dict[str, Any] = {}
     for text in texts:
@@ -110,9 +110,9 @@ def read_overrides(texts: tuple[str, ...], option: str = "set") -> dict[str, Any
 
 
 def read_value(field: str, text: str, option: str = "set") -> Any:
-    """A value as TOML or JSON has it, or the text itself where it is neither and does not begin like one.
+    """Parse a value as TOML or JSON; return the text itself if it is neither and does not begin like one.
 
-    None, True and False are also taken as Python writes them, which messages do.
+    None, True and False are also accepted as Python writes them, since messages contain them.
     """
     if text in ("None", "True", "False"):
         return {"None": None, "True": True, "False": False}[text]
@@ -137,9 +137,9 @@ def read_value(field: str, text: str, option: str = "set") -> Any:
 
 
 def own_scenarios(wheres: Iterable[str]) -> dict[str, Scenario]:
-    """The user's own among the scenarios that texts name, several with commas between; without those that cannot be.
+    """Return the user's scenarios among those that comma-separated texts name; leave out invalid ones.
 
-    Those are asked for again where units run, and say there why.
+    Invalid ones are loaded again where units run, and the error is reported there.
     """
     found: dict[str, Scenario] = {}
     for name in (name.strip() for where in wheres for name in ([where] if parse(where) else where.split(","))):
@@ -151,7 +151,7 @@ def own_scenarios(wheres: Iterable[str]) -> dict[str, Scenario]:
 
 
 def _base(where: str) -> str | Scenario:
-    """The name of a scenario that has one, or the user's own scenario."""
+    """Return the name of a registered scenario, or load the user's scenario."""
     if own := shared(CARRIED, {}).get(where):
         return own
     if where.endswith(".toml"):
@@ -176,13 +176,13 @@ def _base(where: str) -> str | Scenario:
 
 @lru_cache(maxsize=64)
 def _read(where: str, status: tuple[int, int] | None) -> Scenario:
-    """A scenario file, read again where it has changed."""
+    """Read a scenario file, again if it has changed."""
     return make_scenario(where)
 
 
 @lru_cache(maxsize=64)
 def _called(where: str, function: Callable[[], Any]) -> Any:
-    """What a function of the user's gives; asked once, and again where its file has changed."""
+    """Return the result of a user's function, called once and again if its file has changed."""
     try:
         return function()
     except (Exception, SystemExit) as error:
@@ -191,16 +191,16 @@ def _called(where: str, function: Callable[[], Any]) -> Any:
 
 @lru_cache(maxsize=64)
 def _scenario_of(spec: ScenarioSpec, base: str | Scenario, split: str, chosen: tuple[tuple[str, Any], ...]) -> Scenario:
-    """The scenario; one object for one spec, so that what is derived from it is shared."""
+    """Return the scenario, one object for each specification, so that derived data is shared."""
     scenario = varied(base, spec.set, split, dict(chosen))
     _specs[scenario] = spec
     return scenario
 
 
 def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Mapping[str, Any]) -> Scenario:
-    """A scenario on a split with the fields that a user sets and those that a command sets itself.
+    """Make a scenario on a split with the fields that the user sets and those that a command sets itself.
 
-    ValueError for a field or value that cannot be, or one that both set, naming it and what would do.
+    Raises ValueError for an invalid field or value, or a field that both set; the message names it and the remedy.
     """
     overrides = read_overrides(texts)
     if "split" in overrides:

@@ -1,13 +1,14 @@
-"""The score of a controller: its share of the way from the tuned droop to perfect foresight, with its uncertainty.
+"""Score a controller, with uncertainty: its share of the improvement from the tuned droop to perfect foresight.
 
     score    = mean(J_droop - J) / mean(J_droop - J_hindsight)        0: the tuned droop, 1: hindsight
     J saved  = mean(J_droop - J) / mean(J_droop)                      how much of the cost that is
 
-A ratio of means over episodes: ratios of single episodes explode where foresight has little to gain. Intervals are
-studentised bootstraps over episodes, with the standard error of a ratio by the delta method (B. Efron and R. J.
-Tibshirani, "An introduction to the bootstrap", 1993, chapter 12); of fewer than 8 episodes, whose resamples say
-little, by Student's t. Over training seeds the variances between seeds and between episodes add up. Decision 0028 has
-the coverage of both, measured.
+The score is a ratio of means over episodes, since ratios of single episodes become very large where foresight gains
+little. Intervals are studentised bootstraps over episodes, with the standard error of a ratio by the delta method
+(B. Efron and R. J. Tibshirani, "An introduction to the bootstrap", 1993, chapter 12). With fewer than 8 episodes,
+whose resamples carry little information, they are Student's t intervals. Over training seeds the variances between
+seeds and between episodes add up. Decision 0028 reports the measured coverage of both.
+
 The interquartile mean is that of R. Agarwal et al., "Deep reinforcement learning at the edge of the statistical
 precipice", NeurIPS 2021: the mean of the middle half.
 """
@@ -26,11 +27,11 @@ from scipy.stats import trim_mean
 REFERENCE = "droop-tuned"
 """The controller of score 0."""
 STATIC = ("constant-q-tuned", "placement-tuned")
-"""Rules that measure nothing: the least that a learner must beat."""
+"""Rules without measurements: the minimum that a learner must beat."""
 SPLIT = "test"
-"""The split whose episodes a score is over."""
+"""Split of the episodes that a score is computed on."""
 PUBLISHED_EPISODES = 32
-"""Fewest episodes of a score that is published."""
+"""Minimum number of episodes of a published score."""
 RESAMPLES = 10_000
 LEVEL = 0.95
 _FEWEST_RESAMPLED = 8
@@ -45,19 +46,19 @@ class Estimate(NamedTuple):
 
 
 class Score(NamedTuple):
-    """A policy over the same episodes as droop and hindsight."""
+    """Score of a policy over the same episodes as droop and hindsight."""
 
     score: Estimate
     saved_pct: Estimate
     """Mean of J_droop - J in per cent of the mean of J_droop."""
     difference: Estimate
-    """Mean of J - J_droop: what the policy costs more than the tuned droop."""
+    """Mean of J - J_droop: additional cost of the policy compared with the tuned droop."""
     interquartile_mean: float
     """Mean of J over the middle half of the episodes."""
 
 
 def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 0) -> Score:
-    """Score a policy.
+    """Score a policy from its costs and those of the tuned droop and hindsight.
 
     Parameters
     ----------
@@ -69,8 +70,8 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
     Raises
     ------
     ValueError
-        For costs that are not finite or of different lengths, fewer than 2 episodes, or a hindsight that on average
-        does not beat the droop, against which there is nothing to score.
+        If costs are not finite or differ in length, or there are fewer than 2 episodes. Also if hindsight does not
+        beat the droop on average, since the score is then undefined.
     """
     costs = {"j": j, "j_droop": j_droop, "j_hindsight": j_hindsight}
     own, droop, best = (np.asarray(values, dtype=np.float64) for values in costs.values())
@@ -94,15 +95,16 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
 
 
 def saved_pct(j: ArrayLike, j_reference: ArrayLike) -> float:
-    """How much less a controller costs than a reference, in per cent of the reference's mean cost."""
+    """Compute the cost saving of a controller relative to a reference, in per cent of the reference's mean cost."""
     return float(100.0 * (1.0 - np.asarray(j).mean() / np.asarray(j_reference).mean()))
 
 
 def mean_over_seeds(seed_scores: Sequence[float], error: float, episodes: int) -> Estimate:
-    """Mean of training seeds' scores, with its interval for a further seed on further episodes.
+    """Compute the mean score over training seeds, with its interval for other seeds and episodes.
 
-    Every seed's policy drives the same episodes. The interval is Student's t over the variance between seeds, divided
-    by their number, plus that between episodes; degrees of freedom by F. E. Satterthwaite, Biometrics Bulletin 2, 1946.
+    The policies of all seeds drive the same episodes. The interval is Student's t. Its variance is that between seeds,
+    divided by their number, plus that between episodes; the degrees of freedom are those of F. E. Satterthwaite,
+    Biometrics Bulletin 2, 1946.
 
     Parameters
     ----------
@@ -124,19 +126,19 @@ def mean_over_seeds(seed_scores: Sequence[float], error: float, episodes: int) -
 
 
 def score_error(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike) -> float:
-    """Standard error of a score over episodes."""
+    """Compute the standard error of a score over episodes."""
     own, droop, best = (np.asarray(values, dtype=np.float64) for values in (j, j_droop, j_hindsight))
     return _error(droop - own, droop - best)
 
 
 def _error(amount: np.ndarray, base: np.ndarray) -> float:
-    """Standard error of the ratio of two means, by the delta method."""
+    """Compute the standard error of the ratio of two means by the delta method."""
     n, ratio = len(amount), amount.mean() / base.mean()
     return float(np.sqrt(((amount - ratio * base) ** 2).sum() / (n * (n - 1))) / abs(base.mean()))
 
 
 def _ratio(amount: np.ndarray, base: np.ndarray, seed: int) -> Estimate:
-    """The ratio of two means over the same episodes, with its interval."""
+    """Compute the ratio of two means over the same episodes, with its interval."""
     n, value, error = len(amount), float(amount.mean() / base.mean()), _error(amount, base)
     if error <= 1e-12 * abs(value):
         return Estimate(value, value, value)

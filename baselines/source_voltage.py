@@ -1,9 +1,9 @@
-"""A substation voltage for a scenario on a feeder that names none of use: the one that centres the band.
+"""Choose a substation voltage for a scenario on a feeder without a suitable one, so that voltages are centred.
 
-Published feeders mostly say 1 p.u., at which everything on them lies below, and a learner would be paid for holding
-up what any utility lifts by a tap. The rule here is what a tap changer's setting does: the voltages of the buses, each
-its mean over episodes without control, are to reach as far above 1 p.u. as below it. Where a feeder's own regulators
-act, they hold its voltages, and the source stays as it is. What the rule does to costs stands in docs/own-feeder.md.
+Most published feeders specify 1 p.u., at which all their voltages are below 1 p.u. A learner would then be rewarded for
+compensating a badly chosen tap. The rule sets the source as a tap changer would: the mean voltages of the buses over
+episodes without control extend as far above 1 p.u. as below it. If automatic regulators act on the feeder, they control
+its voltages, and the source is left unchanged. The effect of the rule on costs is described in docs/own-feeder.md.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout
 
 TAP_PU = 0.00625
-"""One of the 32 taps of 10 % up and down that regulators and tap changers mostly have, p.u."""
+"""Voltage of one tap, p.u.; regulators and tap changers usually have 32 taps for +-10 %."""
 EPISODES = 8
-"""Episodes of the training split that the mean is over."""
+"""Number of episodes of the training split that the mean is taken over."""
 LONGEST = 600
-"""Steps of an episode that are looked at."""
+"""Maximum number of steps of an episode that are simulated."""
 _ROUNDS = 4
 
 
 class SourceVoltage(NamedTuple):
-    """A substation voltage and what it does."""
+    """A substation voltage and the resulting bus voltages."""
 
     v_pu: float
     lowest_pu: float
     """Lowest of the buses' mean voltages without control, p.u."""
     highest_pu: float
-    """Highest of them, p.u."""
+    """Highest of the buses' mean voltages without control, p.u."""
     is_own: bool
-    """Whether it is the scenario's own, which was kept because regulators act."""
+    """Whether it is the scenario's value, which was kept because regulators act."""
 
 
 def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVoltage:

@@ -1,7 +1,7 @@
-"""Code of the user's own that the command line names: ``path/to/file.py:NAME`` or ``package.module:NAME``.
+"""Load user code that the command line names: ``path/to/file.py:NAME`` or ``package.module:NAME``.
 
-A controller's class may be followed by arguments, ``file.py:Class(gain=0.5, mode=fast)``: literals alone, which are
-read and never run. A file is imported once in a process, and again where its content has changed since.
+A controller's class may be followed by arguments, ``file.py:Class(gain=0.5, mode=fast)``. Only literals are allowed;
+they are parsed and never executed. A file is imported once in a process, and again if its content has changed.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from typing import Any, NamedTuple
 _REFERENCE = re.compile(r"(?P<where>.+?):(?P<name>[A-Za-z_]\w*)(?P<arguments>\(.*\))?", re.DOTALL)
 _LONGEST = 300
 _files: dict[Path, tuple[str, ModuleType]] = {}
-"""Files that this process has imported: digest of the content, and the module."""
+"""Files that this process has imported, with the digest of the content and the module."""
 
 
 class OwnCodeError(ValueError):
-    """Code of the user's own that fails; the message is one line, what was raised is the cause."""
+    """Error of user code that fails; the message is one line, and the original exception is the cause."""
 
     traced = True
-    """Whether a traceback says more than the message."""
+    """Whether a traceback contains more information than the message."""
 
 
 class CodeReference(NamedTuple):
-    """What a text such as ``file.py:Class(gain=0.5)`` names."""
+    """Parsed form of a text such as ``file.py:Class(gain=0.5)``."""
 
     where: str
-    """A file, or a dotted module."""
+    """Path of a file, or dotted name of a module."""
     name: str
     positional: tuple[Any, ...] = ()
     keywords: tuple[tuple[str, Any], ...] = ()
 
     @property
     def path(self) -> Path | None:
-        """The file, where it is one."""
+        """Path of the file; None for a module."""
         return Path(self.where) if self.where.endswith(".py") else None
 
 
 def parse(spec: str) -> CodeReference | None:
-    """Take a text apart; None where it has no such form, ValueError for arguments that are no literals."""
+    """Parse a text; return None if it does not have this form, raise ValueError for arguments other than literals."""
     match = _REFERENCE.fullmatch(spec.strip())
     if match is None:
         return None
@@ -73,7 +73,7 @@ def _arguments(spec: str, text: str | None) -> tuple[tuple[Any, ...], tuple[tupl
 
 
 def _literal(node: ast.expr) -> Any:
-    """A literal's value; a bare word is a text, since shells take quotes away."""
+    """Return the value of a literal; a bare word is a string, since shells remove quotes."""
     if isinstance(node, ast.Name):
         return node.id
     try:
@@ -83,21 +83,21 @@ def _literal(node: ast.expr) -> Any:
 
 
 def load(reference: CodeReference, what: str) -> object:
-    """The object that is named, after its module was imported.
+    """Import the module of a reference and return the named object.
 
     Parameters
     ----------
-    named
-        What to look up.
+    reference
+        Reference to the object.
     what
-        How errors begin, ``controller 'own.py:Law'`` for instance.
+        Beginning of error messages, for example ``controller 'own.py:Law'``.
 
     Raises
     ------
     ValueError
-        Where there is no such file, or nothing of that name in it.
+        If the file does not exist or does not define that name.
     OwnCodeError
-        Where importing fails.
+        If the import fails.
     """
     if reference.path and not reference.path.is_file():
         raise ValueError(f"{what}: there is no file {reference.where}; give the path of one")
@@ -127,7 +127,7 @@ def _from_file(path: Path) -> ModuleType:
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if path in _files and _files[path][0] == digest:
         return _files[path][1]
-    # Named after the content, so that two files of one name do not stand in each other's place.
+    # Named after the content, so that two files of the same name do not replace each other.
     spec = importlib.util.spec_from_file_location(f"dcgrid_user_{path.stem}_{digest[:16]}", path)
     assert spec is not None
     assert spec.loader is not None
@@ -143,7 +143,7 @@ def _from_file(path: Path) -> ModuleType:
 
 
 def place(error: BaseException) -> str:
-    """Where the user's own code raised an error, ``, own.py line 12``; empty where none of it has a part."""
+    """Describe where user code raised an error, ``, own.py line 12``; empty if the traceback has no user code."""
     at = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         file, module = Path(frame.f_code.co_filename), str(frame.f_globals.get("__name__", ""))
@@ -154,18 +154,18 @@ def place(error: BaseException) -> str:
 
 
 def _is_installed(file: Path) -> bool:
-    """Whether a file is of Python's own library or of an installed package."""
+    """Whether a file belongs to Python's standard library or an installed package."""
     library = Path(sysconfig.get_paths()["stdlib"])
     return library in file.parents or bool({"site-packages", "dist-packages"} & set(file.parts))
 
 
 def described(error: BaseException) -> str:
-    """An error's kind and message on one line."""
+    """Return the type and message of an error on one line."""
     text = one_line(error)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def one_line(error: BaseException) -> str:
-    """An error's message on one line, cut where it is very long."""
+    """Return the message of an error on one line, shortened if it is very long."""
     text = " ".join(str(error).split())
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."

@@ -1,4 +1,4 @@
-"""A scenario with one data centre more: of any size, at any bus, in any of a study's sampled windows."""
+"""Add one data centre to a study's scenario, of any size, at any bus, in any of the sampled windows."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from dcgrid_env import DcgridVectorEnv, Scenario
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 
 _NOTHING_KW = 1e-3
-"""Rating that stands for no site: a device has a rating."""
+"""Rating that represents the absence of a site, since the rating of a device must be positive."""
 
 
 class AddedSite:
     """The scenarios of a study, one for each size, and the arguments that reset their episodes.
 
-    The site is the last of the scenario's data centres and shares all but its rating with them. Where it stands is a
-    matter of the environment, so many buses and samples of a size run as one batch; the size is one of the scenario.
+    The site is the last of the scenario's data centres and has the same fields as these except for its rating. Its bus
+    is set for each environment, so many buses and samples of a size run as one batch. Its size is set by the scenario.
     """
 
     def __init__(self, study: Study, exempt: np.ndarray | None = None):
         self.study = study
         self.exempt = np.zeros(study.scenario.feeder.n_node, bool) if exempt is None else exempt
-        """Nodes whose branch does not count as overloaded, since it is so without any site."""
+        """Nodes whose branch is not counted as overloaded, since it is overloaded without any site."""
         self.slot = study.scenario.datacenters.count if study.others else 0
-        """Which of the data centres it is."""
+        """Position of the site among the data centres."""
         self.scenario = lru_cache(maxsize=512)(self._scenario)
-        """The scenario with a site of so many steps of size; 0 for none."""
+        """Function that returns the scenario with a site of the given number of size steps; 0 for no site."""
         first = self.scenario(0)
         self.agent = first.agents.index(f"dc_{self.slot}")
-        """Which of the agents it is."""
+        """Position of the site among the agents."""
         self._buses = self._buses_of_samples(first)
 
     def mw(self, size: int) -> float:
-        """A size in MW."""
+        """Convert a size to MW."""
         return float(f"{size * self.study.step_mw:.10g}")
 
     def reset_arguments(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
-        """Seeds, and options of the reset, of a batch with the site at positions ``buses`` in ``samples``, (row,)."""
+        """Return seeds and reset options of a batch with the site at positions ``buses`` in ``samples``, (row,)."""
         placed = self._buses[samples].copy()
         placed[:, self.agent] = buses
         options: dict[str, Any] = {"buses": placed}
@@ -63,7 +63,7 @@ class AddedSite:
         return base.replace(**changed)
 
     def _datacenter_buses(self) -> tuple[str, ...] | None:
-        """Where the scenario has its sites; the added one anywhere free, as each environment sets its true bus."""
+        """Return the buses of the scenario's sites, and a free bus for the added site, whose bus each reset sets."""
         scenario, others = self.study.scenario, self.study.others
         there = scenario.datacenters.buses if others else ()
         if there is None:

@@ -1,13 +1,15 @@
-"""The search for the largest size that one bus carries: which size to try next, and in which samples.
+"""Search for the largest feasible size at one bus: choose the next size to try, and the samples to try it in.
 
-Sizes are whole numbers of steps. A size carries if it breaks limits in no more seconds than are allowed, over all
-samples. It surely does not as soon as it breaks them in more seconds of some samples: between the largest size that is
-known to carry and the smallest that does not, sizes are therefore tried in the *critical* samples alone, those that
-came nearest to a limit before, and what is then the largest is tried in the others too. The next size is where the
-first straight line between the margins at both ends passes zero (regula falsi in the Illinois form, in which an end
-that stays counts half: M. Dowell and P. Jarratt, BIT 11, 1971), every fourth time the middle (bisection), so that a
-margin with a kink cannot hold it up. Under a controller it need not be so that larger sizes break limits and smaller
-ones do not: at the end a size of a coarse scan below and one above are tried too.
+Sizes are whole numbers of steps. A size is feasible if it breaks limits in no more seconds than are allowed, over all
+samples. It is infeasible as soon as it breaks them in more seconds of some samples. Between the largest feasible size
+and the smallest infeasible one, sizes are therefore tried only in the *critical* samples, those that came nearest to a
+limit before. The largest size that remains is then tried in the other samples.
+
+The next size is where the first straight line between the margins at both ends crosses zero. This is the regula falsi
+in its Illinois form, in which an end that stays counts half (M. Dowell and P. Jarratt, BIT 11, 1971). Every fourth try
+is a bisection, so that a margin with a kink cannot slow the search down. Under a controller a larger size may be
+feasible although a smaller one is not. At the end one size of a coarse scan below the result and one above it are
+therefore tried too.
 """
 
 from __future__ import annotations
@@ -19,11 +21,11 @@ import numpy as np
 from dcgrid_env.baselines.hosting_capacity.trial import UNLIMITED, Trial
 
 CRITICAL = 6
-"""Samples that are critical as the nearest to each limit."""
+"""Number of critical samples for each limit, those nearest to it."""
 
 
 class Request(NamedTuple):
-    """What is to be tried."""
+    """A size to try, and the samples to try it in."""
 
     size: int
     samples: np.ndarray
@@ -31,20 +33,20 @@ class Request(NamedTuple):
 
 
 class BusSearch:
-    """The search at one bus; ``next`` says what to try and ``take`` what it came to.
+    """The search at one bus; ``next`` returns the next request, and ``take`` receives its result.
 
     Parameters
     ----------
     empty
-        What size 0 comes to in all samples, which carries.
+        Result of size 0 in all samples; this size is feasible.
     critical
-        Numbers of the samples that are critical at first.
+        Numbers of the initial critical samples.
     guess, top
         The size to try first, and the largest.
     allowed
-        Steps in which limits may be broken, over all samples.
+        Allowed number of steps with broken limits, over all samples.
     scan
-        Sizes, ascending, of which the nearest below and the nearest above the result are tried at the end.
+        Sizes in ascending order. At the end the nearest below the result and the nearest above it are tried.
     """
 
     def __init__(
@@ -56,27 +58,27 @@ class BusSearch:
         self._low, self._high = 0, top + 1
         self._at_low, self._at_high = empty.margins.min(axis=0), None
         self._moved = 0
-        """Which end moved last, -1 the lower one, 1 the upper one."""
+        """End that moved last, -1 for the lower one, 1 for the upper one."""
         self._tries = 0
         self.size = 0
-        """The largest size that is known to carry in all samples."""
+        """Largest size that was found feasible in all samples."""
         self.at_size = empty
-        """What it came to."""
+        """Result of this size."""
         self.beyond: Trial | None = None
-        """What the smallest size that does not carry came to, in the samples in which it was tried; None if all do."""
+        """Result of the smallest infeasible size, in the samples in which it was tried; None if all are feasible."""
         self.smaller_fails: tuple[int, ...] = ()
-        """Sizes of the scan below the result that do not carry."""
+        """Infeasible sizes of the scan below the result."""
         self.larger_carries: tuple[int, ...] = ()
-        """Sizes of the scan above the result that carry."""
+        """Feasible sizes of the scan above the result."""
         self._empty = empty
         self._critical = np.unique(critical)
         self._at_low_trial: tuple[Request, Trial] | None = None
-        """What the largest size that may carry came to in the critical samples."""
+        """Result of the largest possibly feasible size in the critical samples."""
         self._scan, self._whole_scan = scan, False
         self._to_scan: list[int] | None = None
 
     def next(self) -> Request | None:
-        """What to try next; None when all is known."""
+        """Return the next request; None when the search is complete."""
         if self._guess is not None:
             return Request(self._guess, self._critical)
         if self._high - self._low > 1:
@@ -93,7 +95,7 @@ class BusSearch:
         return None
 
     def take(self, request: Request, trial: Trial) -> None:
-        """Heed what a request came to."""
+        """Update the search with the result of a request."""
         if self._to_scan is not None:
             fails = int(trial.outside.sum()) > self._allowed
             self._take_scanned(request.size, fails, len(request.samples) == len(self._every))
@@ -107,7 +109,7 @@ class BusSearch:
         at = trial.margins.min(axis=0)
         if fails:
             self.beyond = trial
-            if self._low >= request.size:  # what carried in the critical samples does not in all
+            if self._low >= request.size:  # feasible in the critical samples, but not in all
                 self._low, self._at_low = self.size, self.at_size.margins.min(axis=0)
                 self._at_low_trial = None
             elif self._moved == 1:
@@ -136,7 +138,7 @@ class BusSearch:
             self.larger_carries += (size,)
 
     def _between(self) -> int:
-        """The next size between the largest that may carry and the smallest that does not, or beyond the former."""
+        """Choose a size between the largest possibly feasible one and the smallest infeasible one, or beyond."""
         low, high = self._low, self._high
         if self._at_high is None:  # none has failed: as far as the margins' fall since size 0 lets expect, and a little
             fall = (self._empty.margins.min(axis=0) - self._at_low) / max(low, 1)
@@ -149,12 +151,12 @@ class BusSearch:
 
 
 def worst_samples(trial: Trial) -> np.ndarray:
-    """Positions of the samples that came nearest to each limit in a trial at one bus, (n,)."""
+    """Return the positions of the samples that came nearest to each limit in a trial at one bus, (n,)."""
     order = np.argsort(trial.margins, axis=0, kind="stable")[:CRITICAL]
     return np.unique(order[:, (trial.margins < UNLIMITED).any(axis=0)])
 
 
 def _lengths(margins: np.ndarray, falls: np.ndarray) -> np.ndarray:
-    """Along which length each margin is used up if it falls so much in a unit; infinite where it does not fall."""
+    """Compute the length over which each margin is used up, given its fall per unit; infinite if it does not fall."""
     falling = falls > 1e-12
     return np.where(falling, np.maximum(margins, 0.0) / np.where(falling, falls, 1.0), np.inf)

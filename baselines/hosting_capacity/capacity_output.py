@@ -1,4 +1,4 @@
-"""The answers of a study as a table for the terminal, as CSV and as plain data."""
+"""Format the results of a study as a table for the terminal, as CSV and as plain data."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
-"""Columns of the CSV, a row for each controller and bus; sizes in one cell have semicolons between them."""
+"""Columns of the CSV, with one row for each controller and bus; sizes in a cell are separated by semicolons."""
 _SHOWN = 12
-"""Branches or buses that a note names; results.json has all."""
+"""Maximum number of branches or buses that a note names; results.json contains all."""
 _NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "margin")
 _LISTS = ("smaller_fails_mw", "larger_carries_mw")
 
 
 def capacity_csv(found: Capacities) -> str:
-    """All answers, those of the snapshot first."""
+    """Return all results, those of the snapshot first."""
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -34,7 +34,7 @@ def capacity_csv(found: Capacities) -> str:
 
 
 def read_capacity_csv(text: str) -> list[BusCapacity]:
-    """What ``capacity_csv`` wrote; ValueError for a text that it did not, naming the row and the column."""
+    """Read the CSV of ``capacity_csv``; raise ValueError for any other text, naming the row and the column."""
     reader = csv.DictReader(io.StringIO(text))
     if tuple(reader.fieldnames or ()) != COLUMNS:
         raise ValueError(f"capacity.csv: its columns are {reader.fieldnames}; they must be {', '.join(COLUMNS)}")
@@ -56,7 +56,7 @@ def read_capacity_csv(text: str) -> list[BusCapacity]:
 
 
 def capacity_table(found: Capacities) -> Table:
-    """A row for each bus: what it carries in a snapshot and under each controller, and at which delay."""
+    """Make a table with a row for each bus: capacity in a snapshot and under each controller, and the delay."""
     study = found.study
     window = f"{study.samples} windows of {study.window_s:g} s, {study.load} load"
     limits = f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u."
@@ -78,7 +78,7 @@ def capacity_table(found: Capacities) -> Table:
 
 
 def record(found: Capacities) -> dict[str, Any]:
-    """The study and its answers as JSON takes them."""
+    """Return the study and its results as JSON values."""
     study, ratings = found.study, rating_coverage(found.study.scenario.feeder)
     asked = {field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"}
     return {
@@ -115,7 +115,7 @@ def _first_of(names: Sequence[str]) -> str:
 
 
 def _mw(capacity: BusCapacity) -> str:
-    """The size; more may fit where it is the largest that was tried, and where sizes of the scan say so."""
+    """Format the size, with a mark if it is the largest that was tried or if sizes of the scan contradict it."""
     more = ">=" if capacity.at_most else ""
     return f"{more}{capacity.capacity_mw:g}{'*' * bool(capacity.smaller_fails_mw or capacity.larger_carries_mw)}"
 

@@ -1,15 +1,17 @@
-"""What a study of hosting capacity asks: of which buses, within which limits, over which sampled load.
+"""Define a study of hosting capacity: candidate buses, limits and sampled load.
 
-*Hosting capacity* of a bus is the most that can be connected there before a limit of the feeder is broken. It is found
-by iteration, sizes being tried until one breaks a limit, as California's integration capacity analysis does, and not by
-the streamlined estimates of EPRI's DRIVE, since a controlled load has no closed form ("Lessons learned from performing
-an integration capacity analysis", POWER Engineers, CIGRE US National Committee 2018, compares both; EPRI report
-1026640, 2012, is the stochastic method). Load levels run from the least to the peak of a day, as studies take hours of
-minimum and of peak load; each sample is a window of seconds with its own trace of the site and noise of the other
-loads, so that what a controller does in time counts (A. K. Jain, K. Horowitz, F. Ding and others, "Dynamic hosting
-capacity analysis for distributed photovoltaic resources", Applied Energy 2020: time series let limits be about how
-long, where a snapshot must take the strictest). With a controller that may slow work down the size alone says little,
-and the delay stands beside it (G. C. Sarker and N. Dahlin, arXiv 2604.20185, do so for flexible connections).
+The *hosting capacity* of a bus is the largest size that can be connected there before a limit of the feeder is broken.
+It is found by iteration over sizes, as in California's integration capacity analysis. The streamlined estimates of
+EPRI's DRIVE do not apply, since a controlled load has no closed form. Both are compared in "Lessons learned from
+performing an integration capacity analysis" (POWER Engineers, CIGRE US National Committee 2018); EPRI report 1026640
+(2012) describes the stochastic method.
+
+Load levels run from the minimum to the peak of a day, as in studies that take hours of minimum and of peak load. Each
+sample is a window of seconds with a separate trace of the site and noise of the other loads, so that the behaviour of a
+controller over time counts. With time series a limit can allow a duration, where a snapshot must take the strictest
+limit (A. K. Jain, K. Horowitz, F. Ding and others, "Dynamic hosting capacity analysis for distributed photovoltaic
+resources", Applied Energy 2020). If a controller may slow work down, the size alone is not informative, and the delay
+is reported as well (as G. C. Sarker and N. Dahlin, arXiv 2604.20185, do for flexible connections).
 """
 
 from __future__ import annotations
@@ -29,54 +31,54 @@ Load = Literal["day", "peak"]
 SAMPLES = 64
 WINDOW_S, SETTLE_S = 60.0, 20.0
 MAX_BUSES = 64
-"""Candidates at most unless buses are named."""
+"""Maximum number of candidates unless buses are named."""
 LARGEST_SHARE = 3.0
-"""The largest size that is tried, as a share of the feeder's base load, unless one is given."""
+"""Default of the largest size that is tried, as a share of the feeder's base load."""
 _STEPS = 1000
-"""About how many sizes there are up to the largest, unless the distance between them is given."""
+"""Approximate number of sizes up to the largest, unless the distance between them is given."""
 PEAK_HOUR = float(np.argmax(LOAD_PERCENT)) + 0.5
 """Hour of the day at which the other loads are at their peak."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """What is asked.
+    """Settings of a study of hosting capacity.
 
     Raises
     ------
     ValueError
-        For a value that cannot be, naming it and what would do.
+        If a value is invalid; the message names it and what is allowed.
     """
 
     scenario: Scenario
-    """Gives the feeder, its source voltage and loads, the trace and kind of the site that is added, and the devices
-    that are there already."""
+    """Scenario that defines the feeder, its source voltage and loads, the trace and kind of the added site, and the
+    existing devices."""
     others: bool = True
-    """Whether the scenario's devices stand beside the added site; if not, it is alone on the feeder."""
+    """Whether the scenario's devices remain on the feeder; if not, the added site is the only one."""
     buses: tuple[str, ...] | None = None
-    """Candidate buses; None for load buses, of three phases where there are phases, at most ``MAX_BUSES`` of them
+    """Candidate buses; None for load buses, with three phases on a three-phase feeder. At most ``MAX_BUSES`` are taken,
     spread evenly in the order of the feeder."""
     samples: int = SAMPLES
-    """Windows of sampled load, those of seeds 0, 1, ..; the same for every bus, size and controller."""
+    """Number of windows of sampled load, with seeds 0, 1, ..; the same for every bus, size and controller."""
     load: Load = "day"
-    """``day``: sample i begins at 24 i / samples hours from the peak hour on, and other loads and PV follow the hour.
-    ``peak``: all stand at nominal load and noon."""
+    """``day``: sample i begins 24 i / samples hours after the peak hour, and other loads and PV follow the hour.
+    ``peak``: all samples are at nominal load and noon."""
     window_s: float = WINDOW_S
     """Length of a window, s."""
     settle_s: float = SETTLE_S
-    """Seconds at its beginning in which limits do not count: controllers begin without reactive power and with all
-    clocks at their top, as no controller that has been running would be."""
+    """Seconds at the beginning of a window in which limits do not count. Controllers begin without reactive power and
+    with all clocks at the maximum, which does not occur in continuous operation."""
     v_min_pu: float = 0.95
     v_max_pu: float = 1.05
     """Limits of the voltage at every bus, p.u.; those of ANSI C84.1, range A, for service voltages."""
     loading_max_pct: float = 100.0
     """Limit of a branch's current as a share of its rating, where a rating is known, %."""
     allowed_pct: float = 0.0
-    """Share of the sampled seconds in which some bus or branch may be outside its limits, %."""
+    """Allowed share of the sampled seconds with some bus or branch outside its limits, %."""
     tolerance_mw: float | None = None
-    """Distance between sizes: a capacity is a multiple of it. None: a round number near 1/1000 of the largest."""
+    """Distance between sizes, MW; a capacity is a multiple of it. None: a round number near 1/1000 of the largest."""
     max_mw: float | None = None
-    """The largest size that is tried; None: three times the feeder's base load, rounded."""
+    """Largest size that is tried, MW; None: three times the feeder's base load, rounded."""
 
     def __post_init__(self) -> None:
         feeder = self.scenario.feeder
@@ -111,7 +113,7 @@ class Study:
 
     @property
     def largest_mw(self) -> float:
-        """The largest size that is tried."""
+        """Largest size that is tried, MW."""
         if self.max_mw is not None:
             return self.max_mw
         load_mw = float(np.abs(self.scenario.feeder.p_load_kw).sum()) / 1000.0
@@ -119,27 +121,27 @@ class Study:
 
     @property
     def step_mw(self) -> float:
-        """Distance between sizes."""
+        """Distance between sizes, MW."""
         return _round_up(self.largest_mw / _STEPS) if self.tolerance_mw is None else self.tolerance_mw
 
     @property
     def top(self) -> int:
-        """How many sizes there are: the largest is ``top`` steps."""
+        """Number of sizes; the largest is ``top`` steps."""
         return math.floor(self.largest_mw / self.step_mw + 1e-9)
 
     @property
     def horizon(self) -> int:
-        """Steps of a window."""
+        """Number of steps of a window."""
         return round(self.window_s / self.scenario.dt_s)
 
     @property
     def settled(self) -> int:
-        """Steps of a window that do not count."""
+        """Number of steps at the beginning of a window that do not count."""
         return round(self.settle_s / self.scenario.dt_s)
 
     @property
     def full_load_s(self) -> tuple[float, float]:
-        """Begin and end of the period of a window in which all sites are asked for their rating, s.
+        """Begin and end of the period of a window with a demand of the full rating at all sites, s.
 
         It is the middle third of the steps that count, and at least one step.
         """
@@ -150,7 +152,7 @@ class Study:
 
     @property
     def allowed_seconds(self) -> int:
-        """Steps of all windows together in which limits may be broken."""
+        """Allowed number of steps with broken limits, over all windows."""
         return math.floor(self.allowed_pct / 100.0 * self.samples * (self.horizon - self.settled) + 1e-9)
 
     @property
@@ -159,7 +161,7 @@ class Study:
         return (PEAK_HOUR + 24.0 * np.arange(self.samples) / self.samples) % 24.0
 
     def candidates(self) -> np.ndarray:
-        """Positions in ``bus_ids`` of the candidate buses; ValueError for one that cannot be a site's."""
+        """Return the positions in ``bus_ids`` of the candidate buses; raise ValueError for an unsuitable bus."""
         feeder = self.scenario.feeder
         if self.buses is not None:
             return self._named(self.buses)
@@ -207,6 +209,6 @@ def _finite(value: object) -> bool:
 
 
 def _round_up(value: float) -> float:
-    """The next number of the series 1, 2, 5, 10, .."""
+    """Round up to the next number of the series 1, 2, 5, 10, .."""
     scale = 10.0 ** math.floor(math.log10(value))
     return next(float(f"{step * scale:.6g}") for step in (1.0, 2.0, 5.0, 10.0) if step * scale >= value * (1 - 1e-9))

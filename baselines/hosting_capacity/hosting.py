@@ -1,4 +1,4 @@
-"""Hosting capacity of all candidate buses under several controllers, as units of a place."""
+"""Compute the hosting capacity of all candidate buses under several controllers, in units of work for a place."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from dcgrid_env.traces import PowerTrace
 
 
 def study_controller(spec: str, scenario: Scenario, tuned: Path | None) -> tuple[Controller, str]:
-    """A fresh controller for a study's scenario, and what is to be said of it, "" for nothing.
+    """Make a new controller for a study's scenario, and a note on it, which may be empty.
 
-    A tuned law has the gains found for the scenario without the added site, which are nobody's if it has none: it then
-    has the law's own defaults, and that is said. A controller with a model has one of the feeder with the added site. A
-    policy sees what the site's agent observes, whatever it was trained on.
+    A tuned law uses the gains found for the scenario without the added site. If none are known, it uses the defaults of
+    the law, and the note reports this. A controller with a model has a model of the feeder with the added site. A
+    policy receives the observations of the site's agent, whatever it was trained on.
 
     Raises
     ------
     ValueError
-        For what names no controller, and for a tuned law without gains in the file that must have them.
+        If ``spec`` does not name a controller, or the file ``tuned`` does not contain the gains of a tuned law.
     """
     if spec not in TUNED or tuned is not None:
         return find_controller(spec, scenario, tuned), ""
@@ -54,9 +54,9 @@ def study_controller(spec: str, scenario: Scenario, tuned: Path | None) -> tuple
 
 
 SNAPSHOT = "snapshot"
-"""What the capacity of a moment is called where controllers stand."""
+"""Name of the capacity of one power flow in place of a controller's name."""
 _SLOW = ("mpc",)
-"""Beginnings of the names of controllers whose tasks are handed out first."""
+"""Prefixes of the names of controllers whose tasks are started first."""
 _PARTS = 2
 """Units of each controller and worker: a unit of few buses wastes batches, few units leave workers idle."""
 _STUDY, _EXEMPT = "study", "exempt"
@@ -65,20 +65,21 @@ _STUDY, _EXEMPT = "study", "exempt"
 
 @dataclass(frozen=True)
 class Capacities:
-    """The answers of a study."""
+    """Results of a study."""
 
     study: Study
     buses: tuple[str, ...]
-    """The candidates, in the order of the feeder."""
+    """Candidate buses, in the order of the feeder."""
     controllers: tuple[str, ...]
     by_controller: dict[str, tuple[BusCapacity, ...]]
-    """In the order of the buses."""
+    """Capacities by controller, in the order of the buses."""
     snapshot: tuple[BusCapacity, ...]
-    """What they carry in one power flow: peak load, the site at its rating, nobody controls anything."""
+    """Capacities in one power flow at peak load, with the site at its rating and without control."""
     overloaded: tuple[str, ...]
-    """Branches that are overloaded without any site: they carry none behind them, and do not count elsewhere."""
+    """Branches that are overloaded without any site; the capacity behind them is zero, and they do not count
+    elsewhere."""
     notes: tuple[str, ...]
-    """What is to be said of the controllers."""
+    """Notes on the controllers."""
 
 
 class _Asked(NamedTuple):
@@ -103,38 +104,38 @@ def hosting_capacity(
     tuned: Path | None = None,
     on_buses: Callable[[str, int], None] | None = None,
 ) -> Capacities:
-    """Find the largest data centre that each candidate bus carries under each controller.
+    """Find the largest data centre that each candidate bus can host under each controller.
 
-    One data centre is added at one bus at a time. A size carries if, in all sampled windows behind their settling time,
-    every bus keeps within the limits of voltage and every branch of known rating within its own, but for the share of
-    seconds that is allowed. Sizes are multiples of a step; the search is that of ``bus_search``.
+    One data centre is added at one bus at a time. A size is feasible if all bus voltages and all branches of known
+    rating stay within their limits in all sampled windows after the settling time. The allowed share of seconds is
+    exempt. Sizes are multiples of a step; ``bus_search`` describes the search.
 
     Parameters
     ----------
     study
         Buses, limits and sampled load.
     controllers
-        What names them on the command line: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, a class
-        of one's own.
+        Controllers as named on the command line: ``none``, ``droop-tuned``, ``mpc``, a policy's name or file, or a
+        user's class.
     place
-        Over whose workers controllers and buses are shared out. The answers do not depend on them.
+        Where the work runs; its workers share controllers and buses. The results do not depend on it.
     tuned
-        A file of ``dcgrid tune`` that the gains of tuned laws must come from.
+        A file of ``dcgrid tune`` that must contain the gains of tuned laws.
     on_buses
-        Called with a controller and the number of buses that were done under it (for progress).
+        Function called with a controller and the number of buses that are finished under it, for progress.
 
     Returns
     -------
     Capacities
-        MW, the limit that the next size breaks, and mean and 95th percentile of the delay of the site's work in s and
-        its unserved share in %, for each controller and bus.
+        For each controller and bus, the capacity in MW, the limit that the next size breaks, mean and 95th percentile
+        of the delay of the site's work in s, and its unserved share in %.
 
     Raises
     ------
     ValueError
-        For a study that cannot be, a controller that cannot be found or cannot drive such a scenario, naming it.
+        If the study is invalid, or a controller is unknown or cannot drive such a scenario; the message names it.
     LostUnits
-        Where buses have no result under a controller.
+        If buses have no result under a controller.
     """
     names = tuple(dict.fromkeys(controllers))
     if not names:

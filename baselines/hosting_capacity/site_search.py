@@ -1,4 +1,4 @@
-"""The capacities of buses under one controller: all searches side by side, and a batch for all that try one size."""
+"""Find the capacities of buses under one controller: searches run in parallel, with one batch for each size."""
 
 from __future__ import annotations
 
@@ -24,29 +24,30 @@ from dcgrid_env.grid import AnyFeeder
 
 @dataclass(frozen=True)
 class BusCapacity:
-    """What one bus carries under one controller, and at which price."""
+    """Capacity of one bus under one controller, with the delay of the site's work."""
 
     controller: str
     bus: str
     capacity_mw: float
-    """The largest size that keeps within the limits; the next one tried, a step larger, does not."""
+    """Largest size that stays within the limits, MW; the next one, a step larger, does not."""
     at_most: bool
-    """Whether it is the largest size that was tried, so that more might be carried."""
+    """Whether it is the largest size that was tried, so that a larger one may be feasible."""
     limit: str
-    """What the next size breaks: one of ``LIMITS``, with where; empty where ``at_most``."""
+    """Limit that the next size breaks, one of ``LIMITS``, with its location; empty if ``at_most``."""
     delay_mean_s: float
     delay_p95_s: float
-    """Waiting time of the site's work at that size, weighted by work, over all samples."""
+    """Waiting time of the site's work at that size, weighted by work, over all samples, s."""
     unserved_pct: float
-    """Share of the work that arrived at the site that was still queued at the end of the windows."""
+    """Share of the site's arriving work that was still queued at the end of the windows, %."""
     outside_pct: float
-    """Share of the sampled seconds in which some limit was broken at that size."""
+    """Share of the sampled seconds with a broken limit at that size, %."""
     margin: float
-    """Least distance to a limit at that size, ``Trial.margin``."""
+    """Least margin to a limit at that size, see ``Trial.margin``."""
     smaller_fails_mw: tuple[float, ...]
-    """Smaller sizes of the coarse scan that break limits: capacity is then no bound below which all is well."""
+    """Smaller sizes of the coarse scan that break limits, MW; if there are any, not every size below the capacity is
+    feasible."""
     larger_carries_mw: tuple[float, ...]
-    """Larger sizes of the coarse scan that keep within the limits."""
+    """Larger sizes of the coarse scan that stay within the limits, MW."""
 
 
 def search_buses(
@@ -58,7 +59,7 @@ def search_buses(
     critical: Sequence[np.ndarray],
     on_bus: Callable[[], None] | None = None,
 ) -> list[BusCapacity]:
-    """Find what buses carry.
+    """Find the capacity of buses under one controller.
 
     Parameters
     ----------
@@ -155,7 +156,7 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
 
 
 def _limit(scenario: Scenario, beyond: Trial) -> str:
-    """What a size breaks worst, and where."""
+    """Find the limit that a size breaks most, and its location."""
     row, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
     at, feeder = int(beyond.at[row, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:

@@ -1,4 +1,4 @@
-"""Sites of one size at several buses, in several samples, as one batch: how near they bring a feeder to its limits."""
+"""Run sites of one size at several buses in several samples as one batch, and measure the margins to the limits."""
 
 from __future__ import annotations
 
@@ -15,54 +15,55 @@ from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import as_driven, transitions
 
 COLLAPSED = -10.0
-"""Margin where the power flow has no solution."""
+"""Margin if the power flow has no solution."""
 UNLIMITED = 1e6
-"""Margin where there is no limit, as of branches without a known rating."""
+"""Margin without a limit, for example of branches without a known rating."""
 _ROUNDING = 1e-9
 _VALUES = 4_000_000
-"""Voltages of a batch that are kept at a time: larger ones run in parts."""
+"""Maximum number of voltages of a batch that are stored at a time; larger batches run in parts."""
 LIMITS = ("undervoltage", "overvoltage", "overload")
 OVERLOAD = LIMITS.index("overload")
 
 
 class Trial(NamedTuple):
-    """What a batch came to, by environment."""
+    """Results of a batch, by environment."""
 
     margins: np.ndarray
-    """Least distance to each of ``LIMITS`` over the seconds that count, negative beyond it, (row, limit): of a voltage
-    as a share of half the width between its limits, of a current as a share of its own. All are ``COLLAPSED`` of one
-    without a power-flow solution."""
+    """Least margin to each of ``LIMITS`` over the seconds that count, negative beyond the limit, (row, limit). A
+    voltage margin is a share of half the width of the voltage limits, a current margin a share of the current limit.
+    All are ``COLLAPSED`` without a power-flow solution."""
     at: np.ndarray
-    """Where each of these was: position in ``node_ids``, of an overload what the branch feeds, (row, limit)."""
+    """Location of each margin as a position in ``node_ids``, of an overload the node that the branch feeds,
+    (row, limit)."""
     outside: np.ndarray
-    """Steps that count in which some limit was broken, int, (row,)."""
+    """Number of steps that count in which some limit was broken, int, (row,)."""
     arrived_kw: np.ndarray
-    """Dynamic power that the added site's arriving work asked for in each step, kW, (row, step)."""
+    """Dynamic power demand of the added site's arriving work in each step, kW, (row, step)."""
     served_kw: np.ndarray
-    """What the work that was served drew of it, kW, (row, step)."""
+    """Dynamic power of the added site's served work in each step, kW, (row, step)."""
 
     @property
     def margin(self) -> float:
-        """Least distance of any environment to any limit."""
+        """Least margin of any environment to any limit."""
         return float(self.margins.min())
 
     def of(self, env_indices: Any) -> Trial:
-        """Some of the environments."""
+        """Select some of the environments."""
         return Trial(*(part[env_indices] for part in self))
 
     @classmethod
     def joined(cls, parts: list[Trial]) -> Trial:
-        """The environments of several, one after the other."""
+        """Concatenate the environments of several trials."""
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def run_trial(
     site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
 ) -> Trial:
-    """Run sites of a size; ``buses`` are positions in ``bus_ids`` and ``samples`` numbers, (row,) each.
+    """Run sites of one size; ``buses`` are positions in ``bus_ids`` and ``samples`` are sample numbers, (row,) each.
 
-    The result of an environment does not depend on the rest of the batch. ControllerError where the
-    controller fails or refuses.
+    The result of an environment does not depend on the rest of the batch. Raises ControllerError if the controller
+    fails or refuses the scenario.
     """
     at_once = max(1, _VALUES // (site.study.scenario.feeder.n_node * 8))
     parts = [slice(a, a + at_once) for a in range(0, len(buses), at_once)]
@@ -72,7 +73,7 @@ def run_trial(
 def trials(
     site: AddedSite, controller: Controller, size: int, asked: Sequence[tuple[int, np.ndarray]], name: str
 ) -> list[Trial]:
-    """What a size comes to at several buses, each in samples of its own, as one batch."""
+    """Run a size at several buses as one batch, with separate samples for each bus."""
     buses = np.concatenate([np.full(len(samples), bus) for bus, samples in asked])
     trial = run_trial(site, controller, size, buses, np.concatenate([samples for _, samples in asked]), name)
     ends = np.cumsum([0, *(len(samples) for _, samples in asked)])
@@ -80,7 +81,7 @@ def trials(
 
 
 def overloaded_nodes(site: AddedSite) -> np.ndarray:
-    """Nodes whose branch is overloaded without any site or control, in more steps than allowed, bool, (n_node,)."""
+    """Find nodes whose branch is overloaded without any site or control in more steps than allowed; bool, (n_node,)."""
     study, samples, controller = site.study, np.arange(site.study.samples), NoControl()
     seconds = np.zeros(study.scenario.feeder.n_node, np.int64)
     if not rating_coverage(study.scenario.feeder).known:

@@ -1,15 +1,15 @@
-"""The least cost of a whole episode that is known beforehand, and the lower bound of the linear program behind it.
+"""Compute the least cost of an episode with perfect foresight, and the optimum of the linear program behind it.
 
-The program of ``episode_program`` is solved again around its own solution until the environment, in which its actions
-are replayed, agrees. The replay's J is the hindsight cost; the program's own optimum stands beside it as the bound. It
-is a bound on the grid linearised around the last trajectory: against the exact one it may be off by the curvature
-between that trajectory and a better one, a few 1e-5 of J where that was looked for.
+The program of ``episode_program`` is solved repeatedly around its previous solution until the environment, in which its
+actions are replayed, agrees. The J of the replay is the hindsight cost. The optimum of the program is reported as the
+bound. It is a lower bound on the grid linearised around the last trajectory. On the exact grid it may be off by the
+curvature between that trajectory and a better one: a few 1e-5 of J in the cases that were checked.
 
-Where regulators follow a control of their own, taps change as what is done makes them, which no linear program says. So
-programs are solved around several courses of taps, those under steady shares of reactive power, with rows that make the
-relays change the taps at these steps and at no other; the best replay is taken. Where regulators or capacitor banks are
-agents, ``equipment_program`` plans their positions too. Storages are planned by ``storage_rows``, and not beside such
-equipment.
+Automatic regulators change their taps in response to the actions, which a linear program cannot express. Programs are
+therefore solved around several trajectories of taps, namely those under steady shares of reactive power. Additional
+rows make the relays change the taps at these steps and at no other, and the best replay is the result. If regulators or
+capacitor banks are agents, ``equipment_program`` plans their positions too. ``storage_rows`` plans storages, which
+cannot be combined with such equipment.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, Equipme
 from dcgrid_env.baselines.model_based.storage_rows import storages_of
 
 STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
-"""Shares of the reactive power that there is, under which regulators take the courses of taps that are tried."""
+"""Steady shares of the available reactive power; each gives a trajectory of taps to try."""
 HOPELESS = 0.01
-"""Share of J by which the first program of a course is worse than the best replay where it is given up."""
+"""Share of J: a trajectory of taps is dropped if its first program is worse than the best replay by more than this."""
 SHORTER = (0.5, 0.25, 0.1, 0.03)
-"""Shares of the way to a solution that are tried too where there are storages or work is routed."""
+"""Shorter steps towards a solution, as shares, that are also tried with storages or routing of work."""
 ROUNDS_SHORTENED = 14
-"""Linear programs for an episode at most where there are storages: J settles early there, the bound later."""
+"""Maximum number of linear programs for an episode with storages: J settles early there, the bound later."""
 GAP_SHORTENED = 7e-5
-"""Gap between replay and program at which such an episode has settled, as a share of J."""
+"""Gap between replay and program at which an episode with storages has settled, as a share of J."""
 ROUNDS_ROUTED = 6
-"""Linear programs for an episode at most where work is routed: J hardly changes from there on, the bound slowly."""
+"""Maximum number of linear programs for an episode with routed work: later, J hardly changes and the bound slowly."""
 GAP_ROUTED = 3e-4
-"""Gap between replay and program at which such an episode has settled, as a share of J."""
+"""Gap between replay and program at which an episode with routed work has settled, as a share of J."""
 ROUNDS = 6
-"""Linear programs for an episode at most."""
+"""Maximum number of linear programs for any other episode."""
 TOLERANCE = 2e-5
 """Gap between replay and program, or change of J between programs, at which an episode has settled, as a share of J."""
 RELAXED = 1e-2
@@ -58,30 +58,30 @@ _ROUGHLY = 1e-3  # of its optimum, to which the first relaxation is solved, arou
 
 
 class Effort(NamedTuple):
-    """How far the episodes of a scenario are solved."""
+    """Stopping criteria for the episodes of a scenario."""
 
     rounds: int
-    """Linear programs for an episode at most."""
+    """Maximum number of linear programs for an episode."""
     gap: float
     """Gap between replay and program at which it has settled, as a share of J."""
 
 
 def effort_of(scenario: Scenario) -> Effort:
-    """How far episodes of this scenario are solved unless something else is asked for."""
+    """Return the default stopping criteria for episodes of a scenario."""
     if scenario.datacenters.routing is not None:
         return Effort(ROUNDS_ROUTED, GAP_ROUTED)
     return Effort(ROUNDS, TOLERANCE) if storages_of(scenario) is None else Effort(ROUNDS_SHORTENED, GAP_SHORTENED)
 
 
 class Hindsight(NamedTuple):
-    """The least cost of an episode whose course is known from the beginning."""
+    """The least cost of an episode that is known from the beginning."""
 
     J: float
     """Cost of the actions, replayed in the environment."""
     bound: float
-    """Optimum of the last linear program, around a trajectory like theirs. Where regulators act by themselves it is
-    that of one course of their taps, the price of relays that cannot follow it included, and no bound on what other
-    courses cost; where they are agents it is of the program that is free to choose any position, whole or not."""
+    """Optimum of the last linear program, around a trajectory close to that of the actions. With automatic regulators
+    it applies to one trajectory of their taps and includes the penalty for relays that cannot follow it; it does not
+    bound the cost of other trajectories. If they are agents, it is the optimum over continuous positions."""
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int
@@ -91,7 +91,7 @@ class Hindsight(NamedTuple):
 
     @property
     def gap(self) -> float:
-        """How far the replay is from the program."""
+        """Difference in cost between the replay and the program."""
         return self.J - self.bound
 
 
@@ -103,22 +103,22 @@ def hindsight(
     Parameters
     ----------
     scenario
-        With the linear clock law and the l1 voltage cost, without a price on clock movement, voltage steps or losses;
-        one on switching only where all that is not fixed is an agent.
+        Scenario with the linear clock law and the l1 voltage cost, without a price on clock movement, voltage steps or
+        losses. A price on switching is allowed only if all equipment that is not fixed is an agent.
     seed
         The episode.
     rounds
-        Linear programs to solve at most; None: those of :func:`effort_of`.
+        Maximum number of linear programs; None for that of :func:`effort_of`.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
     keep_band
-        Whether every voltage of the program must stay within the band, whatever it costs.
+        Whether every voltage of the program must stay within the band at any cost.
 
     Raises
     ------
     ValueError
-        For a scenario with other costs or another clock law, naming them, or a program without a solution, naming
-        the constraint that cannot be met, where and when.
+        If the scenario has other costs or another clock law, or if the program has no solution. The message names the
+        cost or law, or the constraint that cannot be met, where and when.
     """
     scenario = scenario.member(seed)
     _check(scenario)
@@ -133,7 +133,7 @@ def hindsight(
 
 
 def _over_tap_courses(program: EpisodeProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
-    """Solve around each course that taps take under a steady share of reactive power; the least cost of all."""
+    """Solve around the trajectory of taps under each steady share of reactive power; return the least cost."""
     best: Hindsight | None = None
     courses, solved = set(), 0
     for share in STEADY_SHARES:
@@ -151,7 +151,7 @@ def _over_tap_courses(program: EpisodeProgram, seed: int, rounds: int, tolerance
 
 
 def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
-    """Solve the relaxation around its own solutions until its optimum settles, then with whole positions."""
+    """Solve the relaxation repeatedly until its optimum settles, then solve with whole positions."""
     bounds: list[float] = []
     while len(bounds) < rounds:
         program.follow(replay(program.scenario, program.actions(), seed))
@@ -166,7 +166,7 @@ def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float
 def _settled(
     program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int, tolerance: float, hopeless: float | None = None
 ) -> Hindsight:
-    """Solve a program around its own solutions until the replay agrees with it, or its optimum is ``hopeless``."""
+    """Solve a program around its solutions until the replay agrees with it or its optimum exceeds ``hopeless``."""
     scenario = program.scenario
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
     if has_equipment:
@@ -187,9 +187,9 @@ def _settled(
             best = replayed
         elif program.has_own_taps:
             best = best._replace(rounds=done)
-        else:  # a program around a better trajectory knows better
+        else:  # the bound of a program around a better trajectory is more accurate
             best = best._replace(bound=bound, rounds=done)
-        if shortens:  # an unchanged J says nothing there of the bound
+        if shortens:  # here an unchanged J does not mean that the bound has settled
             settled = abs(best.gap) <= max(tolerance, _gap(program)) * abs(best.J)
         if settled or abs(replayed.gap) <= tolerance * abs(cost) or (hopeless is not None and bound > hopeless):
             break
@@ -202,18 +202,18 @@ def _gap(program: Any) -> float:
 
 
 def _shifts(program: EpisodeProgram) -> bool:
-    """Whether energy or work can go to another time or place, for little, so that steps are to be shortened."""
+    """Whether energy or work can move to another time or place at little cost, which requires shorter steps."""
     return program.n_storages > 0 or program.work_rows.routing is not None
 
 
 def _shortened(
     program: EpisodeProgram, seed: int, actions: np.ndarray, recorder: Recorder
 ) -> tuple[np.ndarray, Recorder]:
-    """The actions that do best on the way to the last solution, and their replay; the next program is around them.
+    """Find the best actions on the way to the last solution, and their replay; the next program is around them.
 
-    Storages shift energy to where losses are least, and routes work, which solutions of the linear program overdo:
-    around each the next does the opposite, for ever. This is the method of M. Frank and P. Wolfe, "An algorithm for
-    quadratic programming" (1956), its line searched at a few places.
+    Storages shift energy to where losses are least, and routing shifts work. Solutions of the linear program overdo
+    both: each new solution does the opposite of the last, and the iteration does not settle. This is the method of
+    M. Frank and P. Wolfe, "An algorithm for quadratic programming" (1956), with a line search at a few points.
     """
     tried = [(recorder.metrics()[0]["J"], 1.0, actions, recorder)]
     for share in SHORTER:
@@ -226,7 +226,7 @@ def _shortened(
 
 
 def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
-    """Play actions (T, n_action) in the episode of a seed; stops early where the power flow has no solution."""
+    """Play actions (T, n_action) in the episode of a seed; stop early if the power flow has no solution."""
     scenario = scenario.member(seed)
     env = DcgridVectorEnv(1, scenario if scenario.cost.reward == "shared" else scenario.replace(reward="shared"))
     env.reset(seed=[seed])
@@ -241,7 +241,7 @@ def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
 
 
 def _has_equipment_agents(scenario: Scenario) -> bool:
-    """Whether regulators or capacitor banks are agents, and nothing else but data centres first and inverters then."""
+    """Whether regulators or capacitor banks are agents, and all others are data centres, then inverters."""
     kinds = [device.kind for device in scenario.devices if device.count]
     there = [kind for kind in (*KNOWN_DEVICES, *CHANNELS) if kind in kinds]
     return kinds == there and any(kind in CHANNELS for kind in kinds)
@@ -292,7 +292,7 @@ def _check(scenario: Scenario) -> None:
 
 
 def _acts_by_itself(scenario: Scenario) -> bool:
-    """Whether any regulator or capacitor bank follows a control of its own."""
+    """Whether any regulator or capacitor bank is controlled automatically."""
     capacitors = scenario.grid_control.capacitors
     deciders = (capacitors,) if isinstance(capacitors, str) else dict(capacitors).values()
     return acting_relays(scenario) is not None or "controlled" in deciders

@@ -1,10 +1,10 @@
-"""Finds the parameters of a law on the validation split, so that every controller to compare with is at its best.
+"""Find the parameters of a law on the validation split, so that every baseline is as good as possible.
 
-Minimised is the mean J over episodes, on several scenarios together the mean of J as a share of the J of no control.
-The search is COBYQA's (T. M. Ragonneau and Z. Zhang, a trust region of quadratic models without derivatives) from the
-middle of the bounds; laws of up to three parameters, and those whose cost has steps, are also searched by differential
-evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from the best of it. Both are
-scipy's. The same call finds the same parameters.
+The search minimises the mean J over episodes; on several scenarios together, it minimises the mean of J as a share of
+the J of no control. It runs COBYQA (T. M. Ragonneau and Z. Zhang, a trust region of quadratic models without
+derivatives) from the middle of the bounds. Laws of up to three parameters, and those whose cost has steps, are also
+searched by differential evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from
+its best point. Both are the implementations of scipy. The same call finds the same parameters.
 
 A droop must also be steady (``steadiness``). If the cheapest gains are not, the search is repeated with each set of
 gains reduced until the closed loop is stable. The result is the cheapest set without a limit cycle.
@@ -29,11 +29,11 @@ from dcgrid_env.core.suggestions import unknown
 
 
 class Tuned(NamedTuple):
-    """What was found."""
+    """Result of a search."""
 
     parameters: Parameters
     score: float
-    """Mean J, or over several scenarios the mean share of no control's."""
+    """Mean J; over several scenarios, the mean of J as a share of the J of no control."""
     trials: int
     spectral_radius: float | None = None
     """Spectral radius of a droop's closed loop (:class:`laws.stability.ClosedLoops`); None for other laws."""
@@ -49,25 +49,25 @@ class Trial(NamedTuple):
 def tune(
     name: str, scenarios: Sequence[Scenario], episodes: int = 20, on_trial: Callable[[], None] | None = None
 ) -> Tuned:
-    """Find a law's best parameters.
+    """Find the best parameters of a law.
 
     Parameters
     ----------
     name
-        One of TUNABLE.
+        Name of the law, one of TUNABLE.
     scenarios
-        On which; their split should be validation. More than one share one set of parameters.
+        Scenarios to tune on, which should be on the validation split. Several scenarios share one set of parameters.
     episodes
-        Episodes of each scenario: those of seeds 0 to episodes - 1.
+        Number of episodes of each scenario, with seeds 0 to episodes - 1.
     on_trial
-        Called after each set of parameters tried (for progress).
+        Function called after each set of parameters, for progress.
 
     Raises
     ------
     ValueError
-        For a law that cannot be tuned, listing those that can, no scenario or fewer than one episode, or a droop with a
-        limit cycle at all gains that were tried; a
-        ``ControllerError`` where the law refuses a scenario or fails.
+        If the law cannot be tuned (the message lists those that can), or there is no scenario or no episode. Also if a
+        droop has a limit cycle at all gains that were tried. A ``ControllerError`` if the law refuses a scenario or
+        fails.
     """
     if name not in TUNABLE:
         raise ValueError(unknown("tunable law", name, TUNABLE, f"there are {', '.join(TUNABLE)}"))

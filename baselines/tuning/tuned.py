@@ -1,8 +1,8 @@
-"""Parameters tuned on the validation split: those of each preset, which ship, and one's own of ``dcgrid tune``.
+"""Find parameters tuned on the validation split: the bundled ones of each preset, and those of ``dcgrid tune``.
 
-The presets' stand in ``data/tuned.json`` with the command that made them. They serve every scenario of the preset's
-name whose grid is the preset's: feeder, devices and step are what a law's gains depend on; load, noise, horizon and
-cost may differ, as they do where robustness is looked at. Whoever changes the grid tunes anew.
+The parameters of the presets are in ``data/tuned.json`` with the command that made them. They apply to every scenario
+with the preset's name and grid, since a law's gains depend on feeder, devices and step. Load, noise, horizon and cost
+may differ, as in studies of robustness. After a change of the grid, tune the law again.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.core.work.worker import shared
 
 CARRIED = "tuned parameters"
-"""Name of the shared value that has the contents of files of ``dcgrid tune``, by their paths, on workers elsewhere."""
+"""Name of the shared value with the contents of files of ``dcgrid tune``, by their paths, on workers elsewhere."""
 SUFFIX = "-tuned"
 OWN = Path("results/tuned.json")
 """Where ``dcgrid tune`` writes by default, in the working directory."""
@@ -45,11 +45,11 @@ GRID = (
 
 
 class TunedParameters(NamedTuple):
-    """Tuned parameters and where they stand."""
+    """Tuned parameters and the file that contains them."""
 
     parameters: dict[str, Any]
     file: Path | None
-    """None for those that ship."""
+    """File of the parameters; None for the bundled ones."""
 
 
 def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = None) -> TunedParameters:
@@ -60,15 +60,16 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
     law
         One of ``TUNABLE``.
     scenario
-        What it is to drive.
+        Scenario to drive.
     path
-        A file that ``dcgrid tune`` wrote, which must have them. Without one: what ``results/tuned.json`` in the
-        working directory has for this very scenario, else what ships, else what that file has for this name and grid.
+        A file of ``dcgrid tune`` that must contain the parameters. If None, the first of these is used: the parameters
+        in ``results/tuned.json`` in the working directory for exactly this scenario, the bundled ones, and those in
+        that file for this name and grid.
 
     Raises
     ------
     ValueError
-        Where there are none for this scenario, saying what differs and how to find them.
+        If there are no parameters for this scenario; the message names the difference and the command that finds them.
     """
     file = OWN if path is None else Path(path)
     require_tuned(path)
@@ -86,14 +87,14 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
 
 
 def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = None) -> Controller:
-    """A law with the parameters tuned for a scenario, see :func:`tuned_parameters`; untuned where it refuses it."""
+    """Make a law with the parameters tuned for a scenario, see :func:`tuned_parameters`; untuned if it does not fit."""
     if not TUNABLE[law].fits(scenario):
-        return TUNABLE[law].law()  # which says why when it is given the scenario
+        return TUNABLE[law].law()  # its reset raises the error
     return TUNABLE[law].law(**tuned_parameters(law, scenario, path).parameters)
 
 
 def require_tuned(path: str | Path | None) -> None:
-    """ValueError where a file of ``dcgrid tune`` that is named is not there, or is none; None names none."""
+    """Raise ValueError if the path is given and is not a file of ``dcgrid tune``."""
     if path is None:
         return
     if str(path) not in shared(CARRIED, {}) and not Path(path).is_file():
@@ -102,7 +103,7 @@ def require_tuned(path: str | Path | None) -> None:
 
 
 def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
-    """Entries by law and scenario of a file that ``dcgrid tune`` wrote, none where there is no such file.
+    """Read the entries of a file of ``dcgrid tune``, by law and scenario; empty if the file does not exist.
 
     Raises ValueError if the file does not contain tuned parameters.
     """
@@ -119,13 +120,13 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
 
 
 def own_parameters(path: Path | None) -> dict[str, dict[str, dict[str, dict[str, Any]]]]:
-    """What a file of ``dcgrid tune`` holds, that of the working directory by default, by its path."""
+    """Return the content of a file of ``dcgrid tune`` by its path; by default that in the working directory."""
     file = OWN if path is None else path
     return {str(file): read_tuned(file)} if file.is_file() else {}
 
 
 def identity(scenario: Scenario) -> dict[str, str]:
-    """What an entry of a file holds of the scenario it was found for: the hash of all its fields, and of its grid."""
+    """Return the hashes that identify an entry's scenario: that of all fields, and that of the grid."""
     return {
         "scenario_hash": scenario_hash(scenario.replace(split="validation")),
         "grid_hash": grid_hash(scenario),
@@ -133,17 +134,17 @@ def identity(scenario: Scenario) -> dict[str, str]:
 
 
 def grid_hash(scenario: Scenario) -> str:
-    """Hash of what a law's gains depend on."""
+    """Return the hash of the fields that a law's gains depend on."""
     return scenario_hash(_grid(scenario))
 
 
 def grid_difference(scenario: Scenario, other: Scenario) -> str | None:
-    """Name of the first field in which what gains depend on differs, None if there is none."""
+    """Return the name of the first differing field that gains depend on; None if all are equal."""
     return _grid(scenario).difference(_grid(other))
 
 
 def _grid(scenario: Scenario) -> Scenario:
-    """A scenario with the same grid and all else as by default; a number is a float, a rating one for each device."""
+    """Reduce a scenario to its grid: other fields get their defaults, numbers are floats, ratings are per device."""
     plain = {f.name: f.default for f in dataclasses.fields(scenario) if f.default is not dataclasses.MISSING}
     parts: dict[str, Any] = {"workload": Workload(), "sensing": Sensing(), "cost": Cost()}
     parts["background"] = Background(capacitors=scenario.background.capacitors)
@@ -169,7 +170,7 @@ def _difference_from_preset(scenario: Scenario) -> str | None:
 
 
 def _grid_hash_of(entry: dict[str, Any], name: str) -> str | None:
-    """An entry without hashes is the preset's of its name."""
+    """Return the grid hash of an entry; an entry without hashes belongs to the preset of its name."""
     return entry.get("grid_hash") or (grid_hash(make_scenario(name)) if name in PRESETS else None)
 
 
@@ -182,13 +183,13 @@ def _arguments(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def _presets_of(law: str, scenario: Scenario) -> list[str]:
-    """Presets with a scenario's grid for which parameters of a law ship."""
+    """Return the presets with the grid of a scenario that have bundled parameters of a law."""
     names = [name for name in _shipped().get(law, {}) if name in PRESETS]
     return [name for name in names if grid_difference(scenario, make_scenario(name)) is None]
 
 
 def _none(law: str, scenario: Scenario, path: str | Path | None, another: bool, differs: str | None) -> str:
-    """Why there are no tuned parameters, and the command that finds them."""
+    """Explain why tuned parameters are missing, and name the command that finds them."""
     said = f"no tuned parameters of {law!r} for scenario {scenario.name!r}"
     if differs:
         said += f": those that ship are of the preset of that name, from which this one differs in {differs}"
