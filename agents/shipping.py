@@ -52,7 +52,7 @@ def ship(
         For runs of different scenarios or algorithms, or twice of the same seed, a card of other weights, or one
         without a seed, training time or validation cost.
     ValueError
-        Where there is no score, see :meth:`Evaluation.score`.
+        If a score is missing, see :meth:`Evaluation.score`.
     """
     runs = [_read(folder) for folder in folders]
     cards = [card for _, card in runs]

@@ -2,7 +2,7 @@
 
 Training uses the grid model and all node voltages. The advantage of an agent's clock or reactive power is a difference
 in team cost: between the agent's action and the policy's mean action, with the actions of all others unchanged
-(``training.counterfactual``). There is no critic and no discount. Each kind of agent has one network. It uses the
+(``training.counterfactual``). Critic and discount are not used. Each kind of agent has one network. It uses the
 agent's observations only, and its outputs are changes from the action that keeps the current state
 (``policy.interface``).
 

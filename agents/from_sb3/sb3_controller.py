@@ -39,7 +39,7 @@ class Sb3Controller:
     Raises
     ------
     PolicyError
-        For what is no such zip, or one of an algorithm that is not known.
+        If the file is not such a zip, or the algorithm is unknown.
     OwnCodeError
         Where Stable-Baselines3 cannot load it.
     """

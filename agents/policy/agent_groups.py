@@ -23,7 +23,7 @@ class AgentGroup(NamedTuple):
     agents: slice
     """Positions of the group among all agents."""
     seen: slice
-    """Where their observations stand in the joint one, one agent after the other."""
+    """Positions of their observations in the joint one, one agent after the other."""
 
     @property
     def n(self) -> int:

@@ -103,7 +103,7 @@ class HistoryNetwork:
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """Output, float32, (..., n_out), for an observation (..., n_in), and the columns of the last steps.
 
-        ``memory`` is what the last step gave, None at an episode's beginning.
+        ``memory`` is the one that the last step returned, None at an episode's beginning.
         """
         seen = np.asarray(observation, dtype=np.float32)
         wide, memory = with_changes(seen, memory, self.columns, self.steps)

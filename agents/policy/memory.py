@@ -15,7 +15,7 @@ class Remembers(Protocol):
     def advance(self, observation: Any, memory: tuple[Any, ...] | None) -> tuple[Any, tuple[Any, ...]]:
         """Output, (..., n_out), for an observation (..., n_in), and what it remembers from now on.
 
-        ``memory`` is what the last call gave, None at an episode's beginning.
+        ``memory`` is the one that the last call returned, None at an episode's beginning.
         """
         ...
 

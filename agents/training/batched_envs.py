@@ -30,7 +30,7 @@ LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
 
 
 def droop_gains(scenario: Scenario) -> Gains:
-    """Return the gains of the tuned droop; raise ValueError if there are no bundled gains."""
+    """Return the gains of the tuned droop; raise ValueError if bundled gains are missing."""
     law: Any = make_controller("droop-tuned", scenario)
     return Gains(law.k_p_mw_per_pu, law.k_q_mvar_per_pu_s, law.alpha_per_s)
 

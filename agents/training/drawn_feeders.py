@@ -73,7 +73,7 @@ def _feeder(load_kw: float, seed: int, n_bus: int, style: str) -> tuple[Feeder, 
 
 
 def _loaded(feeder: Feeder) -> np.ndarray:
-    """Positions of buses with a load, at least as many as devices may stand on."""
+    """Return the positions of buses with a load, at least as many as devices may be placed at."""
     load_kw = np.asarray(feeder.p_load_kw)
     buses = np.flatnonzero(load_kw > 0)
     buses = buses[buses > 0]

@@ -96,7 +96,7 @@ def prepared(model: Any, vec_env: JointVecEnv, last: Any) -> Any:
 
 
 def replay_arrays(model: Any) -> dict[str, Any]:
-    """What the replay buffer holds, as arrays; its position is that of the steps done."""
+    """Return the content of the replay buffer as arrays; its position is that of the steps done."""
     buffer = model.replay_buffer
     buffer.pos = model.num_timesteps // buffer.n_envs % buffer.buffer_size
     buffer.full = model.num_timesteps // buffer.n_envs >= buffer.buffer_size

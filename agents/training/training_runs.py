@@ -90,10 +90,7 @@ def _log(path: Path) -> Iterator[TextIO]:
 
 
 def train_seed(config: Any) -> str | None:
-    """Do a run, going on where it stopped; why it failed, if it did.
-
-    What it says is not shown.
-    """
+    """Do or resume a run without showing its output; return the reason if it failed."""
     from dcgrid_env.agents.training.run_folder import TrainingError
 
     try:

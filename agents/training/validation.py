@@ -1,4 +1,4 @@
-"""How good a policy is while it is trained: its cost on the validation split, against the tuned droop law there."""
+"""Validation during training: a policy's cost on the validation split, compared with the tuned droop law."""
 
 from __future__ import annotations
 

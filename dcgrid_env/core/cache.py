@@ -1,7 +1,7 @@
-"""Answers that are kept on the object they are about, and so are freed with it.
+"""Cached results that are stored on the object they belong to, and are freed with it.
 
-A cache of the whole process that has scenarios or feeders among its keys keeps every one of them alive with its
-matrices: who makes many, for random feeders or sweeps, runs out of memory. Here the object holds its own answers.
+A process-wide cache with scenarios or feeders as keys would keep all of them and their matrices in memory. A program
+that creates many, for random feeders or sweeps, would run out of memory.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def cached_on_owner(
 
 
 def fields_alone(instance: Any) -> dict[str, Any]:
-    """The fields of a dataclass instance without what is cached beside them, for pickling."""
+    """Return the fields of a dataclass instance without cached results, for pickling."""
     return {field.name: getattr(instance, field.name) for field in dataclasses.fields(instance)}
 
 

@@ -13,10 +13,10 @@ DIGITS = 16  # hexadecimal digits kept: 64 bits
 
 
 class Fields(Protocol):
-    """Says what of a value is hashed where that is not its dataclass fields: see ``fingerprint`` of scenarios."""
+    """Function that selects the hashed parts of a value other than its dataclass fields: see ``fingerprint``."""
 
     def __call__(self, value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
-        """Name that stands for the value's type, and its fields in order; None for the walker's own way."""
+        """Return a name for the value's type and its fields in order; None for the default treatment."""
         ...
 
 

@@ -1,8 +1,8 @@
 """Rows of a batch spread over the cores of this process.
 
-The calling thread takes a slice as well, so that it never waits idly for a core that it could use itself. The others
-are a thread pool of our own around kernels that release the interpreter lock, rather than the compiler's parallel
-loops: those use a runtime that breaks in a child process made by fork, as vectorised environments make them.
+The calling thread also takes a slice, so it never waits idly for a core that it could use itself. The other threads are
+a separate thread pool around kernels that release the interpreter lock. The compiler's parallel loops are not used,
+because their runtime breaks in a child process created by fork, as in vectorised environments.
 """
 
 from __future__ import annotations

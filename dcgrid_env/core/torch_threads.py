@@ -1,9 +1,9 @@
-"""torch on one thread while batches of tensors step and are differentiated, so that one set of threads works: ours.
+"""Restrict torch to one thread while batches of tensors step and are differentiated.
 
-Two sets on the same cores wait for each other: torch's threads spin between its operations, on a core that the power
-flow's threads are to run on, and these operations are so small that torch gains nothing by a second thread
-(docs/decisions/0023-threads.md). The setting that a program has made is put back behind every call, which takes a third
-of a microsecond. Imported by who is given torch tensors, and so has torch already.
+Otherwise torch's threads spin between operations on cores that the threads of the power flow need. The operations are
+so small that torch gains nothing from a second thread (docs/decisions/0023-threads.md). The program's setting is
+restored after every call, which takes a third of a microsecond. Only modules that receive torch tensors import this
+one, so torch is already loaded.
 """
 
 from __future__ import annotations

@@ -9,9 +9,10 @@ from dcgrid_env.core.compiled import compiled
 
 @compiled
 def dispatch_rows(s_rated_kva, q_max_kvar, p_kw, q_setpoint_kvar):
-    """Reactive injection and its limit, kvar, (row, n_device), from ratings (n_device,) and powers (row, n_device).
+    """Return the reactive injection and its limit, kvar, (row, n_device).
 
-    The bits are those of the array form; what is not finite stays so.
+    Ratings have the shape (n_device,), powers (row, n_device). The results are identical to those of the array form to
+    the bit, and figures that are not finite remain so.
     """
     limit = np.empty_like(p_kw)
     q_kvar = np.empty_like(p_kw)

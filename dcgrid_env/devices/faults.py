@@ -1,9 +1,12 @@
 """Faults of an episode: a device is lost at a time drawn in each episode, and may return.
 
-A lost inverter injects nothing. A data centre that trips goes on with its work on its own supply and draws nothing from
-the grid until it returns (so did some 1,500 MW of data centres in July 2024, NERC, "Incident review: considering
-simultaneous voltage-sensitive load reductions", 2025). A lost capacitor injects nothing. A lost storage
-neither charges nor discharges, and keeps its energy except for stand-by losses.
+A lost inverter injects nothing. A data centre that trips continues its work on a separate supply and draws nothing from
+the grid until it reconnects. Some 1,500 MW of data centres did so in July 2024 [1]_. A lost capacitor injects nothing.
+A lost storage neither charges nor discharges, and keeps its energy except for standby losses.
+
+References
+----------
+.. [1] NERC, "Incident review: considering simultaneous voltage-sensitive load reductions", 2025.
 """
 
 from __future__ import annotations

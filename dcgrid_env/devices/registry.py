@@ -42,9 +42,9 @@ def register_device(kind: type[_Kind]) -> type[_Kind]:
 
 
 def device_kind(name: str) -> type[Any]:
-    """The class of devices of a kind, which another package may have by its entry point ``dcgrid.devices``.
+    """Return the class of devices of a kind, also from another package's entry point ``dcgrid.devices``.
 
-    KeyError for an unknown kind; PluginError where what another package hands over is no class of such devices.
+    Raises KeyError for an unknown kind, and PluginError if the entry point does not give a class of such devices.
     """
     kind: Any = DEVICE_REGISTRY[name][1]
     if (origin := DEVICE_REGISTRY.origin(name)) is not None:

@@ -77,7 +77,7 @@ class Simulation:
         """Begin a new episode in every environment, or where ``mask`` is True.
 
         An environment with a seed begins that seed's first episode; with None it begins its next one since it was
-        last seeded. What else is ``given`` has a row for each environment that begins.
+        last seeded. The arrays of ``given`` have a row for each environment that begins.
         """
         env_indices = np.arange(self.n_env) if mask is None else np.flatnonzero(mask)
         drawn = self._begin(env_indices, seeds, given)

@@ -175,11 +175,14 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
     def state(self) -> np.ndarray:
         """Return the global state, float32.
 
-        In turn: (V - 1) / band of every node but the substation's; draw and reactive injection of every agent as shares
-        of its rating and limit; the fields of every device, each over its slots, the preview among them whether or not
-        agents are granted it (a data centre's p_ref over the coming interval and backlog, as shares of its rating and
-        in seconds at it; under a clock law of two work classes the compute-bound parts of both); the share of the
-        episode that has passed.
+        The state contains, in this order:
+
+        - (V - 1) / band of every node except the substation's.
+        - Draw and reactive injection of every agent, as shares of its rating and limit.
+        - The fields of every device, each over its slots, including the preview even if agents do not observe it. For
+          a data centre these are p_ref over the coming interval, as a share of its rating, and the backlog, in seconds
+          at the rating. A clock law of two work classes adds the compute-bound parts of both.
+        - The share of the episode that has passed.
         """
         from dcgrid_env.engine.exogenous import episode  # brings the compiler with it, so not on import
 

@@ -41,7 +41,7 @@ class OneNodeABus:
 
     @cached_property
     def node_phase(self) -> IntArray:
-        """Phase of each node, shape (n_node,): 0, which stands for the positive sequence of a balanced feeder."""
+        """Phase of each node, shape (n_node,): always 0, the positive sequence of a balanced feeder."""
         return _read_only(np.zeros(self.n_node, dtype=np.intp))
 
     @cached_property

@@ -1,4 +1,4 @@
-"""The named feeders that ship with the package; each one's source stands in its feeder.toml."""
+"""The bundled feeders by name; the feeder.toml of each contains its source."""
 
 from __future__ import annotations
 

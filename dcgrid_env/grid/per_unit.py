@@ -20,7 +20,7 @@ def _read_only(array: Any) -> Any:
 
 
 class PerUnit:
-    """Mixed into ``Feeder``: what follows from its fields, made when it is first asked for."""
+    """Mix-in of ``Feeder`` with quantities derived from its fields, computed on first access."""
 
     base_kv: float
     bus_ids: tuple[str, ...]
@@ -50,7 +50,7 @@ class PerUnit:
 
     @cached_property
     def depth_first(self) -> DepthFirst:
-        """The buses in depth-first order from the substation, and where each stands in it."""
+        """Buses in depth-first order from the substation, and the position of each in that order."""
         return depth_first(self.parent)
 
     @cached_property

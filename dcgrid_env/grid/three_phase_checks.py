@@ -22,9 +22,9 @@ _FAR = 10.0
 
 
 def check_three_phase(network: Network) -> None:
-    """Raise FeederError unless every cell can be used and every component stands at buses that have its phases.
+    """Raise FeederError unless every cell is valid and the buses of every component have its phases.
 
-    Whether the grid is radial, and fed from the right side, is not looked at here: see ``three_phase_tree``.
+    ``three_phase_tree`` checks that the grid is radial and fed from the right side.
     """
     for kind in ("line", "load", "shunt"):
         if len(getattr(network, kind)):

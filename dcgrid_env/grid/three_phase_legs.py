@@ -1,4 +1,4 @@
-"""The legs of a three-phase feeder: what draws between two nodes, or between a node and ground.
+"""The legs of a three-phase feeder: elements that draw between two nodes, or between a node and ground.
 
 With u the voltage across a leg over its rated voltage, a leg draws I = (p h_p - j q h_q) V / V_rated^2, and
 
@@ -31,7 +31,7 @@ SHARES = {
 
 
 class Legs(NamedTuple):
-    """Legs of the loads, and of the capacitors; arrays over legs but for names."""
+    """Legs of the loads and the capacitors; all fields except names are arrays over legs."""
 
     row: NDArray[np.intp]
     """Row of the table that the leg is of."""

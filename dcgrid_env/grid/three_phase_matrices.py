@@ -1,8 +1,9 @@
 """The generalised matrices of every branch of a three-phase feeder, and the susceptances at its buses, per unit.
 
-W. H. Kersting, "Distribution System Modeling and Analysis", chapters 6 to 8: V_m = A V_n - B I_m and I_n = d I_m from
-the sending bus n to the receiving bus m, line-to-ground voltages and line currents. Charging stands at the buses, half
-of it at either end of a line, so that there is no third matrix; and the branches are reciprocal, d = A^T.
+The equations follow W. H. Kersting, "Distribution System Modeling and Analysis", chapters 6 to 8. From the sending bus
+n to the receiving bus m they are V_m = A V_n - B I_m and I_n = d I_m, for line-to-ground voltages and line currents.
+Half of a line's charging is modelled at each of its two buses, so a third matrix is not needed. The branches are
+reciprocal: d = A^T.
 
 Per unit is on the line-to-neutral base voltage of each bus and one base power a phase, ``PHASE_BASE_KVA``.
 docs/decisions/0010-three-phase.md has the derivation.
@@ -30,7 +31,7 @@ _ZERO_SEQUENCE_FREE = np.eye(3) - np.ones((3, 3)) / 3.0
 class Branches(NamedTuple):
     """Matrices over buses in depth-first order; those of bus 0 are the source's, whose impedance feeds it.
 
-    Rows and columns are the phases that the fed bus has, in order, from the first; what is beyond them is 0.
+    The first rows and columns are the phases of the fed bus, in order. The remaining entries are 0.
     """
 
     a: NDArray[np.float64]
@@ -42,7 +43,7 @@ class Branches(NamedTuple):
     shunt: NDArray[np.float64]
     """Susceptance to ground of lines and terminals at each bus, shape (n_bus, 3, 3)."""
     sending_shunt: NDArray[np.float64]
-    """The share of it that stands at the sending end of the branch to each bus, by its phases, (n_bus, 3, 3)."""
+    """Part of it at the sending end of the branch to each bus, by the phases of that bus, shape (n_bus, 3, 3)."""
 
 
 def branches_of(network: Network, tree: Tree, base_kv: NDArray[np.float64]) -> Branches:
@@ -86,7 +87,10 @@ def _switch(network: Network, branch: Branch, bases: tuple[float, float]) -> tup
 
 
 def _transformer(network: Network, branch: Branch, bases: tuple[float, float]) -> tuple:
-    """Kersting, chapter 8. The impedance stands at the to-side, which is wye or the equivalent wye of a delta."""
+    """Return the matrices of a transformer by Kersting, chapter 8, with its impedance at the to-side.
+
+    The to-side is a wye or the equivalent wye of a delta.
+    """
     row, table, size = branch.rows[0], network.transformer, len(branch.phases)
     kva = table.kva[row] / size
     windings = (table.connection_from[row], table.connection_to[row])

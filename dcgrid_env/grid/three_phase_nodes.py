@@ -104,7 +104,7 @@ class PhaseNodes:
 
     @cached_property
     def source_nodes(self) -> IntArray:
-        """Nodes of the source bus. Its voltage is not held: the ideal source stands behind an impedance."""
+        """Nodes of the source bus, whose voltage varies because the ideal source is behind an impedance."""
         return read_only(np.flatnonzero(self.node_bus == 0), np.intp)
 
     @cached_property

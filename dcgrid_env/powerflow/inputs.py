@@ -1,4 +1,4 @@
-"""Inputs of a power flow, checked and converted to arrays of one kind. What cannot be used is refused by name."""
+"""Inputs of a power flow, checked and converted to arrays of one kind; errors name the invalid input."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def substation_voltage(feeder: Feeder | ThreePhaseFeeder, p_kw: Array, v0_pu: An
 
 
 def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
-    """Squared currents to start from, of the loads' kind; PowerFlowError unless shaped (..., n_branch) as they are.
+    """Return squared currents to start from, of the loads' kind; PowerFlowError unless (..., n_branch) fits the loads.
 
-    That they are finite is not asked: the sweeps begin anew from zero where a start is of no use.
+    They need not be finite, because the sweeps restart from zero if a start cannot be used.
     """
     if warm is None:
         return None
@@ -80,9 +80,10 @@ def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
 
 
 def less_switched_shunts(feeder: Feeder, p_kw: Any, q_kvar: Any, control: Control) -> Array:
-    """Reactive loads of a balanced feeder less what switched shunts inject; PowerFlowError for a tap, or a wrong shape.
+    """Return reactive loads of a balanced feeder minus the injection of switched shunts.
 
-    A switched shunt injects what it is rated for whatever the voltage, as the feeder's fixed capacitors do.
+    Raises PowerFlowError for a tap or capacitor state, or a wrong shape. A switched shunt injects its rating at any
+    voltage, as the feeder's fixed capacitors do.
     """
     for field, component in (("tap_ratio", "regulator"), ("capacitor_on", "bank of capacitors")):
         value = getattr(control, field)

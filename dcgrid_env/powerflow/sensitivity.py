@@ -1,12 +1,12 @@
-"""How far the voltage at each node moves with the power at each node.
+"""Sensitivity of the voltage at each node to the power at each node.
 
-A balanced feeder is linearised around 1 p.u. without load, a three-phase feeder around its base case: its own loads,
-taps and capacitors, since the base taps and the laws of the loads are part of how its voltages move.
+A balanced feeder is linearised around 1 p.u. without load. A three-phase feeder is linearised around its base loads,
+taps and capacitors, because the base taps and the load models affect its sensitivities.
 
 For a balanced feeder these are the matrices R and X of LinDistFlow: the sums of r and x over the path that two nodes
 share to the substation (M. E. Baran, F. F. Wu, "Optimal capacitor placement on radial distribution systems", IEEE
-Trans. Power Delivery 4(1), 1989). Transformers off their nominal ratio raise what a voltage moves as they raise
-the voltage. Shunts are left out, as losses are: what they do to these figures is of second order.
+Trans. Power Delivery 4(1), 1989). Transformers off their nominal ratio scale a change of voltage as they scale the
+voltage. Shunts and losses are left out, because their effect on these figures is of second order.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ def sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
 
 
 def sensitivity_by(feeder: Feeder, buses: Sequence[int]) -> Sensitivity:
-    """Derivative of the voltage at every bus by the power injected at some buses alone, without the whole matrices.
+    """Return the derivative of the voltage at every bus by the power injected at some buses, without whole matrices.
 
-    What is returned grows with the number of buses and is made in as long: the shared path of two buses ends at their
-    lowest common ancestor, so that a row is a prefix sum, in depth-first order, of what each branch of a path adds
-    where its subtree begins and takes back where it ends.
+    Memory and time are linear in the number of buses. The shared path of two buses ends at their lowest common
+    ancestor. A row is therefore a prefix sum in depth-first order: each branch of a path adds its impedance where its
+    subtree begins and subtracts it where the subtree ends.
 
     Returns
     -------

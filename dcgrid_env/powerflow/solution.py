@@ -8,7 +8,7 @@ from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.grid.feeder import Feeder
 
 V_SQ_FLOOR = 1e-4
-"""A squared voltage this low is no operating point: the iteration is on its way to collapse."""
+"""Squared voltage below which the iteration is considered to collapse, as no feeder operates there."""
 V_SQ_CEILING = 1e4
 """Nor is one this high: an iteration under impossible injections runs away upwards."""
 LINEAR_SWEEPS = 1000
@@ -26,8 +26,8 @@ class PowerFlowError(ValueError):
 class Solution(NamedTuple):
     """Voltages and flows of a batch of feeders; leading dimensions are those of the loads.
 
-    Where ``converged`` is False no solution was found, most likely because there is none: the load is beyond what the
-    feeder can carry. Voltages and flows are then finite but no solution, and the residual may be infinite.
+    If ``converged`` is False, the solver found no solution, most likely because none exists: the load exceeds the
+    feeder's limit. Voltages and flows are then finite but not a solution, and the residual may be infinite.
     """
 
     v_pu: Array
@@ -39,7 +39,7 @@ class Solution(NamedTuple):
     current_sq_pu: Array
     """Squared current of branch k, per unit, shape (..., n_branch)."""
     loss_kw: Array
-    """Active loss of all branches, kW, shape (...); the draw of shunts is none of it."""
+    """Active loss of all branches without the draw of shunts, kW, shape (...)."""
     converged: Array
     """Whether the residual is within the tolerance, bool, shape (...)."""
     iterations: Array
@@ -47,8 +47,10 @@ class Solution(NamedTuple):
     residual_kva: Array
     """Largest power mismatch at any bus, kVA, shape (...)."""
     restart: Array
-    """Where the solver that made this can start the next, similar power flow from, shape (..., n). What stands in it is
-    that solver's own business; a row of zeros is no start."""
+    """Start for the next, similar power flow with the same solver, shape (..., n).
+
+    The content depends on the solver. A row of zeros means without a start.
+    """
 
 
 def raise_not_finite(feeder: Feeder, p_kw: Array, q_kvar: Array) -> None:

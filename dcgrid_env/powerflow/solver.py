@@ -44,16 +44,16 @@ class Solver(Protocol):
         source_voltage_pu
             Voltage of the source, p.u., a number or an array that broadcasts to shape (...).
         control
-            What devices change of the grid; None for nothing.
+            Changes of the grid by devices; None for no change.
         start
-            ``Solution.restart`` of a similar power flow of the same shape, where to start from. Zeros and None mean
-            that nothing is known, and a start that leads nowhere is set aside.
+            ``Solution.restart`` of a similar power flow of the same shape, to start from. Zeros and None mean without a
+            start, and a start that does not converge is discarded.
 
         Raises
         ------
         PowerFlowError
-            For input that cannot be used, a control that the feeder has no use for among it. A load without a
-            solution is no error: see ``Solution.converged``.
+            For invalid input, including a control that the feeder does not support. A load without a solution does
+            not raise an error: see ``Solution.converged``.
         """
         ...
 

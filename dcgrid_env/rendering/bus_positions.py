@@ -16,11 +16,11 @@ _WIDTH_TO_HEIGHT = 1.35
 
 
 def positions(feeder: AnyFeeder) -> FloatArray:
-    """Where each bus goes in a drawing, shape (n_bus, 2); distinct, finite and the same at each call.
+    """Return the position of each bus in a drawing, shape (n_bus, 2); distinct, finite and the same at each call.
 
-    The published coordinates where the feeder has them. A bus without, or on top of another, goes beside the bus that
-    it hangs on. Where fewer than half are known: a tree that grows to the right from the substation, the longest path
-    straight, laterals to either side of it and no branch across another.
+    Published coordinates are used if the feeder has them. A bus without coordinates, or on top of another, is placed
+    next to its upstream bus. If fewer than half are known, the drawing is a tree that grows to the right from the
+    substation: the longest path is straight, laterals are on either side of it, and branches do not cross.
     """
     xy = np.column_stack((feeder.x, feeder.y))
     xy[~np.isfinite(xy).all(axis=1)] = np.nan
@@ -36,7 +36,7 @@ def positions(feeder: AnyFeeder) -> FloatArray:
 
 
 def _rows_of_paths(feeder: AnyFeeder) -> FloatArray:
-    """A tree that grows to the right, each lateral on rows of its own below its path; in time linear in the buses."""
+    """Lay out a tree that grows to the right, each lateral on separate rows below its path, in linear time."""
     order, _, parent, end = feeder.depth_first
     column = np.zeros(len(order))
     for k in range(1, len(order)):
@@ -52,7 +52,7 @@ def _rows_of_paths(feeder: AnyFeeder) -> FloatArray:
 
 
 def _near_the_next_upstream(feeder: AnyFeeder, xy: FloatArray) -> FloatArray:
-    """Fill in missing rows around the bus that feeds them, or is fed by them, each in a direction of its own."""
+    """Fill in missing rows around the bus that feeds them, or is fed by them, each in a different direction."""
     size = float(np.nanmax(np.ptp(xy[np.isfinite(xy[:, 0])], axis=0)))
     order, _, parent, _ = (indices.tolist() for indices in feeder.depth_first)
     golden_angle = np.pi * (3.0 - 5.0**0.5)

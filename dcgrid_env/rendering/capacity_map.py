@@ -36,7 +36,7 @@ class CapacityMap(FeederMap):
     ax, feeder, xy
         See ``feeder_map.draw_feeder``.
     capacity_mw
-        What each bus carries, MW, (n_bus,); NaN for buses that are no candidates.
+        Capacity of each bus, MW, (n_bus,); NaN for buses that are not candidates.
     norm
         The colour scale.
     """
@@ -70,16 +70,16 @@ class CapacityMap(FeederMap):
 
 
 def capacity_figure(feeder: AnyFeeder, capacities_mw: Mapping[str, NDArray[np.float64]], title: str) -> Figure:
-    """A panel for each controller, all on one scale.
+    """Draw a panel for each controller, all on one scale.
 
     Parameters
     ----------
     feeder
         The feeder.
     capacities_mw
-        By controller what each bus carries, MW, (n_bus,); NaN for buses that are no candidates.
+        Capacity of each bus by controller, MW, (n_bus,); NaN for buses that are not candidates.
     title
-        What stands above all panels.
+        Title above all panels.
 
     Returns
     -------

@@ -47,14 +47,14 @@ class Lowest(NamedTuple):
 
 
 class Envelope:
-    """The course of one environment's episode over intervals; it takes a course part by part, see ``PartSink``.
+    """Time series of one environment's episode over intervals, collected part by part, see ``PartSink``.
 
     Parameters
     ----------
     scenario
-        What is run.
+        The scenario of the episode.
     env_index
-        Whose episode.
+        Position of the environment in the batch.
     """
 
     def __init__(self, scenario: Scenario, env_index: int = 0):

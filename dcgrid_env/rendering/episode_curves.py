@@ -24,7 +24,7 @@ _LIMIT: dict[str, Any] = {"color": "black", "linewidth": 1.1, "linestyle": (0, (
 _NAMED = 10
 """Data centres named in the legend at most."""
 _DIGIT_PT, _COMMA_PT, _PAD_PT = 5.8, 2.9, 8.0
-"""Widths on the axes, and what stands between figures, ticks and the axes' names, points."""
+"""Widths of a digit, of a comma and of the space between figures, ticks and axis names, points."""
 _NAME_PX = 33.5
 """Width of an axis's name in two lines."""
 
@@ -84,7 +84,7 @@ class Curves:
     rest_ratio = 1.0
     """Height of the axes below the voltages' next to the ratios above."""
     names_at = 0.913
-    """Where the data centres' names stand in the figure, a share of its height."""
+    """Position of the data centres' names in the figure, as a share of its height."""
 
     def __init__(self, figure: Figure, scenario: Scenario):
         self.scenario = s = scenario

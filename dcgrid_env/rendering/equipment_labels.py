@@ -49,7 +49,7 @@ def banks_of(feeder: ThreePhaseFeeder) -> list[Bank]:
 
 
 class EquipmentLabels:
-    """Labels beside the regulators' and capacitor banks' buses; a text changes where a tap or a bank does."""
+    """Labels next to the buses of regulators and capacitor banks; a text changes with its tap or bank."""
 
     def __init__(self, ax: Axes, scenario: Scenario):
         feeder: Any = scenario.feeder
@@ -75,7 +75,7 @@ class EquipmentLabels:
         return label
 
     def place(self, xy: FloatArray, room: Room, radius_pt: float) -> None:
-        """Put each label beside its bus, where its longest text covers least; ``radius_pt`` is that of a bus."""
+        """Put each label next to its bus, where its longest text covers least; ``radius_pt`` is that of a bus."""
         for label, text, bus in zip(self.labels, self._longest, self._buses, strict=True):
             lines = text.split("\n")
             label.xy = tuple(xy[bus])

@@ -27,11 +27,11 @@ _FEW_BUSES = 40
 """Feeders up to this size have their bus numbers written on the map."""
 _ARC = np.linspace(0.0, 1.0, 49)
 _WAYS = np.array([(np.cos(turn), np.sin(turn)) for turn in 2.0 * np.pi * (np.arange(16) / 16 + 0.25)])
-"""Directions in which a name may stand from its bus."""
+"""Directions of a name from its bus."""
 _REACHES = (1.0, 6.0, 14.0)
-"""How far off a name may stand from the rim of its bus, points."""
+"""Distances of a name from the rim of its bus, points."""
 _LED_REACHES = (9.0, 15.0, 22.0, 30.0, 40.0, 55.0, 75.0, 100.0)
-"""How far off it may stand where a line leads to the bus: clear of the ring of the largest unbalance."""
+"""Distances of a name with a line to its bus, points; all are outside the ring of the largest unbalance."""
 _HALO_S, _HALO_AREA = 30.0, 3600.0
 """Backlog in s of rated power at which the halo is largest, and its area then, square points."""
 
@@ -54,7 +54,7 @@ class FeederMap:
     """
 
     clear_of_own = False
-    """Whether a name beside its bus avoids that bus's box, and not its middle alone."""
+    """Whether a name next to its bus avoids the whole box of that bus, not only its centre."""
 
     def __init__(
         self, ax: Axes, feeder: AnyFeeder, xy: FloatArray, band_pu: float, names: tuple[Sequence[str], Sequence[str]]
@@ -206,9 +206,9 @@ class Room:
         self.centres, self.halves = np.empty((0, 2)), np.empty((0, 2))
 
     def take(self, i: int, n_letters: int, size: float, n_lines: float = 1.0, led: bool = False) -> FloatArray:
-        """Place a name beside bus ``i`` where it covers least; its centre's offset from the bus, (2,).
+        """Place a name next to bus ``i`` where it covers least; return the offset of its centre from the bus, (2,).
 
-        One that is ``led``, a line joins it to its bus, may stand farther off, where the line crosses few names.
+        A name that is ``led``, with a line to its bus, may be farther away, where the line crosses few names.
         """
         reaches = _LED_REACHES if led else _REACHES
         half = np.array([0.33 * size * n_letters, 0.5 * size * n_lines])
@@ -253,9 +253,9 @@ def draw_feeder(
 ) -> FeederMap:
     """Draw a feeder's one-line diagram, coloured by voltage, on an Axes of any figure.
 
-    Branches are lines whose width grows with the load behind them, buses dots, the substation a square, inverters
-    triangles, data centres large circles: the coloured arc around one is its clock, the halo its backlog.
-    A bus outside the band is ringed in black.
+    Branches are lines whose width grows with the load behind them. Buses are dots, the substation is a square,
+    inverters are triangles, and data centres are large circles. The coloured arc around a data centre shows its clock,
+    and the halo its backlog. A bus outside the band has a black ring.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ class History:
 
 
 class PhaseHistory:
-    """What a three-phase feeder has beside, one row a step."""
+    """Additional figures of a three-phase feeder, one row per step."""
 
     def __init__(self, feeder: ThreePhaseFeeder, rows: int):
         self.unbalance = np.empty((rows, len(three_phase_nodes(feeder))), np.float32)
@@ -121,14 +121,14 @@ class PhaseHistory:
 
 
 def node_words(feeder: AnyFeeder) -> tuple[str, str]:
-    """What a picture calls one node of a feeder, and several: a balanced feeder's are its buses."""
+    """Return the words for one node of a feeder and for several; the nodes of a balanced feeder are its buses."""
     return ("bus", "buses") if isinstance(feeder, Feeder) else ("node", "nodes")
 
 
 def sites_first(scenario: Scenario) -> np.ndarray:
     """Positions of the agents that have a converter, sites of work before other devices, int, (n,).
 
-    Agents that are equipment of the feeder stand with it, see ``equipment_labels``.
+    Agents that are equipment of the feeder are shown with the feeder, see ``equipment_labels``.
     """
     kinds = [device for device in scenario.devices for _ in range(device.count)]
     order = sorted(range(len(kinds)), key=lambda i: kinds[i].input != "workload")

@@ -16,16 +16,16 @@ _PARTS = re.compile(r"\d|\D+")  # digits stand alone, so that figures that count
 
 
 class Lettering(Artist):
-    """Text put together from images of its parts, each drawn once: a Text lays out and draws every letter each time.
+    """Text composed of images of its parts, each drawn once; a Text lays out and draws every letter each time.
 
     Parameters
     ----------
     figure
-        The figure that it stands in.
+        The figure that contains the text.
     xy
         Left end and vertical centre, as shares of the figure.
     font, colour
-        What it looks like.
+        Font and colour of the text.
     """
 
     def __init__(self, figure: Figure, xy: tuple[float, float], font: FontProperties, colour: str):

@@ -24,7 +24,7 @@ MIDDLE = 0.53
 
 
 class Panel(NamedTuple):
-    """A rectangle of the picture with what seldom changes in it, which is drawn anew as a whole."""
+    """A rectangle of the picture whose content seldom changes and is redrawn as a whole."""
 
     box: tuple[float, float, float, float]
     """Left, bottom, right and top, as shares of the figure."""
@@ -130,7 +130,7 @@ def by_rows(signs: list[tuple[Any, str]], columns: int = 5) -> list[tuple[Any, s
 
 
 def other_kinds(scenario: Scenario) -> list[str]:
-    """Kinds of the devices that are no sites of work and no equipment of the feeder, in the scenario's order."""
+    """Return the kinds of devices other than sites of work and equipment of the feeder, in the scenario's order."""
     others = [device for device in scenario.devices if device.input != "workload" and not is_equipment(device)]
     return [device.kind for device in others if device.count]
 

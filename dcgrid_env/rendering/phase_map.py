@@ -41,7 +41,7 @@ class PhaseMap(FeederMap):
     """A three-phase feeder drawn on an Axes; ``update`` takes the voltage of every node, (n_node,).
 
     A bus is a circle of three sectors, coloured where it has the phase; a sector outside the band has a black rim.
-    The substation stands in a square, a device that is no data centre in a triangle, the outlet of a regulator in a
+    The substation is in a square, a device other than a data centre in a triangle, and the outlet of a regulator in a
     diamond. ``label_equipment`` adds the taps and the capacitor banks, ``mark_worst`` the ring of the unbalance.
     """
 

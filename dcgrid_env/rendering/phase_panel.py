@@ -24,7 +24,7 @@ _ORDER = (
     "a top, b right, c left", "data centre; arc: clock", "halo: backlog", "substation",
     "outside limits", "largest unbalance", "regulator: taps", "capacitor on",
 )  # fmt: skip
-"""Signs in the order of the key; kinds of devices, which are named as they are, after those of its first row."""
+"""Signs in the order of the key; other kinds of devices follow the signs of the first row, by their names."""
 
 _SPLIT = 0.165
 """Where the map ends and its colour bar begins, a share of the height."""
@@ -81,7 +81,7 @@ class PhaseMapPart(MapPart):
         return self.panels[:1] if changed or said else []
 
     def _unbalance(self, factor: np.ndarray) -> list[str]:
-        """Mark the bus where the unbalance is largest, and say how large."""
+        """Mark the bus with the largest unbalance, and return the text with its value."""
         if not len(factor):
             self.feeder.mark_worst(None)
             return ["no three-phase bus"]

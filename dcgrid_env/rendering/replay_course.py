@@ -72,7 +72,7 @@ def packed(values: np.ndarray, decimals: int) -> dict[str, Any]:
 
 
 def agent_figures(run: Series) -> list[dict[str, np.ndarray]]:
-    """What there is of ``SHOWN`` for each agent, (T + 1,) each; empty for one that is equipment of the feeder."""
+    """Return the available figures of ``SHOWN`` by agent, (T + 1,) each; none for equipment of the feeder."""
     s, rows = run.scenario, len(run.v_pu)
     q_kvar = np.vstack((np.zeros((1, s.n_agents)), run.q_kvar))
     figures: list[dict[str, np.ndarray]] = [{} for _ in range(s.n_agents)]

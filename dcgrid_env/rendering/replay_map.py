@@ -1,4 +1,4 @@
-"""The feeder as the replay's page draws it: buses, branches, agents and equipment, and where their names stand."""
+"""The feeder on the replay page: positions of buses, branches, agents, equipment and their names."""
 
 from __future__ import annotations
 

@@ -53,21 +53,21 @@ class Replay:
 
 
 def replay(history: Series | Sequence[Series] | Mapping[str, Series], title: str | None = None) -> Replay:
-    """A page that replays one episode, or the same episode under several controllers side by side.
+    """Return a page that replays one episode, or the same episode under several controllers side by side.
 
     Parameters
     ----------
     history
-        What :class:`dcgrid_env.Recorder` or ``dcgrid_env.baselines.rollout`` gives of episodes, one or several; by
-        controllers' names in a mapping.
+        One or several episodes from :class:`dcgrid_env.Recorder` or ``dcgrid_env.baselines.rollout``; a mapping has the
+        controllers' names as keys.
     title
-        What stands above; the scenario and its split by default.
+        Title of the page; the scenario and its split by default.
 
     Raises
     ------
     ValueError
-        For no episode, for more than ``MOST_RUNS``, for those that differ in more than what was done, for those too
-        long for a page, and where the extra ``replay`` is not installed.
+        Without an episode, for more than ``MOST_RUNS``, or for episodes that differ in more than the actions or are too
+        long for a page. Also if the extra ``replay`` is not installed.
     """
     runs = _named(history)
     _check(runs)

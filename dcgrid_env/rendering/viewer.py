@@ -170,7 +170,7 @@ def _rgb(buffer: Any) -> np.ndarray:
 
 
 def _open_window(size: tuple[float, float]) -> Figure | None:
-    """A figure of pyplot's with a window, or None, logged, where there is no way to show one."""
+    """Return a pyplot figure with a window; log a message and return None if a window cannot be shown."""
     from matplotlib import pyplot
     from matplotlib.backend_bases import FigureManagerBase
     from matplotlib.backends.registry import backend_registry

@@ -1,1 +1,1 @@
-"""Scenarios: what is fixed before an episode is drawn, its checks, plain form and fingerprint, and the presets."""
+"""Scenarios: the settings fixed before an episode is drawn, their checks, plain form, fingerprint and presets."""

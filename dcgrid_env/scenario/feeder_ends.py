@@ -8,12 +8,12 @@ from dcgrid_env.grid import AnyFeeder, Feeder
 
 
 def feeder_ends(feeder: AnyFeeder, allowed: np.ndarray) -> list[int]:
-    """Positions in ``bus_ids`` of the ends, those that stand the farthest apart first.
+    """Return the positions in ``bus_ids`` of the feeder's ends, starting with those that are farthest apart.
 
-    An end is an allowed bus with no allowed bus behind it. The first is the electrically farthest from the source; each
-    next is the one with the most impedance between itself and the paths to those before it, so that a few ends are on
-    different branches rather than side by side at the tip of the longest. (This is the long-path decomposition of the
-    tree, with one pass over it.)
+    An end is an allowed bus without an allowed bus behind it. The first end is the electrically farthest from the
+    source. Each next end has the most impedance between itself and the paths to the previous ends. The first few ends
+    are therefore on different branches rather than side by side at the tip of the longest. This is the long-path
+    decomposition of the tree, computed in one pass.
 
     Parameters
     ----------

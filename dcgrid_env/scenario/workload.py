@@ -30,8 +30,10 @@ class Workload:
     recording_split: RecordingSplit = choice("time", "recording", default="time")
     """Whether each recording is cut in time, or whole recordings go to the splits in these shares."""
     window: TraceWindow = choice("random", "start", "together", default="random")
-    """Start of an episode in a trace: random for each site, the trace's start, or a random time that all sites of an
-    episode share (``together``: simultaneous recorded or generated power stays simultaneous)."""
+    """Start of an episode in a trace: random for each site, the trace's start, or a random time shared by all sites.
+
+    With the shared time (``together``), power that was recorded or generated simultaneously remains simultaneous.
+    """
     site_correlation: float = number(0.0, 1.0, default=0.0)
     """Probability that a site has the same row and time as the first one; 1 for all sites in step."""
     compute_share: float = number(0.0, 1.0, default=1.0)

@@ -49,7 +49,7 @@ class Cluster(Place):
 
     @property
     def nodes(self) -> list[dict[str, Any]]:
-        """What Ray says of the nodes that are alive and have cores for units."""
+        """Ray's description of the nodes that are alive and have cores for units."""
         return [node for node in self.ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
 
     def waits_for(self, units: Sequence[Unit[Any, Any]]) -> str:
@@ -112,7 +112,7 @@ class Cluster(Place):
 
 
 def cluster(address: str) -> Cluster:
-    """Connect to a Ray cluster, on all of whose nodes the same versions of this package and of its libraries stand.
+    """Connect to a Ray cluster whose nodes all have the same versions of this package and of its libraries.
 
     Parameters
     ----------
@@ -123,9 +123,9 @@ def cluster(address: str) -> Cluster:
     Raises
     ------
     ValueError
-        For an address that cannot be, where Ray is not installed, or nodes that have other versions, by their names.
+        If the address is invalid, Ray is not installed, or nodes have other versions; the message names the nodes.
     OSError
-        Where no cluster answers.
+        If no cluster answers.
     """
     _check(address)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -190,10 +190,10 @@ def _require_same_code(found: Cluster) -> None:
 
 
 def _asked() -> Callable[[tuple[str, ...]], dict[str, str | None]]:
-    """A function that workers get whole, as they may lack this package: what stands on a node.
+    """Return a self-contained function that reports the software of a node, which may lack this package.
 
-    Versions of packages, None for one that is not installed, and a hash of this package's code, which may differ where
-    its version does not.
+    It returns versions of packages, None for one that is not installed, and a hash of this package's code, which can
+    differ between nodes with equal versions.
     """
 
     def installed(packages: tuple[str, ...]) -> dict[str, str | None]:

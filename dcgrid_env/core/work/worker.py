@@ -1,4 +1,4 @@
-"""What a worker is to a unit: one that catches its errors, gives it the shared values, and ends in order."""
+"""Execution of a unit in a worker: error handling, shared values and orderly termination."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def attempt(work: Callable[[Item], Result], item: Item) -> Result | Lost:
 
 
 def _lost(error: BaseException) -> Lost:
-    """What is told of an error; one that cannot be sent to another process is described alone."""
+    """Return the report of an error; an error that cannot be pickled is replaced by its description."""
     reason = " ".join(str(error).split())
     if not isinstance(error, ValueError | OSError) or not reason:
         reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
@@ -88,7 +88,7 @@ def begin_process(values: bytes) -> None:
 
 
 def _end_with_parent() -> None:
-    """A parent that is killed tells nobody: its sentinel does."""
+    """Wait for the parent's sentinel and exit, because a killed parent cannot notify its workers."""
     from multiprocessing import parent_process
     from multiprocessing.connection import wait
 
@@ -99,7 +99,7 @@ def _end_with_parent() -> None:
 
 
 def attempt_in_process(work: Callable[[Item], Result], item: Item, words: Sequence[str]) -> Result | Lost:
-    """``attempt`` in a process of its own, which a termination ends once what the work had half written is gone.
+    """Run ``attempt`` in a separate process; a termination removes partly written files before the process ends.
 
     ``words`` are those of the command that runs, see ``command_of``.
     """

@@ -1,11 +1,11 @@
-"""A capacitor bank's own control: on and off by the voltage at its bus, or by the reactive power into it, with a delay.
+"""Built-in control of a capacitor bank: switches by the voltage or the reactive power at its bus, with a delay.
 
     voltage: on below ``on_below_pu``, off above ``off_above_pu``, the mean of the bank's phases
     kvar: on above ``on_above_share``, off below ``off_below_share``, what the branch brings to the bank's phases of
     its bus, what the bank injects subtracted, as a share of the bank's rating
 
-A threshold must be passed for ``delay_s`` without a break. A bank is switched once in a step at most, however long, and
-its clock then begins anew at the step's end.
+A threshold must be passed for ``delay_s`` without a break. A bank is switched at most once in a step of any length, and
+its timer then restarts at the end of the step.
 """
 
 from __future__ import annotations

@@ -162,11 +162,11 @@ class BatchedSites(PassesBy):
         return (feature_state.batch,)
 
     def amount(self, name: str, params: DataCenterParams, feature_state: BatchState) -> Array:
-        """What the term of ``cost_terms`` charges."""
+        """Return the amount that the term of ``cost_terms`` charges."""
         return feature_state.gathered_kws
 
     def totals(self, feature_state: BatchState) -> dict[str, Array]:
-        """Nothing of all slots together."""
+        """Return an empty dictionary, because batching has no totals over slots."""
         return {}
 
     def metrics(

@@ -45,8 +45,10 @@ def work_classes_of(dvfs: Any) -> int:
 
 
 def speed_share(dvfs: Dvfs, params: DataCenterParams, f_mhz: np.ndarray) -> np.ndarray:
-    """Speed of each work class at a clock as a share of that at the top clock, (..., n_dc, n_class), for ``f_mhz``
-    (..., n_dc): how much of more work than can be done is done."""
+    """Return the speed of each work class at a clock as a share of that at the top clock, (..., n_dc, n_class).
+
+    ``f_mhz`` has the shape (..., n_dc). The speed is measured with more work than the site can serve.
+    """
     shares = []
     for work_class in range(work_classes_of(dvfs)):
         plenty = np.zeros((*f_mhz.shape, work_classes_of(dvfs)))

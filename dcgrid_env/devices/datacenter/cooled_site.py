@@ -3,7 +3,7 @@
     C'(t) = (k P - C) / tau       C: cooling power, k: cooling_share, P: draw of the computers, held over an interval
     drawn = P + mean of C over the interval + auxiliary_share p_rated
 
-The lag is solved exactly over each interval, so that any step is stable and no energy is lost between two. Before t = 0
+The lag is solved exactly over each interval, so any step length is stable and the energy balance is exact. Before t = 0
 the cooling has settled.
 """
 

@@ -5,11 +5,11 @@
     p       = min(p_ref, p_idle) + power(f, ...)    drawn from the grid
     backlog' = backlog + (a - d) dt                 kW s of nominal work
 
-After arXiv 2507.06416, section II, with work that cannot be served before it arrives. A law of two classes has a, d
-and backlog for each, with a in the proportion in which the work arrives. Where p_ref may exceed the rating for a moment
-(boost), the law is given max(p_rated - p_idle, a) for the site's dynamic power: what arrives above the rating is served
-at once at the top clock, while a backlog is worked off at the rating only. The converter's reactive side is in
-``converter``.
+The model follows arXiv 2507.06416, section II, except that work cannot be served before it arrives. A law of two
+classes has a, d and backlog for each class, with a in the proportion in which the work arrives. If p_ref may exceed the
+rating for a moment (boost), the law uses max(p_rated - p_idle, a) as the site's dynamic power. Work that arrives above
+the rating is then served at once at the top clock, while a backlog is worked off at the rating only. ``converter``
+contains the reactive power of the converter.
 """
 
 from __future__ import annotations
@@ -36,8 +36,10 @@ class DataCenterState(NamedTuple):
     served_kw: Array
     """Dynamic power of work served in it, kW."""
     class_backlog_kws: Array
-    """Backlog, work arrived and work served by work class, compute-bound first, each first come first served; under a
-    clock law of one work class what stands in the fields without class."""
+    """Backlog, work arrived and work served by work class, compute-bound first, each first come first served.
+
+    With a clock law of one work class they equal the fields without class.
+    """
     class_arrived_kw: Array
     class_served_kw: Array
 

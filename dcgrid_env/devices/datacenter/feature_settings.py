@@ -1,7 +1,7 @@
-"""The fields of data centres that hold the settings of a feature, and what is made of them.
+"""The fields of data centres with the settings of a feature, and the objects built from them.
 
-A class of settings may have a method ``check_slots`` or ``check_sites``, which raises FieldError for what cannot be of
-such sites, and one ``check_step`` for what cannot be in steps of a length.
+A class of settings may have a method ``check_slots`` or ``check_sites``, which raises FieldError for settings that are
+invalid for the sites, and a method ``check_step`` for settings that are invalid for a step length.
 """
 
 from __future__ import annotations
@@ -33,8 +33,11 @@ SETTINGS: dict[str, type[Any]] = {
     "storage": SiteStorage,
     "service": ServiceLevels,
 }
-"""The class of the settings in each field, in the order in which features act: on the work, from the chips towards the
-grid, and service levels last, since they see what was served in the end."""
+"""Class of the settings in each field, in the order in which features act.
+
+The first act on the work, the next from the chips towards the grid. Service levels are last because they depend on the
+work that was finally served.
+"""
 METRICS = (
     *work_routing.METRICS,
     *batching.METRICS,
@@ -61,7 +64,7 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     **{field: partial(with_path, field, from_mapping, kind) for field, kind in SETTINGS.items()},
     "ride_through": partial(with_path, "ride_through", rule_of, UpsRideThrough),
 }
-"""How settings are made of their plain form, a mapping of their fields, for each field."""
+"""Function for each field that creates settings from their plain form, a mapping of their fields."""
 
 
 def check_settings(sites: Any) -> None:

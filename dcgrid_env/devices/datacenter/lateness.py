@@ -1,7 +1,7 @@
 """Lateness of work with a deadline, from the work that arrived and was served in each step.
 
-Work that arrives in step k and is served in step m has waited m - k steps, one more if it was moved, and is late by
-what that is beyond its slack. Work that is not served by the end counts as if it were in the step after the last.
+Work that arrives in step k and is served in step m has waited m - k steps, one more if it was moved. It is late by the
+part of this wait that exceeds its slack. Work that is not served by the end counts as served one step after the last.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ def _of_site(
 def serve_in_line(
     line: Line, served: np.ndarray, first: int, rounding: float, note: Callable[[int, np.ndarray], None]
 ) -> np.ndarray:
-    """What is left of each in line after some steps, the first of which is ``first``.
+    """Serve a queue over some steps, starting with ``first``, and return the remaining amount of each entry.
 
-    ``note`` is given each step and what it took of each.
+    ``note`` is called with each step and the amount taken from each entry.
     """
     left = line.amount.copy()
     for step, capacity in enumerate(served, first):
@@ -98,7 +98,7 @@ def serve_in_line(
 
 
 class Line(NamedTuple):
-    """What arrived, in the order in which it is served, (n,) or by kind of work, interactive first, (2, n)."""
+    """Arrived work in the order of service, (n,) or by kind of work, interactive first, (2, n)."""
 
     amount: np.ndarray
     came: np.ndarray
@@ -129,9 +129,9 @@ class Line(NamedTuple):
 def line_up(
     parts: tuple[np.ndarray, np.ndarray], slack: tuple[int, int], share: float, by_deadline: bool, first: int = 0
 ) -> Line:
-    """All work in line: of the earliest deadline first each kind by itself, else both mixed as they arrive.
+    """Queue all work: each kind separately for earliest deadline first, otherwise both mixed as they arrive.
 
-    ``parts`` is what was kept and what was moved in each step, (n_step,), the first of which is ``first``.
+    ``parts`` contains the work kept and the work moved in each step, (n_step,); the first step is ``first``.
     """
     steps, shares = first + np.arange(len(parts[0])), (share, 1.0 - share)
     amounts, places, came, of_kind, due, groups = [], [], [], [], [], []

@@ -1,8 +1,8 @@
 """Requests whose work is moved between sites: the serving site, and waits in addition to the queue's.
 
-Work is a fluid, and requests are followed one by one to find their delays. Of the requests that arrive at a site in a
-step as large a share goes elsewhere as of its work, spread evenly among them, and to the sites that receive in the
-proportion in which they do; each is then served in the queue of that site.
+Work is a fluid, and requests are followed one by one to find their delays. In each step, the share of a site's requests
+that moves equals the share of its work that moves, spread evenly among the requests. The receiving sites get them in
+proportion to the work that they receive. Each request is then served in the queue of its new site.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Settings of GPU power smoothing, in the terms of NVML's profiles for Blackwell GPUs.
 
 A profile has a floor in percent of the largest power, ramp rates up and down in W/s per GPU and a hysteresis in ms
-(NVML API reference, "Power Smoothing Information"); a floor of 20 to 90 % is that of GB200. No source gives typical
-rates or times: the defaults are choices.
+(NVML API reference, "Power Smoothing Information"). GB200 allows floors from 20 to 90 %. No source gives typical rates
+or times, so the defaults are choices.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
 """A law of two work classes: prefill and training follow the clock, decode hardly does; power falls faster than speed.
 
-With x = f / f_max, work is done at these shares of its speed at the top clock, and while busy the site draws these
-shares of the dynamic power that it draws there:
+Let x = f / f_max. These are the speed of work and the dynamic power of a busy site, as shares of those at the top
+clock:
 
     speed_c = x                               power_c = a x + (1 - a) x^3         compute-bound: prefill, training
     speed_m = 1 / (1 + kappa (1 / x - 1))     power_m = mu + (1 - mu) x^3         memory-bound: decode
 
-Work w is measured in the dynamic power that it takes at the top clock, P is the site's own. The classes share its
-time in proportion to the work at hand; tau is the time that all of it would take, as a share of the interval:
+Work w is measured in the dynamic power that it takes at the top clock, and P is the dynamic power of the site. The
+classes share its time in proportion to the available work. All of it would take the share tau of the interval:
 
     tau   = w_c / (P speed_c) + w_m / (P speed_m)
     d     = w / max(tau, 1)                                             served, of both work classes
     power = d_c power_c / speed_c + d_m power_m / speed_m
 
-so at the top clock power is the work served, whatever its composition. Where the figures come from:
+At the top clock the power therefore equals the work served, whatever its composition. Sources of the figures:
 
 - speed_c: 5 to 7 % of throughput lost for each 100 MHz of an A100's 1410, that is in proportion. No parameter.
 - decode_clock_share, kappa: decode takes 1 to 6 % longer at lower clocks (arXiv 2501.08219, from 2842 down to 180 MHz).

@@ -1,9 +1,9 @@
 """Delays of single requests, from the fluid queue of their work and the clock at which they are served.
 
-A request's times are known at the top clock: arrival, first token and last token, and how long it is being read. A
-class's work that would have been done at time tau is done when the cumulative served work S reaches the cumulative
-arrived work A, both linear within a step, first come first served; and what is being served takes longer at a lower
-clock, by the law's speed_c and speed_m as shares of those at the top clock:
+The trace gives a request's times at the top clock: arrival, first token, last token and the duration of its prefill.
+Work of a class that would be done at time tau at the top clock is done when the cumulative served work S reaches the
+cumulative arrived work A. Both are linear within a step, and service is first come first served. Service takes longer
+at a lower clock, by the law's speed_c and speed_m as shares of those at the top clock:
 
     D(tau) = max(S^-1(A(tau)) - tau, 0)
     B_c    = prefill (1 / speed_c - 1)                       at the clock of the step in which the first token is due
@@ -13,10 +13,12 @@ clock, by the law's speed_c and speed_m as shares of those at the top clock:
     end to end          = last token + max(D_c(arrival + first token), D_m(arrival + last token)) + B_c + B_m
 
 D_c is that of compute-bound work (prefill), D_m that of memory-bound work (decode); with one class they are the same.
-Where sites have batches, what a request waits longer for its batch than in the trace is added to B_c, and so is the
-latency of a request that is moved between sites (``moved_requests``). What is never served counts as done at the end of
-the episode, and an instant beyond the end has the delay and the clock of the end: such delays are cut short, and
-``requests_unfinished_pct`` says how many requests had work queued then.
+B_c also includes the additional wait for a batch compared with the trace, if sites have batches, and the latency of a
+request that is moved between sites (``moved_requests``).
+
+Work that is never served counts as done at the end of the episode. An instant beyond the end has the delay and the
+clock of the end. Such delays are underestimated; ``requests_unfinished_pct`` reports how many requests had work queued
+at the end.
 """
 
 from __future__ import annotations

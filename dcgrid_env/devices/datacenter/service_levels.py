@@ -1,15 +1,15 @@
 """Service levels: work is interactive, with a target, or deferrable, with a deadline, and late work is charged.
 
-The queue of a site is kept by slack: bin j holds the work that has j more steps to be served in time, bin 0 what is
-overdue. With D = floor(deadline / dt), work that arrives with deadline D in a step may be served in it and in the D
-steps behind it. Each step, the work served leaves from the first bins, and what is left moves down by one:
+The queue of a site is sorted by slack: bin j contains the work that has j more steps to be served in time, and bin 0
+the overdue work. With D = floor(deadline / dt), work that arrives with deadline D may be served in the step of its
+arrival and in the D steps after it. In each step, served work leaves the first bins, and the rest moves down by one:
 
     x_j    = queue_j, and at D + 1 what arrives                served from the front: clip(s dt - sum_{i<j} x_i, 0, x_j)
     queue' = (left_0 + left_1, left_2, ..)
 
-That is earliest deadline first. First come first served is the same with all work put in at the longest deadline, so
-that the place in line is its age; both kinds are then mixed in each bin as they arrive, and interactive work is overdue
-in all bins that are old enough. Whichever it is, clock and power are those of the site: order does not change them.
+This is earliest deadline first. First come first served uses the same bins with all work entered at the longest
+deadline, so the bins order work by age. Each bin then mixes both kinds as they arrive, and interactive work is overdue
+in all bins that are old enough. The order does not change the clock or the power of the site.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class ServedSites(PassesBy):
     amounts: ClassVar[tuple[str, ...]] = ("overdue_kws",)
 
     def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """What is overdue, and what is if nothing of it is served in the next step."""
+        """Return the fields for overdue work, and for work that becomes overdue unless the next step serves it."""
         rated, longest_s = params.p_rated_kw, self._longest_s(horizon, dt_s)
         return (
             Field("overdue", "s at the rating", 0.0, longest_s, rated),
@@ -118,7 +118,7 @@ class ServedSites(PassesBy):
         )
 
     def cost_terms(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[CostTerm, ...]:
-        """What is overdue."""
+        """Return the cost term of overdue work."""
         rated = params.p_rated_kw
         of_all = float(rated.sum()) or 1.0
         return (
@@ -248,7 +248,7 @@ def serve_by_slack(
 
 
 def _due(queue: Array, soon: int, later: int, share: float, by_deadline: bool) -> tuple[Array, Array]:
-    """What is overdue, and what else is to be served in the next step."""
+    """Return the overdue work, and the further work that is due in the next step."""
     if by_deadline:
         return queue[..., 0], queue[..., 1] + 0.0
     old, young = later - soon, 1.0 - share

@@ -1,10 +1,12 @@
 """Features of data centres in addition to clock, queue and converter, such as a UPS.
 
-Some features act on work before it is served (``admit``): they move it to other sites, or change what it takes. What a
-site serves and draws by its clock is settled then, and its features act one after the other, from the chips towards
-the grid, each on the work served and the draw that those before it have left: one may delay work, which goes
-back into the queue, or draw more or less than the work takes. A feature is a field of ``DataCenters`` that is None for
-sites without it, and a class here or beside that has what ``SiteFeature`` lists.
+Some features act on work before it is served (``admit``): they move it to other sites, or change the power that it
+takes. Then the clock law determines the work served and the draw of a site. After that the features act one after the
+other, from the chips towards the grid, each on the work served and the draw that the previous one returns. A feature
+may delay work, which returns to the queue, or draw more or less power than the work takes.
+
+A feature is a field of ``DataCenters`` that is None for sites without it, and a class in this package that implements
+``SiteFeature``.
 """
 
 from __future__ import annotations

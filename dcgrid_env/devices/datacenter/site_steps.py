@@ -34,7 +34,7 @@ class SiteSteps:
         self.has_two_classes = work_classes_of(clock_law) == 2
         ends = np.cumsum([1, *(len(feature.channels(parameters)) for feature in features)]).tolist()
         self.channels_at = tuple(map(slice, ends[:-1], ends[1:]))
-        """Where the setpoints of each feature stand, behind the clock's."""
+        """Positions of the set points of each feature, after that of the clock."""
         # What accounts for work served does so behind all that may put work back into the queue.
         self.order = sorted(range(len(features)), key=lambda i: getattr(features[i], "accounts_last", False))
         """The order in which features act on what was served."""

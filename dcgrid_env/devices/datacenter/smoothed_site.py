@@ -1,11 +1,12 @@
-"""GPU power smoothing of data centres, a feature of theirs: a floor under the draw, and limits on its ramps.
+"""GPU power smoothing, a feature of data centres: a floor under the draw, and limits on its ramps.
 
     wanted = max(P, floor)  while the work takes as much as the floor and for the hysteresis time after,  else P
     S_t    = wanted within [S_{t-1} - down dt, S_{t-1} + up dt],  at least the idle draw      drawn
     burnt  = S_t - min(P, S_t)
 
-P is what the work of the interval takes with the idle draw. Of the dynamic power the share min(P, S) is supplied, and
-the same share of the work is served; the rest is back in the queue. Before t = 0 nothing limits a ramp.
+P is the power for the work of the interval, including the idle draw. Of P, min(P, S_t) is supplied. The share of
+work that is served equals the supplied share of the dynamic power, and the rest returns to the queue. Before t = 0
+nothing limits a ramp.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class SmoothingState(NamedTuple):
     ramp_up_kw_per_s: Array
     ramp_down_kw_per_s: Array
     unchanged_s: Array
-    """How long floor and ramps have yet to stay as they are, s."""
+    """Remaining time for which floor and ramps cannot change, s."""
 
 
 METRICS = (
@@ -112,7 +113,7 @@ class SmoothedSite:
         return (CostTerm("burnt", "burnt_kw", rated_kw, of_all, self.boost_share, weight=self.settings.burnt_weight),)
 
     def initial(self, params: DataCenterParams, zero: Array) -> SmoothingState:
-        """No draw that would limit a ramp, and the settings; at rest those of no floor where the agent decides."""
+        """Return the initial state: no previous draw that limits a ramp, and a floor of 0 if the agent sets it."""
         floor_kw = zero if self.by_agent else zero + self.settings.floor_share * params.p_rated_kw
         up, down = self._fastest(params, zero)
         return SmoothingState(zero + NONE_YET, zero, zero, zero, floor_kw, zero + up, zero + down, zero)
@@ -154,7 +155,7 @@ class SmoothedSite:
         return after, with_share_served(site, share, dt_s), smoothed_kw
 
     def with_supply(self, feature_state: SmoothingState, share: Array) -> SmoothingState:
-        """The state where this share of the draw is supplied, (row, slot): nothing else is burnt."""
+        """Return the state if only this share of the draw is supplied, (row, slot); the burnt power scales with it."""
         return feature_state._replace(burnt_kw=feature_state.burnt_kw * share)
 
     def observe(self, params: DataCenterParams, feature_state: SmoothingState) -> tuple[Array, ...]:

@@ -1,7 +1,7 @@
 """Streaming figures of data centres, equal to those of ``DataCenters.metrics`` for a whole episode.
 
-Where the trace is made of requests, their times hang on the queues of the whole episode, and the few columns that they
-are found from are kept: some 40 bytes a site and step.
+If the trace consists of requests, their times depend on the queues of the whole episode. The few columns needed for
+them are kept, about 40 bytes per site and step.
 """
 
 from __future__ import annotations

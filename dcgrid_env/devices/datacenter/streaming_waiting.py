@@ -1,7 +1,8 @@
 """Streaming waiting times of queued work, first come first served.
 
-What ``waiting_time`` makes of whole curves. Only work that still waits is kept, with the step of its arrival, and of
-work that was served how much waited how many steps: a wait is a whole number of steps, so that quantiles are exact.
+The figures equal those that ``waiting_time`` computes from whole curves. Only two things are kept: work that still
+waits, with the step of its arrival, and the amount of served work for each number of steps waited. Quantiles are exact
+because a wait is a whole number of steps.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ class UpsSite:
         return (Channel("return", "share/s", -fastest, fastest, rest=fastest),)
 
     def fields(self, params: DataCenterParams, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """Where the UPS stands, its counters and its timers, as shares of what they run to."""
+        """Return the fields for the state of the UPS, its counters and its timers, as shares of their largest value."""
         rule, one = self.rule, np.ones(len(params.p_rated_kw))
         return (
             Field("ups_share", "share of the power on the grid", 0.0, 1.0, one),

@@ -1,18 +1,18 @@
 """Work moved between sites: work that arrives at one may be served at another of the same group.
 
 Of the work a_i that arrives at site i, the share ``movable_share`` m may be served elsewhere. The channel ``route``,
-r_i from -1 to 1, is how much of that the site gives away where it is below 0, and how much it takes where it is above:
+r_i from -1 to 1, sets how much of it the site gives away if negative, and how much work it accepts if positive:
 
     give_i = m a_i max(-r_i, 0)                  room_i = P_i max(r_i, 0)          P_i: dynamic power at the rating
     moved  = min(sum give, sum room)             what is given and finds room; the rest stays where it is
     a'_i   = a_i - give_i moved / sum give + room_i moved / sum room
 
-so that the sum of a' is that of a, each site is given in a step at most what it can serve in one at the top clock, and
-what its clock then leaves waits in its queue. At r = 0 every site keeps its own work. A site that is not on the
-grid has no room, and may give. The draw other than for work is not moved.
+The sum of a' therefore equals that of a. In a step, a site receives at most the work that it can serve in one step at
+the top clock. Work that its clock does not serve waits in its queue. At r = 0 every site keeps its work. A
+disconnected site has no room but may give work away. The draw other than for work is not moved.
 
-What is moved is served in the step in which it arrives, but counts as having waited ``move_latency_s`` by then: it is
-charged for that (``move_weight``), and service levels take a step off its slack. So the latency is at most one step.
+Moved work can be served in the step in which it arrives, but counts as having waited ``move_latency_s`` by then. This
+wait is charged (``move_weight``), and service levels reduce its slack by a step. The latency is at most one step.
 """
 
 from __future__ import annotations

@@ -37,8 +37,11 @@ class Supply(NamedTuple):
     v_highest_pu: Array
     """Voltage of its highest."""
     sags: Array | None
-    """Sags by their beginning, (row, n_sag, 3): duration, s, 0 for one that does not begin in the interval; share of
-    the voltage that is left; time from its beginning to the interval's end, s. None where a scenario has none."""
+    """Sags by their beginning, (row, n_sag, 3); None if the scenario has no sags.
+
+    The columns are: duration, s, 0 for a sag that does not begin in the interval; remaining share of the voltage; time
+    from its beginning to the end of the interval, s.
+    """
     widths: connection_surrogate.TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
     available: Array | None = None
@@ -46,7 +49,7 @@ class Supply(NamedTuple):
 
 
 class ConnectionState(NamedTuple):
-    """State of the connection after a step, (row, slot) where nothing else stands."""
+    """State of the connection after a step, (row, slot) unless a field states another shape."""
 
     share: Array
     """Share of the device's power that is on the grid, 0 away, 1 back."""
@@ -94,7 +97,7 @@ def advance(
     supply
         Voltage and sags.
     pace
-        Share of the power that a device may take back in this interval, (row, slot) or one number; 0 to stay as it is.
+        Share of the power that a device may resume in this interval, (row, slot) or one number; 0 for no change.
     dt_s
         Length of the interval, s.
 

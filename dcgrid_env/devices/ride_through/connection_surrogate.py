@@ -1,9 +1,9 @@
-"""A derivative for what leaves the grid and returns: exact values, with the slopes of smooth steps in their place.
+"""A derivative for disconnection and reconnection: exact values, with the slopes of smooth steps.
 
-Whether a device is connected is a step function, whose derivative is 0 nearly everywhere. A training by gradients may
-ask for that of a smooth surrogate instead (Y. Bengio et al., "Estimating or propagating gradients through stochastic
-neurons for conditional computation", arXiv 1308.3432: straight-through). What is added here to a state is 0 in value,
-so that every figure is exact, and has these slopes:
+The connection of a device is a step function, whose derivative is 0 nearly everywhere. Gradient-based training can use
+the derivative of a smooth surrogate instead (straight-through: Y. Bengio et al., "Estimating or propagating gradients
+through stochastic neurons for conditional computation", arXiv 1308.3432). The terms added here to a state are 0 in
+value, so every figure remains exact. They have these slopes:
 
     beyond a threshold      b = S((threshold - v) / v_pu)            of the voltage; its timer b (timer + dt)
     trips slowly            b S((timer + dt - time) / time_s)        of both
@@ -70,20 +70,21 @@ def with_derivatives(
     before: Any, after: Any, v: Array, threshold: Array, time_s: Array, fell: Array, may_return: Array, pace: Any,
     dt_s: float, widths: TripWidths,
 ) -> Any:  # fmt: skip
-    """The exact state after an interval with the derivatives of the surrogate.
+    """Return the exact state after an interval with the derivatives of the surrogate.
 
     Parameters
     ----------
     before, after
         States (``connection.ConnectionState``) at the beginning and the end.
     v, threshold, time_s
-        What each element compares with its threshold, p.u., and how long it holds, (row, slot, n_element).
+        The voltage that each element compares with its threshold, p.u., and the time that must pass before it trips,
+        (row, slot, n_element).
     fell
         Whether a sag of the interval was not ridden through, bool, (row, slot).
     may_return
-        Whether a device that is away would return in the interval if it were told to, bool, (row, slot).
+        Whether a disconnected device could reconnect in the interval on request, bool, (row, slot).
     pace
-        Share of the power that a device may take back, (row, slot) or one number.
+        Share of the power that a device may resume, (row, slot) or one number.
     dt_s
         Length of the interval, s.
     widths

@@ -176,7 +176,7 @@ class UpsRideThrough(RideThrough):
 def rule_of(kind: type[Any], value: Any) -> Any:
     """Make a rule from its plain form, a mapping of its fields or the name of a curve; return other values unchanged.
 
-    FieldError for an unknown field, or if there is no curve.
+    Raises FieldError for an unknown field, or if the curve is missing.
     """
     if isinstance(value, str):
         return kind(curve=value)

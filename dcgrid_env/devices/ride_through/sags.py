@@ -1,9 +1,9 @@
 """Short sags of the grid's voltage: events with a depth and a duration, too short to be steps of an episode.
 
-While a sag lasts, the voltage at a device is what is left at the source, as a share, times the device's own voltage
-just before: the whole feeder falls in proportion, as one of constant impedances does. Loads that hold their power
-through a sag would pull their own voltage a little lower still. A sag decides who trips, and nothing else: the power
-flow of its step does not see it, as it is over before clocks, taps or the averages of a step could feel it.
+During a sag, the voltage at a device is its voltage just before, multiplied by the share that remains at the source.
+The whole feeder falls in proportion, as with constant impedances. Loads of constant power would lower their voltage
+slightly more. A sag only decides which devices trip. The power flow of its step does not include it, because a sag ends
+before it could affect clocks, taps or the averages of a step.
 """
 
 from __future__ import annotations

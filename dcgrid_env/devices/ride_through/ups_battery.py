@@ -1,11 +1,11 @@
-"""The battery of a UPS: it carries what a site does not take from the grid, and is recharged once the site is back.
+"""The battery of a UPS: it supplies a site that is off the grid, and is recharged after the site reconnects.
 
     b  = min(away p, E / dt)                             from the battery, away = 1 - share on the grid
     w  = (share p + b) / p                               share of the work that is done; what is not waits
     c  = min(c_max, (E_full - E) / (eta dt), p_rated - p)     drawn to recharge, once the site is back with all
     E' = E - b dt + eta c dt
 
-Where work waits on battery, b carries the idle draw alone and w is the share on the grid.
+If the rule lets work wait on battery, b supplies only the idle draw, and w is the share on the grid.
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@
     d      = min(-asked, p_rated, kept eta_d / h)                 discharge, kW, where it is to be given
     E'     = kept + (eta_c c - d / eta_d) h
 
-Powers are those at the grid. A storage that is disconnected neither charges nor discharges, and stands by as before.
+Powers are those at the grid. A storage that is disconnected neither charges nor discharges, and has the same standby
+losses.
 """
 
 from __future__ import annotations

@@ -12,8 +12,11 @@ GPU_POWER_KW = 1.4
 GPU_PEAK_SHARE = 0.3
 """Share of the peak that these capacitors take off the grid, at most (the first source)."""
 UPS_MINUTES = 5.0
-"""Time for which a UPS bears the site, min: the upper end of the 30 s to 5 min that are now usual; 15 min were before
-(EnerSys, "The right fit", Electrical Review, May 2020)."""
+"""Time for which a UPS supplies the site, min.
+
+This is the upper end of today's usual range of 30 s to 5 min; 15 min were usual earlier (EnerSys, "The right fit",
+Electrical Review, May 2020).
+"""
 BESS_HOURS = 2.0
 """Time for which a battery at the grid gives its rated power, h: the least of NREL's Annual Technology Baseline 2024,
 which has 2 to 10 h."""

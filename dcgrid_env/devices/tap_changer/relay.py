@@ -1,11 +1,11 @@
-"""What the relay of a voltage regulator measures, and which way it would have the tap go.
+"""Measurement of a voltage regulator's relay, and the direction of the tap change that it demands.
 
     relay volts = |V / PT - (R + jX) I / CT|        out of band where off from ``vreg_v`` by more than half the band
 
-V is the voltage to ground of the sensed phase at the regulator's to-bus, I the current through that phase, R and X the
-settings of the line-drop compensator in volts, CT the primary rating of its current transformer in A (W. H. Kersting,
-"Distribution System Modeling and Analysis", chapter 7). Half the band is taken as half a tap at least: a relay that is
-set closer than its regulator can go would have it go to and fro for ever.
+V is the voltage to ground of the sensed phase at the regulator's to-bus, and I the current through that phase. R and X
+are the settings of the line-drop compensator in volts, and CT is the primary rating of its current transformer in A
+(W. H. Kersting, "Distribution System Modeling and Analysis", chapter 7). Half the band is at least half a tap: with a
+narrower band the regulator would switch back and forth without end.
 """
 
 from __future__ import annotations
@@ -41,8 +41,10 @@ class RelaySettings(NamedTuple):
     """Lowest tap."""
     highest: Array
     volts_per_tap: Array
-    """By how much a tap of the regulator of the row moves the relay volts of that of the column, at nominal voltage,
-    (n_regulator, n_regulator): 0 for one that it does not feed in the sensed phase."""
+    """Change of the column regulator's relay volts per tap of the row regulator, (n_regulator, n_regulator).
+
+    It applies at nominal voltage, and is 0 where the row regulator does not feed the column one in the sensed phase.
+    """
 
 
 @cached_on_owner
@@ -71,7 +73,7 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
 
 
 def _feeds(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
-    """1 where the regulator of the row is the column's or stands between it and the source in its sensed phase."""
+    """Return 1 where the row regulator is the column regulator or is between it and the source in its sensed phase."""
     regulator, feeds = feeder.branches.regulator, np.zeros((len(node), len(node)))
     for column, at in enumerate(node):
         while at >= 0:

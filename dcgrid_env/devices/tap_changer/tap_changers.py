@@ -93,15 +93,15 @@ class TapChangers(GridEquipment):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """The tap that is asked for."""
+        """Return the channel of the requested tap."""
         return (Channel("tap", "taps", np.array(self.lowest), np.array(self.highest), rest=np.array(self.base)),)
 
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
-        """The tap as a share of the farthest one, the time since the last move as a share of the episode, and how far
-        the relay is off its target: what it measures, line-drop compensation included, over the target, less 1.
+        """Return the fields for tap, time since the last move and deviation of the relay from its target.
 
-        The relay stands at the regulator itself, and so neither the noise nor the delay of what is measured elsewhere
-        is on it, as little as on what a control of the bank's own goes by.
+        The tap is a share of the farthest one, and the time a share of the episode. The deviation is the relay's
+        measurement, with line-drop compensation, divided by the target, minus 1. The relay is at the regulator itself.
+        Its measurement therefore has neither the noise nor the delay of remote measurements.
         """
         farthest = np.maximum(np.maximum(np.abs(self.lowest), np.abs(self.highest)), 1.0)
         return (

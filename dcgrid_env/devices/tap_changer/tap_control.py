@@ -1,9 +1,9 @@
-"""A regulator's own control over time: a delay before the first tap, a shorter one between further ones.
+"""Built-in control of a regulator over time: a delay before the first tap, a shorter one between further taps.
 
-The relay's clock runs while it is out of band and begins anew at each tap; back in band, clock and sequence are reset.
-A step may be of any length. Where several taps are due within it, the volts after each are predicted from the taps'
-size, those of regulators further down too, until all are in band or the time is used up. What a tap does in truth shows
-in the next measurement. No decision has a derivative.
+The relay's timer runs while it is out of band and restarts at each tap. Back in band, timer and sequence are reset.
+A step may be of any length. If several taps are due within it, the volts after each tap are predicted from the size of
+the taps, also for regulators further down. This ends when all are in band or the time is used up. The next measurement
+shows the actual effect of a tap. The decisions have no derivative.
 """
 
 from __future__ import annotations

@@ -69,8 +69,8 @@ def prepare(scenario: Scenario, episode: Episode) -> None:
 def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: EpisodeOptions | None = None) -> Episode:
     """Draw an episode for each row from its seed and the number of episodes since it was seeded, both (row,) uint64.
 
-    The split enters the key, so that no two splits share an episode whatever their seeds. What is ``given`` changes
-    nothing else that is drawn, but for windows of requests that follow the hour.
+    The split is part of the key, so two splits never share an episode, whatever their seeds. The values in ``given`` do
+    not change other draws, except for windows of requests that follow the hour.
     """
     given = given or EpisodeOptions()
     salt = np.uint64(zlib.crc32(scenario.split.encode()))
@@ -197,7 +197,7 @@ def compute_share(scenario: Scenario, episode: Episode, step: np.ndarray) -> np.
 
 
 def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_next: np.ndarray) -> tuple[Any, ...]:
-    """What devices may know at ``step`` (row,) of the coming interval: work, and nothing of injections; by device."""
+    """Return the inputs of the coming interval that devices can observe at ``step`` (row,): work only, by device."""
     shares = None if scenario.work_classes == 1 else compute_share(scenario, episode, step + 1)
     work = Work(p_ref_next, shares)
     return tuple([work if works else None for works in _driven_by_workload(scenario)])
@@ -205,7 +205,7 @@ def given_next(scenario: Scenario, episode: Episode, step: np.ndarray, p_ref_nex
 
 @cached_on_owner
 def _driven_by_workload(scenario: Scenario) -> tuple[bool, ...]:
-    """Whether each device is."""
+    """Return for each device whether the workload drives it."""
     return tuple(device.input == "workload" for device in scenario.devices)
 
 

@@ -15,7 +15,7 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 class LoadNoise(NamedTuple):
-    """What the load noise needs to know of a scenario, as the kernel takes it."""
+    """Parameters of the load noise of a scenario, in the form that the kernel takes."""
 
     rho: float  # over one step
     sigma: float
@@ -34,7 +34,7 @@ class BaseLegs(NamedTuple):
 
 @cached_on_owner
 def base_legs(feeder: ThreePhaseFeeder) -> BaseLegs:
-    """Those of a feeder."""
+    """Return the loads of a three-phase feeder."""
     return BaseLegs(feeder.leg_bus.copy(), feeder.p_load_kw.copy(), feeder.q_load_kvar.copy())
 
 

@@ -45,10 +45,10 @@ class ActingRelays(NamedTuple):
 
 
 class BankControl:
-    """What the banks' own control would have the taps of some regulators be, step after step.
+    """The taps that the built-in control would choose for some regulators, step by step.
 
-    It keeps the relays' clocks, and so is asked once in each step and made anew for each episode. Of taps that
-    regulators further up make within a step it knows where these are among its own.
+    It keeps the relays' timers, so use it once per step and create a new object for each episode. Tap changes of
+    upstream regulators within a step are taken into account only if these regulators are among the selected ones.
     """
 
     def __init__(self, relays: ActingRelays, dt_s: float) -> None:
@@ -59,11 +59,11 @@ class BankControl:
 
     @property
     def target_v(self) -> np.ndarray:
-        """Relay volts that are held, (n,)."""
+        """Target of the relay volts, (n,)."""
         return self._settings.target_v
 
     def taps(self, tap: np.ndarray, relay_v: np.ndarray) -> np.ndarray:
-        """Taps at the end of the coming step, (row, n), from those of now and what the relays measure, (row, n)."""
+        """Return the taps at the end of the coming step from present taps and relay measurements, all (row, n)."""
         tap, relay_v = (np.ascontiguousarray(values, np.float64) for values in (tap, relay_v))
         before = self._state
         if before is None or before.tap.shape != tap.shape:
@@ -73,9 +73,9 @@ class BankControl:
 
 
 def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> ActingRelays | None:
-    """The relays of the regulators over which a control of their own, or whoever ``decider`` names, decides.
+    """Return the relays of the regulators that the given decider controls; None without such regulators.
 
-    None where there are none.
+    The default decider is the built-in control.
     """
     feeder = scenario.feeder
     if not isinstance(feeder, ThreePhaseFeeder):

@@ -54,7 +54,7 @@ class ActionLayout:
         self.widths = dict(zip(self.agents, np.diff(self._cuts).tolist(), strict=True))
         """Number of channels of each agent."""
         self.slices = {agent: slice(a, b) for agent, a, b in zip(self.agents, self._cuts, self._cuts[1:], strict=False)}
-        """Where each agent's action stands."""
+        """Position of each agent's action in the joint action."""
 
     def is_channel(self, name: str) -> np.ndarray:
         """Whether an entry is of the channel of this name, bool, (n_action,)."""

@@ -61,10 +61,10 @@ def _nodes(feeder: AnyFeeder, bus: int, phases: str | None) -> tuple[int, ...]:
 
 @cached_on_owner
 def own_distance(scenario: Scenario) -> np.ndarray:
-    """R_ii and X_ii of each agent at each bus, p.u. per MW and Mvar, (n_agent, n_bus, 2).
+    """Return R_ii and X_ii of each agent at each bus, p.u. per MW and Mvar, (n_agent, n_bus, 2).
 
-    How far the agent's voltage rises with the power that it injects, as the scenario's model of the feeder has it; on a
-    very large three-phase feeder 0 at buses where the agent cannot stand.
+    They are the rise of the agent's voltage with its injected power, by the scenario's model of the feeder. On a very
+    large three-phase feeder they are 0 at buses where the agent cannot be placed.
     """
     if isinstance(scenario.feeder, Feeder):
         distances = np.stack(own_sensitivity(scenario.model), axis=-1)

@@ -20,7 +20,7 @@ def leaving(scenario: Scenario) -> tuple[int, ...]:
 
 
 def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, given: Any) -> Supply:
-    """What a group is given whose agents stand at ``agents``: the voltage of its lowest and highest phase, and sags.
+    """Return the supply of the group with the agents ``agents``: voltages of lowest and highest phase, and sags.
 
     Before t = 0 the voltage is the source's.
     """

@@ -72,9 +72,9 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
     state
         State at the beginning of the interval.
     action
-        (row, n_action) in [-1, 1], clipped: the channels of each agent in turn (``actions.ActionLayout``). A setpoint
-        runs from a channel's lowest to its highest; a reactive one is a share of the limit at zero active power, and
-        it is limited to the converter's capacity at its active power.
+        (row, n_action) in [-1, 1], clipped: the channels of each agent in turn (``actions.ActionLayout``). A set point
+        ranges from a channel's lowest value to its highest. A reactive set point is a share of the limit at zero active
+        power, and is limited to the converter's capacity at its active power.
     exogenous
         Loads, p_ref and placement over the interval.
 

@@ -1,7 +1,8 @@
-"""The regulators and capacitor banks of a three-phase feeder over an episode: controlled, agents, or as they are.
+"""The regulators and capacitor banks of a three-phase feeder over an episode: controlled, agents, or fixed.
 
-A control acts at the beginning of a step on what was measured in the power flow of the step before, an agent on its
-action; taps and switches then hold over the step. At t = 0 the taps of controlled regulators have settled.
+At the beginning of a step, a control acts on measurements from the power flow of the previous step, and an agent's
+equipment on the agent's action. Taps and switches are then constant over the step. At t = 0 the taps of controlled
+regulators have settled.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ class _Group(NamedTuple):
     controlled: Array
     """1 where a control acts, (n,)."""
     acts: bool
-    """Whether one does anywhere, without which nothing is measured for banks, nor their clocks kept."""
+    """Whether a control acts on any of them; otherwise banks have neither measurements nor timers."""
     agents: int | None
     """Position among the scenario's devices of the group that is agents."""
     pick: Array
-    """Where each piece is found in all of the feeder's and then those of the agents, int, (n,)."""
+    """Index of each piece in the feeder's pieces followed by those of the agents, int, (n,)."""
 
 
 class _Plan(NamedTuple):
@@ -108,7 +109,7 @@ def with_relays(scenario: Scenario, devices: tuple[Any, ...], equipment: Equipme
 
 
 def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None) -> Control:
-    """What the equipment is to the power flow; ``connected`` banks as in ``begun``."""
+    """Return the equipment as a control of the power flow; ``connected`` banks are as in ``begun``."""
     on = equipment.banks.on
     ratio = _feeder(scenario).tap_ratio(equipment.regulators.tap)
     return Control(ratio, None, on if connected is None else on * connected)

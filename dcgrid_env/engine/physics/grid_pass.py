@@ -81,7 +81,7 @@ def grid_pass(
 
 @cached_on_owner
 def _fixed(scenario: Scenario) -> tuple[Any, ...]:
-    """What a pass knows of the scenario, as the kernel takes it."""
+    """Return the constants of the scenario for a pass, in the form that the kernel takes."""
     feeder: Any = scenario.feeder
     judged, source_pu, band_pu = (
         feeder.load_slice.start,

@@ -21,9 +21,9 @@ class Parameters(NamedTuple):
     """Each device's own parameters."""
     middle: Array
     half_range: Array
-    """How an action in [-1, 1] becomes setpoints: middle + half of the range times action, (n_action,) each."""
+    """Half of the range, (n_action,): an action in [-1, 1] gives the set point ``middle + half_range * action``."""
     rest: tuple[tuple[Array, ...], ...]
-    """For each device the setpoints at t = 0 of its channels but for the reactive one, (slot,) each."""
+    """Set points at t = 0 for each device, of all channels except the reactive one, (slot,) each."""
     reactive: Array
     """Entry of each agent's reactive setpoint, int, (n_agent,); any for an agent without one."""
     has_reactive: Array | None

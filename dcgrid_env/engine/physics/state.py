@@ -125,9 +125,9 @@ class State(NamedTuple):
 
 
 def over_arrays(function: Callable[..., Array], first: Any, *others: Any) -> Any:
-    """A state, or a part of one, with a function of its arrays and of those of others like it in their place.
+    """Return a state, or part of one, with each array replaced by a function of it and of the other states' arrays.
 
-    None stays None, and what the others have None for stays as it is.
+    None remains None, and an array for which another state has None is unchanged.
     """
     if first is None or any(other is None for other in others):
         return first

@@ -4,8 +4,8 @@
 ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y, shunt_kw, shunt_kvar, voltage_ratio, base_kv.
 ``branches.csv``: from_bus, to_bus, r_ohm, x_ohm and, if known, rating_a.
 
-An empty cell of an optional column is no capacitor or shunt, a ratio of 1, the feeder's base voltage, an unknown
-coordinate or rating. Other keys and columns are refused: a misspelt one would be left out unnoticed.
+An empty cell of an optional column means: without capacitor or shunt, a ratio of 1, the feeder's base voltage, an
+unknown coordinate or rating. Other keys and columns are refused, because a misspelt one would be ignored silently.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ def read_csv(folder: Path) -> Network:
     Raises
     ------
     FeederError
-        For a missing file, key or column, one that is unknown, or a cell that is no number, naming the file and the
-        line.
+        For a missing or unknown file, key or column, or a cell that is not a number, naming the file and the line.
     """
     try:
         head = tomllib.loads(_text(folder / "feeder.toml"))

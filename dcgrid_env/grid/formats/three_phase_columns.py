@@ -122,4 +122,4 @@ FILES = {
     "capacitor": _file("capacitors.csv", "capacitor", CapacitorTable),
     "core": _file("cores.csv", "core", CoreTable),
 }
-"""The files of a folder beside feeder.toml and buses.csv, by the table of ``Network`` that they are."""
+"""Files of a folder other than feeder.toml and buses.csv, by table of ``Network``."""

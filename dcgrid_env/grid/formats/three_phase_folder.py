@@ -30,7 +30,7 @@ from dcgrid_env.grid.topology import FeederError
 _HEAD = ("name", "frequency_hz", "source_of_facts", "source")
 _SOURCE = ("bus", "base_kv_ll", "v_pu", "angle_deg", "r_ohm", "x_ohm")
 RESULTS = {"feeder.toml": ("engine", "engine_detail", "golden", "regulated"), "regulators.csv": ("tap_regulated",)}
-"""Keys and columns that say how a reference program came by the figures and what it found; they are not kept."""
+"""Keys and columns on the method and the results of a reference program; they are not stored."""
 
 
 def read_folder(folder: Path) -> Network:
@@ -39,7 +39,7 @@ def read_folder(folder: Path) -> Network:
     Raises
     ------
     FeederError
-        For a missing file, key or column, one that is not known, or a cell that is no number, naming file and line.
+        For a missing or unknown file, key or column, or a cell that is not a number, naming file and line.
     """
     head, source = _read_head(folder / "feeder.toml")
     tables = {kind: _read_table(folder, file) for kind, file in FILES.items()}

@@ -62,9 +62,9 @@ class DrawnFeeder(NamedTuple):
 
 
 def draw_feeder(seed: int, n_bus: int, style: Style, load_kw: float | None) -> DrawnFeeder:
-    """Draw a feeder; what cannot be run is drawn again.
+    """Draw a feeder; a draw that cannot be used is repeated.
 
-    FeederError where no attempt succeeds, which says that no feeder of the style has such a load.
+    Raises FeederError if no attempt succeeds: feeders of the style do not carry such a load.
     """
     for attempt in range(ATTEMPTS):
         drawn = _attempt(Draws(seed, attempt), n_bus, style, load_kw)
@@ -123,10 +123,10 @@ def _loads(draws: Draws, style: Style, tree: Tree, load_kw: float | None) -> tup
 def _conductors(
     draws: Draws, style: Style, tree: Tree, p_kw: np.ndarray, q_kvar: np.ndarray
 ) -> tuple[Conductor, ...] | None:
-    """For each branch the smallest conductor of its chain's family for what it feeds; None if none carries it.
+    """Return for each branch the smallest sufficient conductor of its chain's family; None if none carries the load.
 
-    What a branch feeds only grows towards the substation, and so do conductors: none has less ampacity than one that it
-    feeds, but for the largest of a family.
+    The load of branches grows towards the substation, and so do conductors. No conductor has less ampacity than one
+    that it feeds, except for the largest of a family.
     """
     flow_kva = np.hypot(tree.downstream(p_kw[1:]), tree.downstream(q_kvar[1:]))
     utilisation = draws.between(style.utilisation)

@@ -32,7 +32,7 @@ class Draws:
         self._stream = 100  # beyond those of episodes
 
     def bits(self, n: int) -> np.ndarray:
-        """The next hashes, uint64, (n,); each call has a stream of its own."""
+        """Return the next hashes, uint64, shape (n,); each call uses a separate stream."""
         self._stream += 1
         return self._hashes(self._key, self._stream, n)[0]
 

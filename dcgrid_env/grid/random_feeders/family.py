@@ -31,13 +31,13 @@ _OF_ONE = ("p_load_kw", "q_load_kvar", "r_ohm", "x_ohm", "r_pu", "x_pu", "parent
 class RandomFeeders(OneNodeABus):
     """Random feeders of one style, number of buses and peak load, for the ``feeder`` of a scenario.
 
-    An episode's seed selects its feeder. In the train split ``batch`` seeds in a row share one, 0 to
-    ``batch - 1`` the first, so that a batch of episodes is one batch of power flows, and each further episode of one
-    is on another. Validation, test and ood have 64 feeders each, and seed s is on feeder s % 64 there. No feeder is in
-    two splits. ``Scenario.member(seed)`` is the scenario on the feeder of a seed.
+    An episode's seed selects its feeder. In the train split ``batch`` consecutive seeds share a feeder, starting with
+    seeds 0 to ``batch - 1``. A batch of episodes is therefore one batch of power flows, and the next episode of each
+    environment is on another feeder. Validation, test and ood have 64 feeders each, and seed s is on feeder s % 64
+    there. No feeder is in two splits. ``Scenario.member(seed)`` is the scenario on the feeder of a seed.
 
-    All members have the same buses, by name, the same number of nodes and the same sum of loads: ratings in kW are the
-    same share of the load on all of them.
+    All members have the same bus names, the same number of nodes and the same total load. A rating in kW is therefore
+    the same share of the load on all of them.
     """
 
     n_bus: int = count(10, 100_000, default=60)  # pyright: ignore[reportAssignmentType] (a property of one feeder)

@@ -13,7 +13,7 @@ from dcgrid_env.grid.random_feeders.family import RandomFeeders
 
 @dataclass(frozen=True, eq=False)
 class FeederBatch(OneNodeABus):
-    """The feeders of a batch of environments: what all members share, and which environment is on which."""
+    """The feeders of a batch of environments: the shared properties, and the feeder of each environment."""
 
     family: RandomFeeders
     members: tuple[tuple[Feeder, np.ndarray], ...]

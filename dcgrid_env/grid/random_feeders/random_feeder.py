@@ -46,9 +46,9 @@ LEAST_BUSES = 10
 def random_feeder(seed: int, *, n_bus: int = 60, style: str = "urban", load_kw: float | None = None) -> Feeder:
     """Draw a radial feeder; the same arguments give the same one on every machine.
 
-    It has a power flow at twice its loads, a drop to its lowest bus that its style has, conductors that carry their
-    current at peak and grow towards the substation, and coordinates. docs/random-feeders.md compares it with published
-    feeders.
+    Its power flow has a solution at twice its loads, and the drop to its lowest bus is in the range of its style. Its
+    conductors carry their current at peak and grow towards the substation. It has coordinates.
+    docs/random-feeders.md compares it with published feeders.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """The tree of a random feeder: departures from the substation, and laterals off them and off each other.
 
-Chains of buses are laid one after the other. As many as the style has departures begin at the substation, the first of
-them of the style's length; each other begins at a bus drawn among those that are passed through, so that every chain
-has one end and the number of ends is drawn, not left to chance. This takes time linear in the number of buses.
+Chains of buses are added one after the other. The style's number of departures begin at the substation, and the first
+of these has the style's length. Every other chain begins at a bus drawn among those that are passed through. Every
+chain therefore has one end, and the number of ends is drawn explicitly. The time is linear in the number of buses.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Power flow of balanced radial feeders: one method a file, its compiled, array and adjoint forms beside it."""
+"""Power flow of balanced radial feeders: one file per method, with separate files for its other forms."""

@@ -1,7 +1,7 @@
-"""The derivative of a solved DistFlow, compiled: what a change of each load does to a weighted sum of its figures.
+"""Compiled derivative of a solved DistFlow: the effect of each load on a weighted sum of the solution's figures.
 
-At the solution the four equations of ``distflow`` hold, so that the derivative follows from them alone (the implicit
-function theorem) and not from the sweeps that led there. With w the squared voltage and a bar for the derivative of the
+The four equations of ``distflow`` are satisfied at the solution, so the derivative follows from them alone (the
+implicit function theorem) and not from the sweeps. With w the squared voltage and a bar for the derivative of the
 weighted sum with respect to a variable, branch k from i:
 
     lbar_k = weight of l + r Pbar_k + x Qbar_k + (r^2 + x^2) wbar_k
@@ -10,8 +10,8 @@ weighted sum with respect to a variable, branch k from i:
     wbar_k = weight of w + sum over what k feeds: wbar_c - l_c / w_k lbar_c + g_k Pbar_k - b_k Qbar_k
 
 The last two terms are those of a shunt, which draws g_k w_k and injects b_k w_k.
-The sweeps go up the tree for w, down it for the rest, until lbar stands still; blocks of rows are innermost, as in
-``compiled_blocks``.
+The sweeps go up the tree for w and down it for the rest, until lbar no longer changes. Blocks of rows are innermost, as
+in ``compiled_blocks``.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ TOLERANCE = {8: 1e-10, 4: 1e-5}
 def distflow_adjoint_rows(order, parent, r, x, shunt_g, shunt_b, ratio, solved, weights, converged, tolerance, out):
     """Fill ``out``: derivatives by p_kw and q_kvar (row, bus) and by v0_pu (row,) of sum(weights * solved).
 
-    ``solved`` and ``weights`` hold v_pu (row, bus), p_branch_kw, q_branch_kvar, current_sq_pu (row, branch) and the
-    weights loss_kw (row,) besides; what comes before them is as in ``distflow_rows``. A row without a solution has
-    no derivative and gets 0.
+    ``solved`` and ``weights`` contain v_pu (row, bus), p_branch_kw, q_branch_kvar and current_sq_pu (row, branch);
+    ``weights`` also contains loss_kw (row,). The arguments before them are those of ``distflow_rows``. A row without a
+    solution has no derivative and gets 0.
     """
     v_pu, p_branch, q_branch, current = solved
     g_v, g_p, g_q, g_l, g_loss = weights

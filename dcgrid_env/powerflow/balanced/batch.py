@@ -31,7 +31,8 @@ def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
 def solve_rows(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, *rest: Any) -> Solution:
     """Run a kernel over all rows, on several threads where there are many, and shape its output as a Solution.
 
-    ``rest`` is what the kernel takes beyond the loads: for DistFlow the warm start or None, tolerance and most sweeps.
+    ``rest`` contains the other arguments of the kernel: for DistFlow the warm start or None, the tolerance and the
+    largest number of sweeps.
     """
     shape, n, dtype = p_kw.shape[:-1], feeder.n_bus, p_kw.dtype
     n_row = p_kw.size // n

@@ -24,10 +24,10 @@ PER_KVA = 1.0 / S_BASE_KVA
 
 @compiled(inner=True)
 def _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, n_shunts, load, v, l, finite):
-    """Put loads and start of the rows from ``first`` to ``last`` into the columns, and ``last`` into what is left.
+    """Put loads and start of the rows ``first`` to ``last`` into the columns; repeat ``last`` in the remaining columns.
 
-    A few rows at a time and of these a bus at a time, so that neither what is read nor what is written lies scattered.
-    ``finite`` tells whether all loads of a row are.
+    The loop handles a few rows at a time, and of these one bus at a time, so reads and writes are both nearly
+    contiguous. ``finite`` is set to whether all loads of a row are finite.
     """
     check = np.zeros(BLOCK, p_kw.dtype)
     for tile in range(0, BLOCK, TILE):

@@ -11,9 +11,9 @@ without impedance is exact. The residual is the mismatch of the first two equati
 The sweeps find the solution of high voltage for loads up to 99.997 % of the feeder's limit, and for injections that
 raise the voltage up to some 1.4 times the substation's. Beyond that they may not settle, see ``converged``.
 
-Shunts of the feeder draw shunt_kw v_j and inject shunt_kvar v_j at bus j, beside its load; the residual is then also
-the change of their power in the last sweep. All quantities are referred to the substation's base voltage, and only the
-reported voltage of a bus is multiplied by its ``voltage_ratio``.
+Shunts of the feeder draw shunt_kw v_j and inject shunt_kvar v_j at bus j, in addition to its load. The residual then
+includes the change of their power in the last sweep. All quantities are referred to the substation's base voltage, and
+only the reported voltage of a bus is multiplied by its ``voltage_ratio``.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def distflow(
     Parameters
     ----------
     feeder
-        The feeder. Its own load and capacitors are not added: beside its shunts, which are part of the grid,
-        ``p_kw`` and ``q_kvar`` are all there is.
+        The feeder. Its base load and its capacitors are not added to ``p_kw`` and ``q_kvar``. Its shunts are, because
+        they are part of the grid.
     p_kw, q_kvar
         Net load at each bus (consumption positive), shape (..., n_bus), in the order of ``feeder.bus_ids``: NumPy
         arrays (or lists) or torch tensors on one device, of real numbers. Two of float32 are solved in float32,
@@ -60,8 +60,8 @@ def distflow(
         Substation voltage, p.u., a number or an array that broadcasts to shape (...), of the loads' kind or NumPy's;
         the feeder's published one by default.
     warm
-        A solution (or its ``restart``) of similar loads and the same shape to start from. A start that leads
-        nowhere, NaN for instance, is set aside.
+        A solution (or its ``restart``) of similar loads and the same shape to start from. A start that does not
+        converge, such as NaN, is discarded.
     tolerance_kva
         Largest power mismatch of a converged solution, a positive number; 1e-4 kVA in float64, 1e-2 in float32 by
         default.
@@ -76,9 +76,9 @@ def distflow(
     Raises
     ------
     PowerFlowError
-        For what is no Feeder; loads, v0_pu or a warm start that are not real numbers (complex, bool, text, masked,
-        sparse or objects) or of the wrong shape; loads that are not finite; a voltage, tolerance or number of sweeps
-        that cannot be.
+        If ``feeder`` is not a Feeder. If loads, ``v0_pu`` or a warm start are not real numbers (complex, bool, text,
+        masked, sparse or objects) or have the wrong shape. If loads are not finite, or a voltage, tolerance or number
+        of sweeps is invalid.
     """
     check_feeder(feeder)
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)

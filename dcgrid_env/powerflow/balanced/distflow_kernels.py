@@ -1,16 +1,16 @@
 """Compiled DistFlow sweeps over buses in depth-first order, for NumPy arrays.
 
-Two forms of one arithmetic: ``_row`` for a single feeder, and ``compiled_blocks`` for many, whose innermost loops run
-over a block of rows so that they become vector instructions. Neither lets the compiler reorder or fuse floating-point
-operations and a row's figures are taken at its own last sweep, so a feeder's solution has the same bits alone, in any
-row of any batch and on any number of threads.
+There are two forms of the same arithmetic: ``_row`` for a single feeder, and ``compiled_blocks`` for many, whose
+innermost loops run over a block of rows and become vector instructions. In neither may the compiler reorder or fuse
+floating-point operations, and the figures of a row are those of its last sweep. A feeder's solution is therefore
+identical to the bit when solved alone, in any row of any batch and on any number of threads.
 
 Scratch arrays are (n_bus, width) in depth-first order and per unit; ``l`` is squared current, ``v`` squared voltage.
 
 A feeder's constants are ``order``, its depth-first order, and in that order ``parent``, ``r``, ``x``, ``shunt_g`` and
 ``shunt_b`` (draw and injection at 1 p.u.) and ``ratio`` (of the reported voltage to the referred one). The last three
-have no rows where the feeder has no shunts, or no ratios other than 1: then nothing of theirs is computed. A shunt's
-power is that of the last sweep's voltage, and what the sweep changes of it is part of the residual.
+have no rows if the feeder has no shunts, or no ratios other than 1, and are then skipped. A shunt's power is that of
+the last sweep's voltage, and its change in the sweep is part of the residual.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _start(b, row, order, warm, l):
 
 @compiled(inner=True)
 def _clear(scratch):
-    """No solution at all: no flow, and the lowest voltage but at the substation."""
+    """Write the figures of a row without a solution: no flow, and the lowest voltage except at the substation."""
     _, _, P, Q, v, l = scratch
     for k in range(1, v.shape[0]):
         P[k, 0] = Q[k, 0] = l[k, 0] = 0.0

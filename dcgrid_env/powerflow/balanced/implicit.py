@@ -22,7 +22,7 @@ from dcgrid_env.powerflow.solution import Solution
 def distflow_tensors(
     feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, warm: Any | None, tolerance: float, max_sweeps: int
 ) -> Solution:
-    """Solve as ``distflow`` does. The derivative has none of its own: RuntimeError where one is recorded."""
+    """Solve as ``distflow`` does; second derivatives are unavailable and raise RuntimeError."""
     figures: Any = _DistFlow.apply(p_kw, q_kvar, v0_pu, feeder, warm, tolerance, max_sweeps)
     return Solution(*figures, restart=figures[3].detach())
 

@@ -1,7 +1,7 @@
-"""The sweep in array operations: differentiable, on any device, the form for torch where there is no compiled kernel.
+"""The sweep in array operations: differentiable, on any device, for torch tensors without a compiled kernel.
 
 It is the sweep of ``sweep_rows`` by the zones of ``zones``. Rows that are done, or that have no solution, keep their
-last voltages, so that they spoil neither values nor derivatives.
+last voltages, so they corrupt neither values nor derivatives.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def _square(v: Array) -> Array:
 
 
 def _drawn(f: _Forms, given: tuple[Any, ...], v: Array) -> Array:
-    """What everything that is connected draws at v, p.u., by node."""
+    """Return the draw of all connected elements at voltage v, p.u., by node."""
     p_kw, q_kvar, _, _, state = given
     xp, n_load = namespace(p_kw), f.legs.shape[0]
     scale, rated_sq, z_p, i_p, c_p, z_q, i_q, c_q, floor, low, very_low, a_p, b_p, a_q, b_q = f.law

@@ -1,4 +1,4 @@
-"""What the compiled sweeps know of a three-phase feeder, laid out for them."""
+"""Data of a three-phase feeder in the layout of the compiled sweeps."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ LINE, REGULATOR, TRANSFORMER = 0, 1, 2
 
 
 class Plan(NamedTuple):
-    """Arrays of a feeder. Indices are unsigned, so that the compiler need not ask whether they count from the end.
+    """Arrays of a feeder, with unsigned indices, so that the compiled code need not check for negative ones.
 
-    Beside the feeder's nodes there are four more: node ``n_node`` is ground, whose voltage is 0, and the three after it
-    are those of the ideal source.
+    Four nodes are added to the feeder's: node ``n_node`` is ground, whose voltage is 0, and the next three are those of
+    the ideal source.
     """
 
     first: Any

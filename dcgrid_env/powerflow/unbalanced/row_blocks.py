@@ -1,4 +1,4 @@
-"""A block of rows: what is loaded into it, its sweep, and what is handed over from it."""
+"""A block of rows: loading its inputs, its sweep, and writing its results."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def core_currents(plan, wide, sign, V, J):
 
 @compiled(inner=True)
 def sweep_block(plan, wide, nodes, n_device, work):
-    """One backward and forward sweep; the squared change of the voltages stands in the last row."""
+    """Do one backward and forward sweep; the last row then contains the squared change of the voltages."""
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
     shunt_currents(plan, wide, 1.0, V, J)
     load_currents(plan, wide, V, P, Q, H, J)

@@ -52,19 +52,19 @@ def solve_unbalanced(
     Parameters
     ----------
     feeder
-        The feeder. Its own loads are not added; its capacitors are, as ``control`` has them.
+        The feeder. Its base loads are not added; its capacitors are, in the states of ``control``.
     p_kw, q_kvar
-        What each leg draws at its rated voltage, consumption positive, shape (..., n_leg): the legs of the loads
-        first, then a constant power from each node to ground. NumPy arrays (or lists) or torch tensors; the figures
-        are solved in float64 and handed back in the precision of these two.
+        Draw of each leg at its rated voltage, consumption positive, shape (..., n_leg): the legs of the loads first,
+        then a constant power from each node to ground. NumPy arrays (or lists) or torch tensors; the figures are
+        solved in float64 and returned in the precision of these two.
     source_voltage_pu
         Voltage of the ideal source, p.u., a number or an array that broadcasts to shape (...); the feeder's own by
         default.
     control
         Ratios of the regulators and states of the capacitors; the base taps and states where it is None.
     start
-        A solution (or its ``restart``) of a similar power flow of the same shape; a row of zeros, or one that leads
-        nowhere, is set aside.
+        A solution (or its ``restart``) of a similar power flow of the same shape; a row of zeros, or one that does not
+        converge, is discarded.
     tolerance_pu
         Largest estimated error of a voltage of a converged solution, p.u., the sum over the phases of a bus.
     max_sweeps
@@ -78,8 +78,8 @@ def solve_unbalanced(
     Raises
     ------
     PowerFlowError
-        For what is no ThreePhaseFeeder; figures that are not real numbers, not finite or of the wrong shape; a tap
-        out of range; a voltage, tolerance or number of sweeps that cannot be.
+        If ``feeder`` is not a ThreePhaseFeeder. If figures are not real numbers, not finite or have the wrong shape. If
+        a tap is out of range, or a voltage, tolerance or number of sweeps is invalid.
     """
     check_three_phase_feeder(feeder)
     p_kw, q_kvar = check_legs(feeder, p_kw, q_kvar)

@@ -1,13 +1,13 @@
-"""The derivative of a solved sweep, compiled: what each input does to a weighted sum of the solution's figures.
+"""Compiled derivative of a solved sweep: the effect of each input on a weighted sum of the solution's figures.
 
-At the solution V_m = A V_n - B I_m and I_m = (currents of the legs at V_m) + sum of A^T I of what m feeds, and the
-derivative follows from these alone (the implicit function theorem). With a bar for the derivative of the weighted sum
-by a real and an imaginary part, and N the two by two real derivative of a bus's currents by its voltages,
+The solution satisfies V_m = A V_n - B I_m and I_m = (currents of the legs at V_m) + sum of A^T I over the buses that m
+feeds. The derivative follows from these alone (the implicit function theorem). With a bar for the derivative of the
+weighted sum by a real and an imaginary part, and N the two by two real derivative of a bus's currents by its voltages,
 
     vbar_m = weight of V + N^T ibar_m + sum over what m feeds of A^T vbar
     ibar_m = weight of I + A ibar_n - conj(B) vbar_m
 
-which is the same sweep, with ibar for the voltage, vbar for the current, conjugated matrices and a source of zero.
+This is the same sweep, with ibar for the voltage, vbar for the current, conjugated matrices and a source of zero.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """The compiled backward and forward sweep over blocks of rows.
 
-Voltages and currents stand in flat arrays, two lines of a block's rows for each node, the real and the imaginary part,
-so that the phases of a bus are one stretch of memory and the innermost loops over rows become vector instructions. The
-block's width is the length of a tuple, ``wide``, a constant to the compiler: of 1 for a single feeder, of ``WIDE`` for
-many. Nothing lets the compiler reorder or fuse floating-point operations, so a row has the same bits in either.
+Voltages and currents are in flat arrays, with two lines of a block's rows for each node: the real and the imaginary
+part. The phases of a bus are therefore contiguous in memory, and the innermost loops over rows become vector
+instructions. The block's width is the length of the tuple ``wide``, a constant for the compiler: 1 for a single feeder,
+``WIDE`` for many. The compiler may not reorder or fuse floating-point operations, so a row is identical to the bit in
+both.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolut
 def sweep_tensors(
     feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
-    """Solve as ``solve_batch`` does. The derivative has none of its own: RuntimeError where one is recorded."""
+    """Solve as ``solve_batch`` does; second derivatives are unavailable and raise RuntimeError."""
     volts, amperes, *rest = _Sweep.apply(*given, feeder, start, tolerance_pu, max_sweeps)  # pyright: ignore
     v_pu, loss, p, q, converged, iterations, residual = rest
     n = feeder.n_node

@@ -134,7 +134,7 @@ def source_voltage(feeder: ThreePhaseFeeder, p_kw: Array, source_voltage_pu: Any
 
 
 def voltages_to_start_from(feeder: ThreePhaseFeeder, p_kw: Array, start: Any) -> Array | None:
-    """Voltages to start from, of the loads' kind; PowerFlowError unless shaped (..., 2 n_node) as they are."""
+    """Return the voltages to start from, of the loads' kind; PowerFlowError unless (..., 2 n_node) fits the loads."""
     if start is None:
         return None
     start = getattr(start, "restart", start)

@@ -18,9 +18,9 @@ _DEGREES = 180.0 / np.pi
 class ThreePhaseSolution(NamedTuple):
     """Voltages and currents of a batch of three-phase feeders; leading dimensions are those of the loads.
 
-    Where ``converged`` is False no solution was found, most likely because there is none. All figures are then finite
-    but no solution, save the residual, which may be infinite. No figure but the restart's has a derivative of its
-    iterations.
+    If ``converged`` is False, the solver found no solution, most likely because none exists. All figures are then
+    finite but not a solution, except for the residual, which may be infinite. Only the figure ``restart`` has a
+    derivative through the iterations.
     """
 
     v_pu: Array
@@ -47,7 +47,7 @@ class ThreePhaseSolution(NamedTuple):
     """Estimated largest error of a voltage, p.u., times 1 MVA, kVA, shape (...): what it moves the power of a node by
     that draws 1 MVA at constant current."""
     restart: Array
-    """Where the next, similar power flow may start from, shape (..., 2 n_node); a row of zeros is no start."""
+    """Start for the next, similar power flow, shape (..., 2 n_node); a row of zeros means without a start."""
 
     @property
     def v_angle_deg(self) -> Array:

@@ -1,8 +1,8 @@
-"""A three-phase feeder cut into zones: buses that lines and closed switches alone join, each fed by one branch.
+"""A three-phase feeder cut into zones of buses that only lines and closed switches join, each zone fed by one branch.
 
-Within a zone every node's voltage is that of the zone's first bus on its phase less the sum over all nodes of the
-impedance that the paths of both share times the node's current, one product with a matrix. Zones follow one another
-through regulators and transformers, few of them, so that a sweep is a few products on whatever device.
+The voltage of a node is that of the zone's first bus on its phase minus a sum over all nodes of the zone. Each term is
+the impedance that the paths of both nodes share, times the current of the other node. This is one product with a
+matrix. Regulators and transformers separate zones. They are few, so a sweep is a few products on any device.
 """
 
 from __future__ import annotations

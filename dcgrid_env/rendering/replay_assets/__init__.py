@@ -1,1 +1,1 @@
-"""What the page of a replay is made of: its HTML, its style and its scripts, which ``replay_page`` puts together."""
+"""HTML, style and scripts of the replay page, which ``replay_page`` combines."""

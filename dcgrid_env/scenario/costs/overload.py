@@ -1,10 +1,10 @@
-"""Overload of branches: what currents exceed ratings by, where the feeder says what its branches are rated for.
+"""Overload of branches: the excess of currents over ratings, for feeders with rated branches.
 
     overload = mean over rated branches of min(max(loading - 1, 0), 9)      loading: current as a share of the rating
 
-On a three-phase feeder each phase of a line counts as a branch. The excess is cut at 9 ratings, so that the term has an
-upper bound; beyond it there is no operating point in practice. The term is a constraint in ``info["cost"]`` where it
-has a weight.
+On a three-phase feeder each phase of a line counts as a branch. The excess is limited to 9 ratings to give the term an
+upper bound; feeders do not operate beyond it in practice. The term is a constraint in ``info["cost"]`` if it has a
+weight.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def remembered_draws(scenario: Any) -> int:
 
 @cached_on_owner
 def sites(scenario: Any) -> slice:
-    """Where the agents stand that are driven by the workload, one after another: one group of devices at most is."""
+    """Return the positions of the agents that the workload drives; at most one group of devices is driven by it."""
     of_sites = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
     at = np.flatnonzero(of_sites)
     return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)

@@ -1,4 +1,4 @@
-"""A feeder as buses and branches in the voltages of its own buses, from which the formats write it."""
+"""A feeder as buses and branches at each bus's base voltage, from which the formats write it."""
 # ruff: noqa: D102  (the protocol's members are ``Feeder``'s, and described there)
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dcgrid_env.grid.formats.bus_branch.description import (
 
 
 class BalancedFeeder(Protocol):
-    """What a format needs of a ``Feeder``, whose own file reads formats and is not imported here."""
+    """Attributes of ``Feeder`` that a format needs; ``Feeder`` itself imports the formats, so it is not imported."""
 
     @property
     def name(self) -> str: ...
@@ -58,9 +58,9 @@ class BalancedFeeder(Protocol):
 
 
 def described(feeder: BalancedFeeder, base_mva: float = 1.0) -> BusBranchGrid:
-    """Buses and branches of a feeder; a branch between buses of one ratio is a line, another a transformer.
+    """Return buses and branches of a feeder; a branch between buses of one ratio is a line, another a transformer.
 
-    Capacitors of constant kvar are part of the loads, as no other format tells them from those.
+    Capacitors of constant kvar are part of the loads, because no other format separates the two.
     """
     n = len(feeder.bus_ids)
     base_kv = np.full(n, feeder.base_kv) if feeder.bus_base_kv is None else feeder.bus_base_kv

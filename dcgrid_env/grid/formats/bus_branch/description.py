@@ -1,9 +1,12 @@
-"""A balanced grid as buses and branches in per unit, meshed or not: what every format is read into first.
+"""A balanced grid as buses and branches in per unit, radial or meshed; every format is first read into this form.
 
-Voltages are per unit of each bus's own base, impedances and admittances per unit of the bus at the end that is said, on
-one base power. A branch is MATPOWER's (R. D. Zimmerman, C. E. Murillo-Sanchez, MATPOWER User's Manual, section 3.2): an
-ideal transformer of ratio ``tap`` at its from end, behind it a series impedance with an admittance to ground at either
-end.
+Voltages are per unit of each bus's base. Impedances and admittances are per unit of the bus at the stated end, on one
+base power. A branch is that of MATPOWER: an ideal transformer of ratio ``tap`` at its from end, followed by a series
+impedance with an admittance to ground at each end.
+
+References
+----------
+R. D. Zimmerman, C. E. Murillo-Sanchez, MATPOWER User's Manual, section 3.2.
 """
 
 from __future__ import annotations

@@ -22,14 +22,14 @@ class ImportedFeeder:
     network
         Its tables, which ``Feeder.from_network`` compiles.
     findings
-        What became of each element.
+        Treatment of each element.
     bus_of
         Bus of the tables for each bus of the source that is supplied: several where closed switches make them one.
     v_pu
-        Voltage magnitude of each bus of the tables, p.u. of its own base, as the source's solver finds it; empty where
-        it found none.
+        Voltage magnitude of each bus of the tables by the source's solver, p.u. of the bus's base; empty if the solver
+        found none.
     solver
-        What found these voltages.
+        Name of that solver.
     notes
         Lines that the user should read in addition to the findings.
     """
@@ -53,9 +53,9 @@ def imported(
     source_of_facts: str,
     notes: tuple[str, ...] = (),
 ) -> ImportedFeeder:
-    """Reduce a grid and put the solver's voltages, by bus of the grid, beside the buses of the tables.
+    """Reduce a grid and assign the solver's voltages, by bus of the grid, to the buses of the tables.
 
-    The solver is asked once the grid is known to be a feeder.
+    The solver runs only after the grid is known to be a feeder.
     """
     radial = radial_network(grid, report, source=source, allow=allow, source_of_facts=source_of_facts)
     there = {bus: float(v) for bus, v in voltages().items() if radial.bus_of.get(bus) == bus and np.isfinite(v)}

@@ -1,4 +1,4 @@
-"""Branches beside each other between two buses, as one."""
+"""Parallel branches between two buses, combined into one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class Joint:
-    """All that joins two buses: one branch, or those beside each other as one."""
+    """The connection between two buses: one branch, or parallel branches combined into one."""
 
     branch: Branch
     members: tuple[Branch, ...]
@@ -27,7 +27,7 @@ class Joint:
 
 
 def joints(branches: Sequence[Branch], report: Report) -> list[Joint]:
-    """One joint for every pair of buses that branches join; unlike transformers beside each other are refused."""
+    """Return one joint for every connected pair of buses; parallel transformers that differ are refused."""
     beside: dict[tuple[int, int], list[Branch]] = {}
     for branch in branches:
         pair = (min(branch.from_bus, branch.to_bus), max(branch.from_bus, branch.to_bus))

@@ -1,10 +1,11 @@
 """From buses and branches to the tables of a radial feeder, referred to the substation's base voltage.
 
-Switches that are closed make their buses one, branches beside each other become one, admittances to ground go to the
-buses, and what no source feeds is left out. An ideal transformer is then exact: with t the voltage of a bus referred
-to the
-source over its own, both per unit, t grows by ``tap`` across a transformer, an impedance of the bus is t^2 times as
-large for the source, a current 1 / t times, and the admittance of a bus 1 / t^2 times.
+Buses that a closed switch joins become one bus, parallel branches become one branch, and admittances to ground move to
+the buses. Elements that no source feeds are left out.
+
+Ideal transformers are represented exactly. Let t be the voltage of a bus referred to the source divided by the bus
+voltage, both per unit. Then t grows by ``tap`` across a transformer. Seen from the source, an impedance of the bus is
+multiplied by t^2, a current by 1 / t, and an admittance of the bus by 1 / t^2.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ def _one_bus_for_each_closed_switch(grid: BusBranchGrid, report: Report) -> np.n
 
 
 def _shunts(grid: BusBranchGrid, first: np.ndarray, report: Report) -> np.ndarray:
-    """Complex admittance to ground of each bus, p.u. of its own base, those of branches among them, shape (n_bus,)."""
+    """Return the complex admittance to ground of each bus including its branches, p.u. of its base, shape (n_bus,)."""
     total = (grid.shunt_kw + 1j * grid.shunt_kvar) / (1000.0 * grid.base_mva)
     for b in grid.branches:
         if b.from_closed and b.to_closed:
@@ -214,7 +215,7 @@ def _report_unsupplied(grid: BusBranchGrid, first: np.ndarray, found: Supplied, 
 
 
 def _tables(grid: BusBranchGrid, root: Source, first: np.ndarray, found: Supplied, shunts: np.ndarray) -> Network:
-    """Tables of what is supplied, in the order of the grid's buses but for the source's, which is first."""
+    """Return the tables of the supplied part, with the source bus first and the others in the grid's order."""
     source_bus = int(first[root.bus])
     rows = [source_bus, *(i for i in sorted(found.fed) if i != source_bus)]
     base_kv = float(grid.base_kv[source_bus])

@@ -1,8 +1,12 @@
-"""MATPOWER's own power flow on its own tables: bus admittance matrix and Newton's method in polar coordinates.
+"""MATPOWER's power flow on MATPOWER tables: bus admittance matrix and Newton's method in polar coordinates.
 
-It is what an import is compared with, and knows nothing of feeders: equations (3.10) to (3.13) and section 4.1 of
-R. D. Zimmerman and C. E. Murillo-Sanchez, MATPOWER User's Manual; W. F. Tinney and C. E. Hart, "Power Flow Solution by
-Newton's Method", IEEE Transactions on Power Apparatus and Systems, PAS-86, 1967.
+An import is compared with this solution, which is independent of the feeder tables.
+
+References
+----------
+R. D. Zimmerman and C. E. Murillo-Sanchez, MATPOWER User's Manual, equations (3.10) to (3.13) and section 4.1.
+W. F. Tinney and C. E. Hart, "Power Flow Solution by Newton's Method", IEEE Transactions on Power Apparatus and Systems,
+PAS-86, 1967.
 """
 
 from __future__ import annotations

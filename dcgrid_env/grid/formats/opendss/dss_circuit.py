@@ -126,7 +126,7 @@ class DssCircuit:
             self.engine.Solution.BuildYMatrix(1, 1)
 
     def solve(self) -> bool:
-        """Solve as it stands, controls off; whether OpenDSS converged."""
+        """Solve the present circuit with controls off and return whether OpenDSS converged."""
         settings = f"mode=snapshot controlmode=off loadmodel=powerflow tolerance={TOLERANCE:g} maxiterations=1000"
         try:
             self.engine.Text.Command(f"set {settings}")

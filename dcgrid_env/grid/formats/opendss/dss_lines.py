@@ -31,7 +31,7 @@ def read_lines(circuit: DssCircuit, report: Report, ratings: ScriptRatings) -> l
 
 
 def in_series(circuit: DssCircuit, kind: str, name: str) -> bool:
-    """Whether an element, which is then the active one, stands between two buses."""
+    """Make an element the active one and return whether it connects two buses."""
     circuit.activate(kind, name)
     return len({end.bus for end in circuit.terminals()}) > 1
 

@@ -2,8 +2,8 @@
 
 A voltage regulator proper (wye, the same voltage on both sides, the tap on the side that it feeds) is one row. Any
 other transformer whose fed-from side is tapped, such as a substation transformer with its tap changer, becomes a
-transformer at the neutral tap and an ideal regulator behind it, at a bus of its own between them: with the impedance z
-of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, that is the same. A tap on the side that is fed from is fixed.
+transformer at the neutral tap and an ideal regulator behind it. A separate bus connects the two. With the impedance z
+of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, which is equivalent. A tap on the side that is fed from is fixed.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def is_regulator(unit: Unit) -> bool:
 
 
 def regulator_row(unit: Unit, regulation: Regulation, from_bus: str, report: Report) -> dict[str, Any] | None:
-    """A row from an oriented transformer; None, with its reason in the report, where its tap is no whole step."""
+    """Return a row from an oriented transformer; None, with the reason in the report, if its tap is between steps."""
     to = unit.windings[1]
     step = (to.tap_max - to.tap_min) / to.n_tap
     tap, lowest, highest = ((value - 1.0) / step for value in (to.tap, to.tap_min, to.tap_max))

@@ -1,8 +1,8 @@
-"""One line of an OpenDSS script as words, read by OpenDSS's rules and written again so that nothing can be read twice.
+"""One line of an OpenDSS script as words, read by OpenDSS's rules and rewritten in an unambiguous form.
 
-Words are separated by blanks and commas, ``name=value`` is one, and a value may stand in quotes, parentheses, brackets
-or braces up to the first that closes. What OpenDSS and this file could read in two ways (brackets of one kind within
-each other, control characters, its variables ``@name``) is refused.
+Words are separated by blanks and commas, and ``name=value`` is one word. Quotes, parentheses, brackets or braces may
+enclose a value, up to the first that closes. Text that OpenDSS and this file could read differently is refused:
+nested brackets of one kind, control characters, and OpenDSS's variables ``@name``.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ class Word(NamedTuple):
     """A word of a line."""
 
     name: str
-    """What stands before the sign of equality, empty where there is none."""
+    """Text before the equals sign; empty if there is none."""
     text: str
     """The value without its quotes."""
     quote: str = ""
-    """The quote or bracket that it stands in, empty for none."""
+    """Opening quote or bracket around the value; empty if there is none."""
 
     def __str__(self) -> str:
         text = f"{self.quote}{self.text}{CLOSING[self.quote]}" if self.quote else self.text

@@ -1,4 +1,4 @@
-"""What joins two buses, before it is known from which side it is fed; and the tree that all of them make."""
+"""Connections between two buses before their direction is known, and the tree that they form."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def _network(
 
 
 def _unit_joints(units: Sequence[Unit]) -> Iterable[Joint]:
-    """One joint for the transformers beside each other between two buses: see ``merged``."""
+    """Yield one joint for all parallel transformers between two buses: see ``merged``."""
     found: dict[frozenset[str] | str, Joint] = {}
     for unit in units:
         first, second = unit.windings

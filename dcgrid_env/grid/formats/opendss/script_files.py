@@ -9,14 +9,14 @@ LARGEST_BYTES = 256 * 2**20
 
 
 def file_beneath(root: Path, folder: Path, name: str) -> Path:
-    """The file that a script in ``folder`` names, as its real path.
+    """Return the real path of the file that a script in ``folder`` names.
 
-    Backslashes separate folders too, and a name that differs in case alone is found: scripts come from Windows.
+    Backslashes also separate folders, and the case of a name is ignored, because scripts come from Windows.
 
     Raises
     ------
     ValueError
-        For a path beyond ``root``, by links too, and for what is no file.
+        If the path is outside ``root``, also through links, or is not a file.
     """
     plain = name.strip().replace("\\", "/")
     if not plain or plain.startswith("~") or ":" in plain:

@@ -1,6 +1,6 @@
-"""The commands of an OpenDSS script and of those that it redirects to, each read, checked and written out anew.
+"""The commands of an OpenDSS script and of those that it redirects to, each read, checked and rewritten.
 
-OpenDSS itself opens no script: it is handed these lines one by one, so that what it runs is what was looked at.
+OpenDSS itself opens no script. It receives these lines one by one, so it runs exactly the lines that were checked.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from dcgrid_env.grid.topology import FeederError
 DEEPEST = 32
 """How deep scripts may redirect to further ones."""
 MOST_FILES = 2000
-"""How many scripts may be read in all, one that is read twice counted twice."""
+"""Largest number of scripts to read; a script that is read twice counts twice."""
 
 
 class Line(NamedTuple):
-    """A command that is safe to run, and where it stands."""
+    """A command that is safe to run, and its position in the scripts."""
 
     command: str
     where: str

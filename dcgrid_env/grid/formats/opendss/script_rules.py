@@ -43,7 +43,7 @@ BY_POSITION = (
 )  # fmt: skip
 """Classes of elements whose properties name no file, program or action: all may be given by position."""
 HARMLESS_POSITIONS = 2
-"""How many properties of other classes may be given by position: what is monitored and its terminal, for instance."""
+"""Number of properties of other classes that may be given by position, such as the monitored element and terminal."""
 READS = ("csvfile", "sngfile", "dblfile", "pqcsvfile")
 """Properties that name a file of figures."""
 _ACTIONS = ("open", "close", "normalize", "clear", "trip", "lock", "unlock")
@@ -56,11 +56,14 @@ FILE_WITHIN = re.compile(
     r"""(?P<rest>(\s*,?\s*(col|column|header)\s*=\s*\w+)*)\s*$""",
     re.IGNORECASE,
 )
-"""A value in brackets that stands for the figures of a file."""
+"""A value in brackets that refers to the figures of a file."""
 
 
 def resolved(word: str, ours: Sequence[str], theirs: Sequence[str]) -> str:
-    """The name that a word stands for, in lower case; ValueError unless it is one of ours and no other of theirs."""
+    """Return the name that a word abbreviates, in lower case.
+
+    Raises ValueError unless the name is in ``ours`` and the word matches no other name in ``theirs``.
+    """
     word = word.lower()
     known = {name.lower() for name in theirs}
     begun = [word] if word in known else sorted(name for name in known if name.startswith(word))
@@ -86,7 +89,7 @@ def check_option(word: Word, theirs: Sequence[str]) -> Word:
 
 
 def check_plain(word: Word) -> None:
-    """ValueError for a word of a plain command that is no element, figure or known name."""
+    """Raise ValueError if a word of a plain command is not an element, a figure or a known name."""
     if word.name and word.name.lower() not in _PLAIN_WORDS:
         raise ValueError(f"{word.name!r} is not known here; choose {', '.join(_PLAIN_WORDS)}")
     if "=" in word.text:
@@ -94,11 +97,11 @@ def check_plain(word: Word) -> None:
 
 
 def check_property(kind: str, word: Word, is_first: bool) -> str:
-    """How a property names a file, ``all`` of its value or ``within`` its brackets, or not, ``""``.
+    """Return how a property names a file: ``all`` of its value, ``within`` its brackets, or not (``""``).
 
-    ``is_first`` says that it is among the first ``HARMLESS_POSITIONS`` and comes after none with a name, from which
-    OpenDSS would count on.
-    ValueError for one that acts, loads a program, writes, or cannot be told from such.
+    ``is_first`` is true if the property is among the first ``HARMLESS_POSITIONS`` and follows no named one, from which
+    OpenDSS would continue counting.
+    Raises ValueError for a property that acts, loads a program or writes, or that may be one of these.
     """
     name = word.name.lower()
     if not name:

@@ -64,7 +64,7 @@ class ModelRows:
 
 
 def read_branches(net: Any, rows: ModelRows, report: Report) -> list[Branch]:
-    """Branches in the model's order; what differs by direction is refused."""
+    """Return branches in the model's order; a branch that differs by direction is refused."""
     branches = []
     ratings = _ratings(net, rows)
     for k, kind, name in _elements(net):

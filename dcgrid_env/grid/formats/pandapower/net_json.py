@@ -1,9 +1,8 @@
-"""A pandapower net out of its JSON file, without importing or calling anything that the file names.
+"""A pandapower net from its JSON file, without importing or calling anything that the file names.
 
-pandapower's own reader imports modules and makes objects of classes that stand in the file, and opens files whose
-paths do.
+pandapower's reader imports modules, creates objects of classes and opens files that the JSON file names.
 Here the tables that a power flow needs are filled from plain figures and texts; controllers, functions and other
-objects are not made.
+objects are not created.
 """
 
 from __future__ import annotations
@@ -151,7 +150,7 @@ def _column(file: str, table: str, column: str, cells: Any, like: Any) -> Any:
 
 
 def _report_rest(file: str, members: dict[str, Any], report: Report) -> None:
-    """Say what of the file is not read."""
+    """Report the parts of the file that are not read."""
     for name, member in members.items():
         if name in _PLAIN_TABLES or name.startswith(("res_", "_")) or not _is_table(member):
             continue

@@ -1,7 +1,7 @@
-"""A radial feeder out of a pandapower net.
+"""A radial feeder from a pandapower net.
 
-Branches, loads and shunts are those of the per-unit model that pandapower itself builds for its power flow, so that
-every way in which it lets a line, a transformer or its taps be described is understood as pandapower understands it.
+Branches, loads and shunts come from the per-unit model that pandapower builds for its power flow. Every description of
+a line, a transformer or its taps is therefore interpreted as in pandapower.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _solve(called: str, net: Any) -> bool:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Without pandapower's log and warnings: what they say of a net is said by the checks and the report."""
+    """Silence pandapower's log and warnings, whose content the checks and the report cover."""
     log = logging.getLogger("pandapower")
     level = log.level
     log.setLevel(logging.CRITICAL + 1)

@@ -87,7 +87,7 @@ _WORDS = {
     ("trafo", "tap_changer_type"): ("Ratio", "Symmetrical", "Ideal", "Tabular"),
     ("trafo3w", "tap_changer_type"): ("Ratio", "Symmetrical", "Ideal", "Tabular"),
 }
-"""What columns of texts may hold; an empty cell is left to pandapower."""
+"""Allowed texts of text columns; pandapower handles empty cells."""
 _OPTIONAL_COLUMNS = {
     "tap_neutral", "tap_min", "tap_max", "tap_pos", "tap_step_percent", "tap_step_degree", "vn_kv", "max_i_ka",
     "va_degree", "gf_pu", "bf_pu", "gt_pu", "bt_pu", "z_ohm", "df", "g_us_per_km", *_SHARE,
@@ -150,7 +150,7 @@ def _limits(kind: str) -> tuple[float, float]:
 
 
 def _all_good(kind: str, cells: np.ndarray, empty: bool, buses: set[int]) -> bool:
-    """Whether a column of numbers is good as it stands, seen at once; others are looked at cell by cell."""
+    """Return whether a column of numbers is valid as a whole; other columns are checked cell by cell."""
     if cells.dtype.kind == "b" or kind == "bool":
         return cells.dtype.kind == "b" and kind == "bool"
     if cells.dtype.kind not in "iuf":

@@ -17,9 +17,9 @@ from dcgrid_env.grid.topology import FeederError
 
 
 def loaded_net(source: Any, arguments: Mapping[str, Any], trust: bool, report: Report) -> tuple[str, Any]:
-    """What to call a net, and the net, as a copy of its own.
+    """Return the name of a net and a separate copy of the net.
 
-    FeederError where it cannot be had, or pandapower is missing.
+    Raises FeederError if the net cannot be loaded or pandapower is not installed.
     """
     try:
         import pandapower

@@ -26,11 +26,11 @@ def write_pandapower(feeder: BalancedFeeder, path: str | Path) -> None:
 
 
 def pandapower_net(feeder: BalancedFeeder) -> Any:
-    """A net of a feeder, in the voltages of its own buses; indices are its buses where all are whole numbers of 0 or
-    more.
+    """Return a pandapower net of a feeder, at the base voltage of each bus.
 
-    A branch without impedance becomes a closed switch between two buses. FeederError for a transformer without
-    impedance, which pandapower cannot hold, and where pandapower is missing.
+    Indices are bus names if all of these are whole numbers of 0 or more. A branch without impedance becomes a closed
+    switch between two buses. Raises FeederError for a transformer without impedance, which pandapower cannot represent,
+    and if pandapower is not installed.
     """
     try:
         import pandapower as pp

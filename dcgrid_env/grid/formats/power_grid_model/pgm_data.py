@@ -22,10 +22,10 @@ Data = dict[str, np.ndarray]
 
 
 def input_data(path: Path, report: Report) -> tuple[Data, dict[int, str]]:
-    """Structured arrays of a file by component, and the names that nodes have beside their ids.
+    """Return the structured arrays of a file by component, and the names of nodes by id.
 
-    FeederError for a cell that cannot be used, naming component, row, id and field; for what power-grid-model's own
-    checks refuse; where it is missing.
+    Raises FeederError for an invalid cell, naming component, row, id and field; for data that power-grid-model's
+    checks refuse; and if power-grid-model is not installed.
     """
     try:
         from power_grid_model import power_grid_meta_data

@@ -110,7 +110,7 @@ def _solved(data: Data, frequency_hz: float) -> dict[int, float]:
 
 
 def _grid(path: Path, data: Data, names: dict[int, str], bus_names: bool) -> tuple[BusBranchGrid, dict[int, int]]:
-    """Nodes, and sources with the buses that stand behind their impedances."""
+    """Return nodes and sources, with the buses behind the sources' impedances."""
     nodes, sources = data.get("node", np.zeros(0)), [s for s in data.get("source", ()) if s["status"]]
     if not len(nodes):
         raise FeederError(f"{path}: it has no node; give power-grid-model's input data")
@@ -175,7 +175,7 @@ def _add_loads(grid: BusBranchGrid, data: Data, rows: dict[int, int], report: Re
 
 
 def _add_rest(data: Data, report: Report) -> None:
-    """Say what becomes of components that have no place in the tables."""
+    """Report how components are treated that have no place in the tables."""
     for one in data.get("source", ()):
         if not one["status"]:
             report.add("nothing lost", "source", str(int(one["id"])), "out of service: it is left out")
