@@ -135,7 +135,7 @@ def sag_study(
 
 
 def _drive(asked: _Asked) -> Driven:
-    """Summary of the episodes of one controller."""
+    """Run one controller and summarise its episodes."""
     test, seeds = make_scenario(asked.scenario, split=SPLIT), range(asked.episodes)
     if asked.name is None:
         return _driven(BEST_KNOWN, replayed(test, seeds), asked.seed, _load_kw(test))
@@ -153,7 +153,7 @@ def _cost(one: Driven) -> float:
 
 
 def _driven(name: str, recorder: Recorder, seed: int, load_kw: float) -> Driven:
-    """Summary of the episodes of one controller."""
+    """Summarise the episodes of one controller."""
     metrics = recorder.metrics()
     for of_episode in metrics:
         of_episode[LOST_SHARE.name] = 100.0 * of_episode["ups_lost_step_kw"] / load_kw
