@@ -61,7 +61,7 @@ def room_of(dotted):
 
 
 def module_of(dotted):
-    """The module that a dotted name is or stands in."""
+    """Return the module that a dotted name is or belongs to."""
     while dotted not in MODULES:
         dotted = dotted.rpartition(".")[0]
     return dotted

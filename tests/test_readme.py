@@ -1,4 +1,4 @@
-"""What the README and the pages of docs/ claim, run again."""
+"""Claims of the README and the pages of docs/, reproduced."""
 
 import re
 import shlex

@@ -1,12 +1,12 @@
 """Short draws above what a GPU may draw for long: work that begins boosts, until a reserve is spent.
 
-    wanted  = (boost - 1) compute / (1 - idle)      so that a site of nothing but compute-bound work reaches the boost
+    wanted  = (boost - 1) compute / (1 - idle)      a site with compute-bound work only draws the full boost
     extra   = min(wanted, reserve / dt)             drawn on top of the power, as work that follows the clock
-    reserve falls by extra dt, and rises by (boost - 1) dt / 50, up to (boost - 1) x 1 s, while the site rests: while
-              less than a tenth of the full boost is wanted
+    reserve falls by extra dt, and rises by (boost - 1) dt / 50, up to (boost - 1) x 1 s, while the site rests
 
-Peaks of 1.0 to 1.3 of the rated power are reported for A100 servers. How long they last is not: a second of the full
-boost, and 50 s to gather it again, are choices.
+A site rests while less than a tenth of the full boost is wanted.
+Peaks of 1.0 to 1.3 of the rated power are reported for A100 servers, but not their duration. One second of the full
+boost, and 50 s to recover it, are choices.
 """
 
 from dataclasses import replace
@@ -22,11 +22,11 @@ RESERVE_S = 1.0
 GATHER_S = 50.0
 """How long it takes to gather the reserve again, s."""
 REST_SHARE = 0.1
-"""A site rests while less than this share of the full boost is wanted."""
+"""Share of the full boost below which a site rests."""
 
 
 def boosted(share: FloatArray, compute: FloatArray, boost_share: float) -> tuple[FloatArray, FloatArray]:
-    """Power (n,) and its compute-bound part (n,) on the grid of 0.1 s, shares of rating, with short draws above 1."""
+    """Add short draws above 1 to the power (n,) and its compute-bound part (n,), shares of rating on a 0.1 s grid."""
     beyond = boost_share - 1.0
     most, gathered = beyond * RESERVE_S, beyond * RESERVE_S / GATHER_S * GRID_S
     extra, reserve, resting = np.zeros_like(share), most, REST_SHARE * beyond
@@ -42,7 +42,7 @@ def boosted(share: FloatArray, compute: FloatArray, boost_share: float) -> tuple
 
 
 def boosted_trace(trace: PowerTrace, boost_share: float) -> PowerTrace:
-    """A trace in shares of its rating, whose compute-bound part is known, with short draws above it."""
+    """Add short draws above the rating to a trace in shares of its rating, whose compute-bound part is known."""
     compute = trace.resample_compute(GRID_S)
     assert compute is not None
     # A trace may hold a level for longer than a step of the grid.

@@ -22,14 +22,14 @@ from dcgrid_env.traces.text.text_file import open_text
 from dcgrid_env.traces.trace import PowerTrace
 
 LOAD = 0.35
-"""Requests without a site of their own are served by as many replicas of Llama 3 70B on H100 as have this load."""
+"""Load that sets the number of replicas of Llama 3 70B on H100 which serve a request log without a site."""
 
 
 def recorded_trace(name: str) -> PowerTrace:
-    """A recording by name (`RECORDINGS`), or a file: a power trace, a log of nvidia-smi, or a request log.
+    """Load a recording by name (`RECORDINGS`), or a file: a power trace, a log of nvidia-smi, or a request log.
 
-    Requests become power by being served (`LOAD`). The trace knows what it was asked for by (`PowerTrace.asked_by`).
-    TraceError for what is neither, or cannot be read.
+    Requests become power by being served (`LOAD`). The trace stores the requested name (`PowerTrace.asked_by`).
+    Raises TraceError if the name is neither, or the file cannot be read.
     """
     trace = _read(name)
     trace.__dict__["_asked_by"] = name if name in RECORDINGS else str(Path(name).absolute())
@@ -57,7 +57,7 @@ def _read(name: str) -> PowerTrace:
 
 
 def is_recording(value: object) -> bool:
-    """Whether a value names a recording, or a file that is there."""
+    """Return whether a value names a recording or an existing file."""
     if isinstance(value, Path):
         return True
     try:
@@ -67,7 +67,7 @@ def is_recording(value: object) -> bool:
 
 
 def served(requests: Requests) -> PowerTrace:
-    """Draw of a site that answers requests, as a share of its rating."""
+    """Compute the draw of a site that answers requests, as a share of its rating."""
     unit = replica("H100", "llama3-70b")
     mean = [float(tokens.mean()) for tokens in (requests.context_tokens, requests.generated_tokens)]
     busy_s = unit.busy_s(*mean)
@@ -75,7 +75,7 @@ def served(requests: Requests) -> PowerTrace:
 
 
 def _first_line(path: Path) -> str:
-    """The first line with content that is no comment, or the one that a recorder begins with; "" if there is none."""
+    """Return the first line that is neither empty nor a comment, or a recorder's first line; "" without one."""
     with open_text(path) as file:
         lines = (line for line in iter(file.readline, "") if line.strip())
         return next((line for line in lines if line.startswith(RECORDED) or not line.startswith("#")), "")

@@ -14,7 +14,7 @@ ACTIVE_SHARE = 0.4
 
 
 def figures(trace: PowerTrace) -> dict[str, float]:
-    """Return what the comparison looks at; the trace is in share of rating, averaged over seconds where it says so.
+    """Return the compared figures of a trace in share of rating, averaged over seconds where the name states it.
 
     Levels are shares of rating, bursts are runs of seconds above ACTIVE_SHARE; a figure that does not exist is NaN.
     """
@@ -73,12 +73,14 @@ def comparison(recording: PowerTrace, n_windows: int = 200) -> dict[str, tuple[f
 
 
 def distances(recording: PowerTrace, n_windows: int = 200) -> dict[str, tuple[float, float, FloatArray]]:
-    """Two-sample distances between what is recorded and all generated windows, read as the recording was.
+    """Compute two-sample distances between the recording and all generated windows, sampled like the recording.
 
     Returns
     -------
-    what is compared -> (Wasserstein distance, Kolmogorov-Smirnov statistic, (2,) median and 95 % of the statistic of
-    one generated window against all others: how far apart a sample as short as the recording would be by chance)
+    compared quantity -> (Wasserstein distance, Kolmogorov-Smirnov statistic, (2,) median and 95 % of that statistic)
+
+    The median and 95 % are of one generated window against all others. They show the distance that a sample as short
+    as the recording has by chance.
     """
     from scipy.stats import wasserstein_distance
 

@@ -1,6 +1,6 @@
 """Compare generated requests with what is published: `python -m dcgrid_env.traces.compare_requests [LOG ...]`.
 
-Each LOG is a request log (Azure's format) whose own figures stand beside the published ones.
+Each LOG is a request log (Azure's format), whose figures are listed next to the published ones.
 """
 
 import sys

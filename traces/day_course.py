@@ -1,4 +1,4 @@
-"""The course of a day: what share of its peak a feeder's load has, and of its noon output a clear sky gives PV.
+"""Daily profiles: a feeder's load as a share of its peak, and clear-sky PV output as a share of that at noon.
 
 Load: hourly peak load in percent of the daily peak, summer weekday (weeks 18 to 30) of the IEEE Reliability Test System
 (IEEE Committee Report, "IEEE reliability test system", IEEE Trans. Power Apparatus and Systems PAS-98, 1979, table 4).
@@ -24,16 +24,16 @@ DECLINATION_DEG = 23.45
 
 
 def load_share(hour: ArrayLike) -> FloatArray:
-    """Load as a share of the day's peak, in [0.56, 1], at a time of day in hours, of any shape and beyond 24 too.
+    """Return the load as a share of the day's peak, in [0.56, 1], at a time of day, h, of any shape and beyond 24 too.
 
-    Linear between the middles of the hours.
+    The profile is linear between the middles of the hours.
     """
     middles = np.arange(24) + 0.5
     return rounded(np.interp(np.asarray(hour, np.float64), middles, np.array(LOAD_PERCENT) / 100.0, period=24.0))
 
 
 def sun_share(hour: ArrayLike) -> FloatArray:
-    """Clear-sky output of PV as a share of that at noon, in [0, 1], at a time of day in hours, of any shape."""
+    """Return the clear-sky PV output as a share of that at noon, in [0, 1], at a time of day, h, of any shape."""
     return rounded(_clear_sky(np.asarray(hour, np.float64)) / _clear_sky(np.float64(12.0)))
 
 

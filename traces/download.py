@@ -26,16 +26,16 @@ _TIMEOUT_S = 30.0
 
 
 def download(url: str, sha256: str, size_bytes: int, path: Path, progress: Progress | None = None) -> Path:
-    """Return `path` once the file with this checksum stands there; the network is used only if it does not yet.
+    """Return `path` once it contains the file with this checksum; download the file only if it is missing.
 
-    What has come is kept in `path` + ".part" until the file is whole, and the next call goes on from there. Another
-    process that wants the same file waits and then finds it.
+    The downloaded part is kept in `path` + ".part" until the file is complete, and the next call resumes from it.
+    Another process that needs the same file waits for it.
 
     Raises
     ------
     TraceError
-        If the address cannot be reached or refuses, the connection breaks off, the file that comes is another one, or
-        the folder cannot be written.
+        If the address cannot be reached or refuses, the connection breaks, the checksum differs, or the folder cannot
+        be written.
     """
     if path.is_file() and sha256_of(path) == sha256:
         return path
@@ -82,7 +82,7 @@ class _Source:
         return self.part.stat().st_size if self.part.exists() else 0
 
     def complete(self) -> None:
-        """Bring the part to its end, from where it stands; its content is not judged here."""
+        """Download the rest of the part; its content is not checked here."""
         import requests
 
         have = self.have()
@@ -139,7 +139,7 @@ class _Source:
 
 
 def _reason(error: Exception) -> object:
-    """The words of the error that stands behind an error of requests."""
+    """Return the message of the error that caused an error of requests."""
     inner = error.args[0] if error.args else error
     inner = getattr(inner, "reason", None) or inner
     return inner.args[0] if isinstance(inner, Exception) and inner.args else inner

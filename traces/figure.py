@@ -13,11 +13,11 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 def trace_figure(traces: dict[str, PowerTrace], dt_s: float = 1.0) -> Figure:
-    """Four panels with every trace, each as a share of its own peak.
+    """Draw four panels with every trace, each as a share of its peak.
 
     Parameters
     ----------
-    traces : what the legend says -> trace; up to four are told apart by colour.
+    traces : label in the legend -> trace; up to four have distinct colours.
     dt_s : step of the averages behind power, ramps and duration curve, s; the spectrum takes steps of 0.1 s.
     """
     figure = Figure(figsize=(12.0, 7.6), layout="constrained")

@@ -1,10 +1,10 @@
 """Generated power of a site of servers that answer queries to a large language model.
 
 Demand has two states. It is calm, with no query at all, for an exponential time; then a burst hands every server a
-batch of queries at once, with a few follow-ups while it lasts. A query is first read (prefill, near the rating, its
-length that of the context) and then answered (decode, a plateau that rises slowly with the number of active queries,
-its length that of the answer). Most answers of a batch end at the cap on their length, so a burst ends as sharply
-as it began.
+batch of queries at once, with a few follow-ups while it lasts. A query is first read (prefill), near the rating, for a
+time set by the context's length. It is then answered (decode), at a plateau that rises slowly with the number of active
+queries, for a time set by the answer's length. Most answers of a batch end at the cap on their length, so a burst ends
+as sharply as it began.
 
 Sources: lengths of contexts and of follow-up answers are the log-normal fits to the Azure 2023 conversation trace
 (Splitwise, ISCA 2024). The exponent 0.12 of the plateau fits the median H100 serving power of 0.61, 0.67, 0.82 and
@@ -31,7 +31,7 @@ _POSITIVE = ("n_servers", "batch", "answer_cap_tokens", "gap_mean_s", "prefill_t
 
 @dataclass(frozen=True)
 class InferenceParams:
-    """What a site of inference servers is like; shares are of the rating.
+    """Parameters of a site of inference servers; shares are of the rating.
 
     A field that is out of its range raises TraceError.
     """

@@ -57,7 +57,7 @@ def library(
 
 @dataclass(frozen=True)
 class Law:
-    """What a library's rows are made by; see `library` for the fields."""
+    """Settings that generate a library's rows; see `library` for the fields."""
 
     source: str
     split: str
@@ -68,7 +68,7 @@ class Law:
 
 
 def checked(source: str, split: str, dt_s: float, duration_s: float, count: int, boost_share: float) -> Law:
-    """The arguments of `library` as it takes them; TraceError for an invalid one."""
+    """Check the arguments of `library`; raise TraceError for an invalid one."""
     if source not in TRACE_SOURCES:
         raise TraceError(unknown("trace source", source, TRACE_SOURCES, "`dcgrid list traces` lists all"))
     dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")
@@ -88,7 +88,7 @@ def checked(source: str, split: str, dt_s: float, duration_s: float, count: int,
 
 
 def generated_row(law: Law, row: int) -> tuple[FloatArray, FloatArray, RequestTimes | None, Provenance]:
-    """Power and compute-bound share of a row, (n_steps,) each, the requests behind it and where it comes from."""
+    """Generate a row: power and compute-bound share, (n_steps,) each, the requests behind it and its provenance."""
     source = TRACE_SOURCES[law.source]
     generate = source.shifted if law.split == OUT_OF_DISTRIBUTION else source.generate
     assert generate is not None  # `checked`
@@ -97,14 +97,14 @@ def generated_row(law: Law, row: int) -> tuple[FloatArray, FloatArray, RequestTi
     if law.boost_share > 1.0:
         trace = boosted_trace(trace, law.boost_share)
     power, compute_kw = trace.resample(law.dt_s)[:n_steps], trace.resample_compute(law.dt_s)
-    assert compute_kw is not None  # every generator tells
+    assert compute_kw is not None  # every generator provides it
     dynamic = power - IDLE_SHARE
     compute = np.divide(compute_kw[:n_steps], dynamic, out=np.zeros(n_steps), where=dynamic > 0)
     return power, np.minimum(compute, 1.0), trace.requests, trace.provenance
 
 
 def row_hour(source: str, split: str, row: int) -> int | None:
-    """Hour of the day at which a row of a source that follows the day begins; None for another source."""
+    """Return the hour at which a row of a source with a daily profile begins; None for another source."""
     return row_seed(split, row) % 24 if TRACE_SOURCES[source].daily else None
 
 

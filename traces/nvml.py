@@ -79,11 +79,11 @@ class GpuReader:
         return field.value.uiVal
 
     def sm_clock_mhz(self) -> int | None:
-        """Clock of the processors now, MHz; None where it cannot be read."""
+        """Return the current clock of the processors, MHz; None if it cannot be read."""
         return self._optional("nvmlDeviceGetClockInfo", self._nvml.NVML_CLOCK_SM)
 
     def facts(self) -> dict[str, Any]:
-        """What it is and how it is set now, JSON values; None where it does not tell."""
+        """Return the GPU's identity and current settings as JSON values; None for those it does not report."""
         nvml = self._nvml
         limit_mw = self._optional("nvmlDeviceGetEnforcedPowerLimit")
         return {
@@ -105,12 +105,12 @@ class GpuReader:
 
 
 def open_gpus(nvml: Any, indices: Sequence[int] | None = None) -> list[GpuReader]:
-    """The GPUs of these indices, by default all of the machine, as NVML counts them.
+    """Return the GPUs of these NVML indices, by default all of the machine.
 
     Raises
     ------
     TraceError
-        If there is no GPU, an index is not there or given twice, or a GPU gives no power reading.
+        If the machine has no GPU, an index does not exist or is repeated, or a GPU gives no power reading.
     """
     count = nvml.nvmlDeviceGetCount()
     if count == 0:

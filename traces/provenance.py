@@ -1,4 +1,4 @@
-"""Where a trace comes from, so that a result can say what it stands on."""
+"""Origin of a trace, so a result can state its data source."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Provenance:
     citation: str = ""
 
     def record(self) -> dict[str, Any]:
-        """The fields that apply, as JSON values."""
+        """Return the fields that apply, as JSON values."""
         return {name: value for name, value in asdict(self).items() if value not in ("", None, {})}
 
     def __str__(self) -> str:

@@ -2,11 +2,13 @@
 
     share(t) = clear (1 - shade(t))
 
-`clear` is drawn for each trace. Sun and cloud take turns for exponential times; each cloud has its own depth and comes
-and goes in a straight line over some seconds, the time in which its edge crosses the modules. That output falls by half
-and more within tens of seconds, and faster the smaller the plant, is measured (A. Mills et al., "Understanding
-variability and uncertainty of photovoltaics for integration with the electric power system", LBNL-2855E, 2009); the
-numbers below are choices, made so that two minutes hold one or two clouds.
+`clear` is drawn for each trace. Sun and cloud alternate for exponential times. Each cloud has its own depth and comes
+and goes linearly over some seconds, the time in which its edge crosses the modules. Measurements show that output falls
+by half and more within tens of seconds, and faster the smaller the plant [1]. The numbers below are choices, made so
+that two minutes contain one or two clouds.
+
+[1] A. Mills et al., "Understanding variability and uncertainty of photovoltaics for integration with the electric
+power system", LBNL-2855E, 2009.
 """
 
 from dataclasses import dataclass, fields

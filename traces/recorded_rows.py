@@ -27,11 +27,11 @@ def from_recordings(
     boost_share: float = 1.0,
     by: str = "time",
 ) -> TraceRows:
-    """Return rows of power from recordings, each as a share of its rating, or of its own peak where that is not known.
+    """Return rows of power from recordings, each as a share of its rating, or of its peak if the rating is unknown.
 
-    The first 60 % train, the next 20 % validate, the last 20 % test: of each recording's time, or of the recordings in
-    their order. A row is as long as the shortest part; a longer part gives several rows that together cover it,
-    overlapping if need be.
+    The first 60 % train, the next 20 % validate and the last 20 % test. They are shares of each recording's time, or of
+    the recordings in their order. A row is as long as the shortest part. A longer part gives several rows that together
+    cover it, with overlap if necessary.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def from_recordings(
     split : "train", "validation" or "test"; no two share a sample.
     dt_s : step, s.
     window_s : the longest window that will be taken, s; 0 if not known yet.
-    boost_share : highest short draw as a share of the rating, at least 1. Where the rating is not known, the peak of
-        the recording is taken for it; traces whose compute-bound part is known get it as generated ones do.
+    boost_share : highest short draw as a share of the rating, at least 1. If the rating is unknown, it is taken to be
+        the peak of the recording. Traces whose compute-bound part is known get the boost as generated ones do.
     by : "time" cuts each recording, "recording" gives whole recordings to the splits and needs at least 3.
 
     Returns
@@ -50,7 +50,7 @@ def from_recordings(
     Raises
     ------
     TraceError
-        If there is no recording, or a recording's part of the split is shorter than one step or `window_s`.
+        If `traces` is empty, or a recording's part of the split is shorter than one step or `window_s`.
     """
     if checked_split(split) == OUT_OF_DISTRIBUTION:
         raise TraceError(
@@ -143,7 +143,7 @@ def _part(
 
 
 def _within(requests: RequestTimes, begin_s: float, duration_s: float) -> RequestTimes:
-    """Those that arrive in a time, told from its beginning."""
+    """Return the requests that arrive in an interval, with times from its beginning."""
     first, last = np.searchsorted(requests.arrival_s, (begin_s, begin_s + duration_s))
     arrival_s, *delays = (times[first:last] for times in requests)
     return RequestTimes(arrival_s - begin_s, *delays)
@@ -156,7 +156,7 @@ def _pool(rows: Sequence[FloatArray]) -> FloatArray:
 
 
 def _whole_recordings(traces: Sequence[PowerTrace], split: str) -> Sequence[PowerTrace]:
-    """The recordings of a split: at least one for each, the rest in the shares of the splits, in their order."""
+    """Return the recordings of a split: at least one for each, the rest in the shares of the splits, in order."""
     n = len(traces)
     if n < len(SPLITS):
         raise TraceError(

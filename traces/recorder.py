@@ -1,7 +1,7 @@
 """Recording the power of a machine's GPUs to a trace file.
 
-The file begins with one line `# dcgrid trace {json}` that says how it came about, then come the names of the columns
-and a row for each sample: the time in s and the power of each GPU in W. `PowerTrace.from_csv` reads it.
+The file begins with one line `# dcgrid trace {json}` that describes the recording. The names of the columns follow,
+and a row for each sample: the time in s and the power of each GPU in W. `PowerTrace.from_csv` reads the file.
 """
 
 from __future__ import annotations
@@ -42,31 +42,33 @@ def record(
 ) -> dict[str, Any]:
     """Sample the power of GPUs at a fixed rate; no setting of a GPU is changed.
 
-    Sample k is due k / hz after the beginning, whatever came before; one that is late is taken once, and those whose
-    time passed meanwhile are missed. A time is the middle of reading all GPUs. Ctrl-C ends the recording and keeps it.
+    Sample k is due k / hz after the beginning, independent of earlier ones. A late sample is taken once, and those
+    whose time has passed are missed. The time of a sample is the middle of reading all GPUs. Ctrl-C ends the recording
+    and keeps it.
 
     Parameters
     ----------
-    path : the trace file; compressed if its name ends in .gz. Rows are collected beside it in a file that ends in
-        .part, which a crash leaves behind and `PowerTrace.from_csv` reads.
+    path : the trace file; compressed if its name ends in .gz. Rows are collected in the same folder in a file that ends
+        in .part. A crash leaves it behind, and `PowerTrace.from_csv` reads it.
     hz : samples a second, above 0 to 20.
     duration_s : time from the first sample to the last, s; by default until `stop` or Ctrl-C.
     gpus : indices as nvidia-smi shows them (not those of CUDA_VISIBLE_DEVICES); by default all.
-    stop : asked after each sample whether to end.
+    stop : called after each sample; True ends the recording.
     progress : called after each sample with its time, s, and the power of all GPUs, W.
-    overwrite : replace a file that is there.
-    clock, sleep : s; replaced in tests.
+    overwrite : replace an existing file.
+    clock, sleep : functions in s; replaced in tests.
 
     Returns
     -------
-    What the first line of the file says: driver, rate, samples, missed samples, jitter in s (distance of the times from
-    when they were due), how the recording ended, and for each GPU its name, limits, clocks and kind of power reading.
+    Content of the first line of the file: driver, rate, samples, missed samples, jitter in s, and how the recording
+    ended. For each GPU it contains name, limits, clocks and kind of power reading. Jitter is the distance of the times
+    from when they were due.
 
     Raises
     ------
     TraceError
-        For a number out of range, a file that is there or cannot be, a machine without pynvml, NVML or GPU, a GPU that
-        cannot be read (one that fails on the way: what was recorded before is kept), or fewer than 2 samples.
+        If a number is out of range, the file exists or cannot be written, or the machine lacks pynvml, NVML or a GPU.
+        If a GPU cannot be read (samples before a failure are kept), or there are fewer than 2 samples.
     """
     path = Path(path)
     hz, last = _rate(hz, duration_s)
@@ -101,7 +103,7 @@ def record(
 
 
 class _Log:
-    """What is noted on the way; a clock takes few values, so they are counted."""
+    """Notes on the recording so far; a clock takes few values, so they are counted."""
 
     def __init__(self, n_gpu: int) -> None:
         self.late_s = array("d")
@@ -134,7 +136,7 @@ class _Log:
         }
 
     def clocks(self) -> list[dict[str, float | None] | None]:
-        """MHz, one for each GPU; None where its clock could not be read."""
+        """Return the clocks, MHz, of each GPU; None if its clock could not be read."""
         return [
             {
                 "start": start,
@@ -174,7 +176,7 @@ def _sample(
     stop: Callable[[], bool] | None,
     progress: Callable[[float, float], None] | None,
 ) -> str:
-    """Write a row for each slot; return how it ended."""
+    """Write a row for each slot; return how the recording ended."""
     start_s = None
     try:
         for slot, due_s in slots:
@@ -195,7 +197,7 @@ def _sample(
 
 
 def _rate(hz: float, duration_s: float | None) -> tuple[float, int | None]:
-    """The rate and the number of the last sample, None for no end."""
+    """Return the rate and the number of the last sample, None without an end."""
     if not 0 < hz <= MAX_HZ:
         raise TraceError(f"hz = {hz!r} is not above 0 and at most {MAX_HZ:g}; GPUs renew their reading little faster")
     if duration_s is None:
@@ -207,7 +209,7 @@ def _rate(hz: float, duration_s: float | None) -> tuple[float, int | None]:
 
 
 def _part_of(path: Path, overwrite: bool) -> Path:
-    """Where rows are collected, once it is clear that the file can be written."""
+    """Return the file for the rows after checking that the trace file can be written."""
     if not path.parent.is_dir():
         raise TraceError(f"{path}: there is no folder {path.parent}; make it first")
     if path.is_dir() or (path.exists() and not overwrite):
@@ -222,7 +224,7 @@ def _part_of(path: Path, overwrite: bool) -> Path:
 
 
 def _assemble(part: Path, path: Path, metadata: dict[str, Any]) -> None:
-    """Put the first line before the rows, and the file in place when it is whole."""
+    """Write the first line and the rows, and move the complete file into place."""
     with whole(path) as file, part.open("rb") as rows, contextlib.ExitStack() as stack:
         packed = stack.enter_context(gzip.GzipFile(path.name, "wb", fileobj=file)) if path.suffix == ".gz" else file
         packed.write(f"{RECORDED}{json.dumps(metadata, allow_nan=False)}\n".encode())

@@ -105,13 +105,13 @@ def fetch(recording: Recording | str, cache: str | Path | None = None, progress:
     ----------
     recording : one of RECORDINGS, or its name.
     cache : folder, by default `cache_folder()`.
-    progress : called with the bytes that are here and the bytes of the whole file.
+    progress : called with the bytes downloaded and the bytes of the whole file.
 
     Raises
     ------
     TraceError
-        For an unknown name, or a download that fails; the message says what to do, with the path for a download by
-        hand. A call after a broken one resumes.
+        If the name is unknown or the download fails. The message contains the remedy, with the path for a manual
+        download. A call after a broken one resumes.
     """
     recording = _recording(recording)
     path = (Path(cache) if cache is not None else cache_folder()) / recording.file_name

@@ -1,4 +1,4 @@
-"""The load step of Chen and Zhang's Fig. 3 (arXiv 2507.06416): idle, then full at once and for good."""
+"""The load step of Chen and Zhang's Fig. 3 (arXiv 2507.06416): idle, then the full rating to the end."""
 
 import math
 
@@ -16,8 +16,8 @@ def generate_step(duration_s: float, seed: int, step_s: float = 20.0) -> PowerTr
     Parameters
     ----------
     duration_s : length, s.
-    seed : integer of at least 0; it sets the ripple of the idle draw, uniform in 0.97 to 1 of the floor each second,
-        so that no two traces are the same.
+    seed : integer of at least 0. It sets the ripple of the idle draw, uniform in 0.97 to 1 of the floor each second,
+        so all traces differ.
     step_s : time of the step, s; at least 0 and before the end.
 
     Returns

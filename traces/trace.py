@@ -21,13 +21,13 @@ class RequestTimes(NamedTuple):
     """
 
     arrival_s: FloatArray
-    """s, on the time axis of the trace."""
+    """Time of arrival on the time axis of the trace, s."""
     first_token_s: FloatArray
-    """From arrival to the first token, s."""
+    """Time from arrival to the first token, s."""
     end_s: FloatArray
-    """From arrival to the last token, s."""
+    """Time from arrival to the last token, s."""
     prefill_s: FloatArray
-    """How much of the time to the first token the request is being read, s."""
+    """Part of the time to the first token in which the request is being read, s."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -38,19 +38,19 @@ class PowerTrace:
     ----------
     time_s : (n,) float64, strictly increasing, s. Need not begin at zero.
     power_kw : (n,) float64, finite, not negative, kW (or a share of rating when the rating is 1 kW).
-    name : what error messages call the trace.
-    provenance : where it comes from: a file with its hash, or a generator with its parameters and seed.
-    compute_kw : (n,) float64 in 0 to power_kw, kW, or None where nobody knows: the part of the power for work whose
-        speed follows the clock (prefill, training). What lies between it and the idle floor hardly does (decode).
+    name : name of the trace in error messages.
+    provenance : origin of the trace: a file with its hash, or a generator with its parameters and seed.
+    compute_kw : (n,) float64 in 0 to power_kw, kW, or None if unknown: the part of the power for work whose speed
+        follows the clock (prefill, training). The part between it and the idle floor hardly does (decode).
     requests : the requests behind the power as they would be served at the top clock, if it is made of requests.
-    rated_kw : rating of the site, kW; None where nobody knows, and then the highest power stands for it.
+    rated_kw : rating of the site, kW; if unknown, None, and the highest power is used instead.
 
     The arrays are copied and made read-only.
 
     Raises
     ------
     TraceError
-        With the trace, the field, the value and the index, if any of the above does not hold.
+        If any of the above is violated; the message contains the trace, the field, the value and the index.
     """
 
     time_s: FloatArray
@@ -184,17 +184,17 @@ class PowerTrace:
         return replace(self, rated_kw=rating_kw)
 
     def as_share(self) -> "PowerTrace":
-        """Return the trace as a share of its rating, or of its own highest power where the rating is not known."""
+        """Return the trace as a share of its rating, or of its highest power if the rating is unknown."""
         if self.rated_kw is None:
             return self.scaled_to(1.0)
         compute_kw = None if self.compute_kw is None else self.compute_kw / self.rated_kw
         return replace(self, power_kw=self.power_kw / self.rated_kw, compute_kw=compute_kw, rated_kw=1.0)
 
     def resample(self, dt_s: float) -> FloatArray:
-        """Mean power over each [k dt, (k + 1) dt) from the first sample on.
+        """Average the power over each [k dt, (k + 1) dt) from the first sample on.
 
         The means are differences of the cumulative integral, so their sum times `dt_s` is the energy of the whole
-        steps covered; what is left after the last whole step is dropped.
+        steps covered. The rest after the last whole step is dropped.
 
         Returns
         -------

@@ -19,7 +19,7 @@ class Part(NamedTuple):
     title: str
     package: str
     rooms: tuple[str, ...]
-    """Modules that define what stands on it begin with one of these."""
+    """Prefixes of the modules whose public names are on the page."""
     about: str
 
 

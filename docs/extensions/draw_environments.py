@@ -1,7 +1,7 @@
 """Draw the pictures of presets: python docs/extensions/draw_environments.py FOLDER PRESET..
 
-They are those of ``python -m docs.studies.picture``, drawn without compiling but for the kernel that serves requests:
-what is drawn is the same, and 75 steps take less time than the compiler does in an environment that is used once.
+The pictures are the same as those of ``python -m docs.studies.picture``. Only the kernel that serves requests is
+compiled: an environment is used once here, and its 75 steps take less time than compilation.
 """
 
 import os
@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from docs.studies.picture import draw as draw_picture  # noqa: E402  behind the switch, and from the repository
 
 SLOW = ("ieee123-3ph-day", "ieee123-3ph", "bursty", "ride-through")
-"""Drawn first, so that the others fill the time beside them."""
+"""Presets that are slow to draw; they start first and the others run in parallel."""
 
 
 def draw(folder: str, preset: str) -> None:

@@ -23,7 +23,7 @@ STEPS = 75
 """Steps after which ``docs.studies.picture`` draws, of an episode that is longer."""
 FOLDER = "environments"
 SUFFIX = ".myst"
-"""Made pages have a suffix of their own, so that what is checked in every ``.md`` is what people write."""
+"""Suffix of generated pages; the checks of ``.md`` files skip them."""
 OBSERVED = {
     "v_deviation": "(V - 1) / band: 1 is the band's edge",
     "v_change": "change of V in the last step / band",
@@ -35,7 +35,7 @@ OBSERVED = {
     "v_lowest": "lowest of its phases, as v_deviation",
     "v_highest": "highest of its phases, as v_deviation",
 }
-"""Meaning of what every agent observes; devices say it of their own fields."""
+"""Meaning of the fields that every agent observes; devices define the meaning of the others."""
 CHARGED = {
     "voltage": r"mean over buses of $\lvert V - 1 \rvert$",
     "violation": r"mean over buses of $\max(\lvert V - 1 \rvert - 0.05, 0)$",
@@ -131,7 +131,7 @@ def facts(scenario: Scenario) -> str:
 
 
 def source_of(feeder: Any) -> str:
-    """Where a feeder that ships was published; empty for one that is drawn."""
+    """Return the source of a bundled feeder; an empty string for a random one."""
     path = files("dcgrid_env.grid.data") / feeder.name / "feeder.toml"
     if not path.is_file():
         return ""
@@ -140,7 +140,7 @@ def source_of(feeder: Any) -> str:
 
 
 def headroom_table(preset: str) -> str:
-    """Costs and scores of controllers on a preset."""
+    """Return the table of costs and scores of controllers on a preset."""
     found = headroom(preset)
     rows = [(row.what, row.meaning, row.j, row.saved, row.score) for row in found.rows]
     return (
@@ -154,7 +154,7 @@ def headroom_table(preset: str) -> str:
 
 
 def agents(scenario: Scenario) -> str:
-    """Groups of agents: names, number, places, sizes of their spaces."""
+    """Return the table of groups of agents: names, number, buses and sizes of their spaces."""
     rows, begin, names = [], 0, field_names(scenario)
     for device in scenario.devices:
         own = scenario.agents[begin : begin + device.count]
@@ -170,7 +170,7 @@ def agents(scenario: Scenario) -> str:
 
 
 def channels(scenario: Scenario) -> str:
-    """What the channels of each kind of device stand for."""
+    """Return the table of the channels of each kind of device."""
     rows = [
         (device.kind, f"`{channel.name}`", channel.unit, *map(span, (channel.lowest, channel.highest, channel.rest)))
         for device in scenario.devices
@@ -180,7 +180,7 @@ def channels(scenario: Scenario) -> str:
 
 
 def span(values: np.ndarray) -> str:
-    """A figure that all slots share, or the lowest and the highest of them."""
+    """Format the value that all slots share, or the lowest and the highest value."""
     low, high = float(np.min(values)), float(np.max(values))
     return f"{low:g}" if low == high else f"{low:g} .. {high:g}"
 
@@ -261,7 +261,7 @@ def gallery() -> str:
 
 
 def draw(docs: Path, folder: Path) -> None:
-    """Draw the pictures that are not there yet, in processes of their own."""
+    """Draw the missing pictures in a separate process."""
     missing = [name for name in PRESETS if not (folder / f"{name}.png").exists()]
     if not missing:
         return

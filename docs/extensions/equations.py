@@ -20,7 +20,7 @@ ziamath.config.svg2 = False  # shapes within each equation: those that pages sha
 
 @cache
 def drawn(tex: str, inline: bool) -> str:
-    """An equation as an SVG element that has the colour of the text, stands on its line, and is read as its TeX."""
+    """Return an equation as an SVG element in the text colour, aligned to the baseline, with its TeX as label."""
     equation = ziamath.Latex(tex, size=SIZE, inline=inline, color="currentColor")
     svg = equation.svg()
     found = SIZES.match(svg)
@@ -40,7 +40,7 @@ def visit_inline(translator: Any, node: nodes.math) -> None:
 
 
 def visit_block(translator: Any, node: nodes.math_block) -> None:
-    """Write an equation of its own, with its number and an anchor where it has a label."""
+    """Write a displayed equation, with its number and anchor if it has a label."""
     translator.body.append(translator.starttag(node, "div", CLASS="equation"))
     translator.body.append(drawn(node.astext(), False))
     if node["number"]:

@@ -26,7 +26,7 @@ class Line(NamedTuple):
 
 
 class Headroom(NamedTuple):
-    """What there is to learn on a preset."""
+    """Scores of the main controllers on a preset."""
 
     page: str
     """Page of the benchmark that has every controller, without its suffix."""

@@ -1,4 +1,4 @@
-"""What a policy loses without this or that, and what it is worth on a scenario that it was not trained on."""
+"""Ablations of a policy, and its scores on scenarios that it was not trained on."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "one network that sees and moves all": {"view": "centralised"},
     "without preview": {"preview": False},
 }
-"""What differs from the algorithm's defaults."""
+"""Settings of each variant that differ from the algorithm's defaults."""
 SAFE = "monotone, gain below the stability bound (safe)"
 """The variant that is another algorithm, whose networks also see less."""
 
@@ -57,7 +57,7 @@ class Variant:
     label: str
     tested: Scored | None
     failure: str
-    """Why there is none."""
+    """Reason why the variant has no policies; empty if it has some."""
     command: str
     """Command of the first seed's training."""
     training_s: float
@@ -99,7 +99,7 @@ def ablation(
 
 
 def ablation_table(scenario: str, episodes: int, variants: Sequence[Variant]) -> Table:
-    """Scores of the variants, delay beside."""
+    """Return the table of scores and delays of the variants."""
     droop = droop_on_test(scenario, episodes)
     header = ("variant", "score", "lowest and highest seed", *HEADINGS, "training, s")
     rows = []

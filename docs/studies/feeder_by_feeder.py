@@ -1,8 +1,8 @@
 """Scores of controllers on each feeder of a random family by itself, over several episodes of that feeder.
 
-The published episodes of a family fall on each of its feeders once or twice, with one place and one course of the load:
-where an episode leaves little to be won, its score says little of the feeder. Here every feeder has as many episodes,
-the first seeds of its own, and their hindsight is solved on the way.
+The published episodes of a family contain each of its feeders once or twice, with one placement and one load
+trajectory. If an episode leaves little to gain, its score does not describe the feeder. This study runs the same number
+of episodes on every feeder, with that feeder's first seeds, and solves hindsight for each.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What knowledge of the next second is worth: one-step control that sees the whole feeder, with other forecasts.
+"""The value of one-second forecasts for one-step control that observes the whole feeder.
 
-Model predictive control over one step measures every voltage, knows the feeder and sees what every site is about to
-draw. Its forecast of the other loads and of PV is changed here; the score is that of the benchmark.
+Model predictive control over one step measures every voltage, has a model of the feeder and observes the next demand
+of every site. This study replaces its forecast of the other loads and of PV. The score is that of the benchmark.
 
     python -m docs.studies.forecasts mixed toy6 --split test --episodes 100
 """
@@ -18,12 +18,12 @@ from dcgrid_env.baselines.model_based.lookahead import Program
 from dcgrid_env.baselines.model_based.mpc import Mpc
 
 LOADS = ("stay", "their mean course", "known")
-"""How loads are forecast: as they are, as their process goes back to its mean, or as they will be."""
+"""Forecasts of the loads: unchanged, returning to the mean of their process, or exact."""
 PV = ("stays", "goes on as it moved", "known")
 
 
 class Informed(Mpc):
-    """One-step control of some episodes with a forecast of its own."""
+    """One-step control of some episodes with a chosen forecast."""
 
     def __init__(self, loads: str, pv: str, seeds: range):
         super().__init__(horizon=1)
@@ -62,7 +62,7 @@ class Informed(Mpc):
         return program._replace(offset=program.offset + moved[:, None])
 
     def _voltages(self, now: Estimate, p_kw: np.ndarray, q_kvar: np.ndarray, pv_kw: np.ndarray) -> np.ndarray:
-        """Voltages at these loads and this PV, with sites and reactive power as they are, p.u., (row, n_load_node)."""
+        """Return voltages at these loads and this PV, p.u., (row, n_load_node); sites and reactive power are fixed."""
         s, p, q = self.scenario, p_kw.copy(), q_kvar.copy()
         rows = np.arange(len(p))[:, None]
         drawn = np.concatenate((now.local.p_kw[:, : s.datacenters.count], -pv_kw), axis=1)

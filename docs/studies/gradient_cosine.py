@@ -1,9 +1,9 @@
-"""How far two independent estimates of a policy gradient point the same way, by what the actions are credited with.
+"""The agreement of two independent estimates of a policy gradient, for two ways to credit actions.
 
-Both estimates are of the same networks at the beginning of their training, each from episodes and exploration of its
-own; their cosine is 1 where an estimate is the gradient, and about 0 where it is noise. Credit is either the team's
-return, what the team pays from that step on with a discount, less its mean over the environments at that step (the
-same for all agents), or the counterfactual advantage of each agent's own action (``training.counterfactual``).
+Both estimates use the same networks at the beginning of training, with separate episodes and exploration. Their cosine
+is 1 if an estimate equals the gradient and about 0 if it is noise. There are two kinds of credit. The team's return is
+the discounted cost from that step on, less its mean over the environments at that step; it is the same for all agents.
+The counterfactual advantage differs for each agent's action (``training.counterfactual``).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class GradientCosine(Command):
     steps: int = 40
     """Steps of each environment."""
     seeds: int = 5
-    """Pairs of estimates, each with networks and episodes of its own."""
+    """Number of pairs of estimates, each with separate networks and episodes."""
     gamma: float = 0.97
     """Discount of the team's return."""
 

@@ -178,7 +178,7 @@ class LeaderboardEntries(Command):
     """Make a new key first; reports with another signature must then be replaced."""
 
     def run(self) -> None:
-        """Submit, verify, write. ValueError where there is no key, before anything is run."""
+        """Submit, verify and write the entries. Raise ValueError before the first run if the key is missing."""
         console, scenarios = plain_console(), scenario_names(self.scenarios)
         if self.new_key:
             make_keys()

@@ -1,4 +1,4 @@
-"""What the tables of these studies share: columns, cells, and the page that they stand on."""
+"""Columns, cells and page layout that the tables of these studies share."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ STEPS = 50
 
 
 class WithoutInference(ModelAided):
-    """A surprise at the own bus says nothing of the others."""
+    """Model-aided law that infers nothing about other buses from the voltage error at its bus."""
 
     def place(self, buses: np.ndarray) -> None:
         """See ``NeedsPlacement``."""
@@ -38,7 +38,7 @@ class WithoutInference(ModelAided):
 
 
 class WithoutDamping(ModelAided):
-    """Each agent reckons with its own move alone."""
+    """Model-aided law in which each agent accounts only for its own action."""
 
     def place(self, buses: np.ndarray) -> None:
         """See ``NeedsPlacement``."""
@@ -50,7 +50,7 @@ class WithoutDamping(ModelAided):
 
 
 class WithOneDamping(ModelAided):
-    """All agents have the damping that the search for theirs begins at."""
+    """Model-aided law in which all agents use the initial damping of the search."""
 
     def place(self, buses: np.ndarray) -> None:
         """See ``NeedsPlacement``."""

@@ -1,13 +1,14 @@
-"""How much faster or slower this version steps than another one, measured by turns so that other work slows both alike.
+"""Compare the speed of this version and another one in alternating blocks.
 
-Two processes run blocks of a fraction of a second in alternation, one under this interpreter and one under that of an
-environment with the other version. Rates are steps a second by the clock and by processor time, the best block's and
-the median's; with --busy another process works beside them all the time. What was computed is compared at the end.
+Two processes alternate in blocks of a fraction of a second, so other work slows both alike. One uses this interpreter,
+the other the interpreter of an environment with the other version. Rates are steps per second of wall time and of
+processor time, for the best block and the median. With --busy a third process keeps a core busy. The computed values
+of both versions are compared at the end.
 
     python -m docs.studies.paired_speed ../before/.venv/bin/python make_vec tensor --rounds 10 --busy
     python -m docs.studies.paired_speed --torch-threads 2 tensor tensor_gradient
 
-The second holds this version against itself with torch on two threads inside TensorEnv and its derivative too.
+The second command compares this version with itself, with torch on two threads inside TensorEnv and its derivative.
 """
 
 # pyright: reportOptionalIterable=false, reportPossiblyUnboundVariable=false, reportOptionalMemberAccess=false
@@ -155,7 +156,7 @@ def left_to_torch(threads):
 
 
 def serve(kind, preset, torch_threads):
-    """Run a block whenever a line comes in, and say what it did, how long it took, and what came out."""
+    """Run a block for each input line; print its rates and a hash of its results."""
     if torch_threads is not None:
         left_to_torch(torch_threads)
     block = KINDS[kind](preset) if kind in OF_PRESET else KINDS[kind]()
@@ -170,7 +171,7 @@ def serve(kind, preset, torch_threads):
 
 
 def measure(kind, preset, versions, rounds):
-    """Blocks of each version by turns: (rates by the clock, by processor time) of each, and whether bits agree."""
+    """Run blocks of each version in turn; return the rates by wall and processor time, and whether the bits agree."""
     command = [str(Path(__file__).resolve()), "--serve", kind, "--preset", preset]
     processes = [
         subprocess.Popen([python, *command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -35,7 +35,7 @@ PAPERS_ALPHA_PER_S, BETWEEN_PER_S = 0.3, 0.03
 VALIDATION_EPISODES = 100
 """To select a policy on: a mean delay hangs on a few heavy episodes."""
 POINTS = ("mpc-one-step",)
-"""Other controllers beside the curves: what the model of the whole feeder buys."""
+"""Controllers shown as single points; they use a model of the whole feeder."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _placed(config: Any, runs: Path, label: str) -> Any:
 
 
 def front(scenario: str, episodes: int, configs: Sequence[Any]) -> Front:
-    """Test the policies of finished runs, and the laws beside them."""
+    """Test the policies of finished runs, the droop laws and the other controllers."""
     by_limit: dict[float | None, list[Any]] = {}
     for config in configs:
         by_limit.setdefault(config.delay_limit_s, []).append(config)
@@ -169,7 +169,7 @@ PANELS = (
     ("outside_bus_seconds_pct", 1.0, "bus-seconds outside the band (%)"),
     ("J_but_delay", 1.0, "J but for waiting"),
 )
-"""Metric, factor and name of each panel of the front; the last is what the policies are trained for."""
+"""Metric, factor and name of each panel of the front; the policies are trained for the last metric."""
 LINEAR_S = 0.1
 """Delay up to which the axis is linear, so that none has its place, s."""
 DASHES = ("-", "--", ":")

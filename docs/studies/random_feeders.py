@@ -28,9 +28,9 @@ class Figures(NamedTuple):
     departures: int
     """Branches that leave the substation."""
     ends: float
-    """Share of buses, but for the substation, that nothing leaves."""
+    """Share of buses without a further branch, the substation excluded."""
     branchings: float
-    """Share of them that several branches leave."""
+    """Share of these buses with several further branches."""
     mean_hops: float
     """Branches between the substation and a bus, mean."""
     trunk: float
@@ -40,7 +40,7 @@ class Figures(NamedTuple):
     r_by_x: float
     """Median of r/x over branches."""
     loaded: float
-    """Share of buses, but for the substation, with a load."""
+    """Share of buses with a load, the substation excluded."""
     mean_kw: float
     """Mean load of those, kW."""
     load_cv: float
@@ -126,7 +126,7 @@ LABELS = {
     "power_factor": ("median power factor", 2),
     "drop_pu": ("drop to the lowest bus at peak, p.u.", 3),
 }
-"""What each figure is called, and its decimals."""
+"""Label and number of decimals of each figure."""
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def sag_study(
 
 
 def _drive(asked: _Asked) -> Driven:
-    """What the episodes of one controller come to."""
+    """Run one controller and summarise its episodes."""
     test, seeds = make_scenario(asked.scenario, split=SPLIT), range(asked.episodes)
     if asked.name is None:
         return _driven(BEST_KNOWN, replayed(test, seeds), asked.seed, _load_kw(test))
@@ -148,12 +148,12 @@ def _load_kw(test: Scenario) -> float:
 
 
 def _cost(one: Driven) -> float:
-    """What controllers are put in the order of, the dearest first: J."""
+    """Return the sort key of a controller: -J, so the highest cost comes first."""
     return -one.figures[0]
 
 
 def _driven(name: str, recorder: Recorder, seed: int, load_kw: float) -> Driven:
-    """What the episodes of one controller come to."""
+    """Summarise the episodes of one controller."""
     metrics = recorder.metrics()
     for of_episode in metrics:
         of_episode[LOST_SHARE.name] = 100.0 * of_episode["ups_lost_step_kw"] / load_kw

@@ -26,11 +26,11 @@ class Scored:
     """Evaluation of each seed."""
 
     def score(self, droop: Evaluation) -> Estimate | None:
-        """Score of the mean cost with its interval over episodes; None where there is no score."""
+        """Return the score of the mean cost with its interval over episodes; None if the score is undefined."""
         return score(self.mean, droop)
 
     def spread(self, droop: Evaluation) -> tuple[float, float] | None:
-        """Lowest and highest score of a seed; None for one seed alone, or where there is no score."""
+        """Return the lowest and the highest score of a seed; None for a single seed or if the score is undefined."""
         scores = [score(one, droop) for one in self.each]
         values = [estimate.value for estimate in scores if estimate is not None]
         return (min(values), max(values)) if len(values) > 1 else None

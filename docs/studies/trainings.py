@@ -35,11 +35,11 @@ class Study(OverWorkers):
 
     @property
     def resumes(self) -> str:
-        """How to go on: what has been kept is not done again."""
+        """Return how to resume: finished runs are not repeated."""
         return GOES_ON
 
     def settings(self, **others: Any) -> dict[str, Any]:
-        """Settings of all the trainings; ValueError for one that cannot be."""
+        """Return the settings of all trainings; raise ValueError for an invalid one."""
         for field in ("updates", "seeds"):
             value = getattr(self, field)
             if value is not None and value < 1:
@@ -87,5 +87,5 @@ def trained(config: Any) -> tuple[Policy, Card]:
 
 
 def folder(runs: Path, scenario: str, label: str, updates: int, seed: int) -> Path:
-    """Where a run is kept: settings that are given on the command line stand in its name, so that none meet."""
+    """Return the folder of a run; its name contains the command-line settings, so each run has its own."""
     return runs / scenario.replace(",", "+") / f"{label}-{updates}-{seed}"

@@ -1,4 +1,4 @@
-"""How policies that know no feeder in advance do on feeders that they never saw: named ones, and many random ones."""
+"""Scores of policies for any feeder on feeders outside their training: named ones and many random ones."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _tried(on: Scenario, names: Sequence[str], by_name: Mapping[str, Evaluation 
 
 
 def _driven(asked: _Asked) -> Evaluation | str:
-    """What the controller reaches, or why it refuses the scenario; errors of its own are raised."""
+    """Evaluate the controller, or return why it refuses the scenario; raise its other errors."""
     on = make_scenario(asked.scenario, split=asked.split)
     try:
         with on_purpose():
@@ -115,7 +115,7 @@ def _driven(asked: _Asked) -> Evaluation | str:
 
 
 def scores_table(results: Sequence[Tried], episodes: int) -> Table:
-    """A row for each scenario, a score for each controller; J beside the droop's where hindsight is not known."""
+    """Return the table of scores by scenario and controller; it contains J if hindsight is not known."""
     names = list(results[0].others)
     rows = []
     for one in results:
@@ -148,13 +148,13 @@ def _seeds(evaluation: Evaluation) -> np.ndarray:
 
 
 def feeders_table(one: Tried, worst: int) -> Table | None:
-    """How the scores of the feeders of a random family are spread, and the worst of them; None where there is none."""
+    """Return the spread of the scores over the feeders of a random family, and the worst; None without scores."""
     scores = {name: each for name in one.others if (each := feeder_scores(one, name)) is not None}
     return _spread(f"{one.scenario.name}: each random feeder by itself", scores, worst) if scores else None
 
 
 def each_table(scenario: str, names: Sequence[str], driven: Sequence[OnFeeder], each: int, worst: int) -> Table:
-    """How the scores over as many episodes of each feeder are spread, and the worst of them."""
+    """Return the spread of the scores of feeders with equally many episodes, and the worst of them."""
     scores = {name: np.array([on.score(name) for on in driven]) for name in names}
     return _spread(
         f"{scenario}: each random feeder by itself, {each} {'episode' if each == 1 else 'episodes'} of its own",
@@ -200,8 +200,8 @@ class UnseenFeeders(OverWorkers):
     episodes: int = 100
     """Episodes: seeds 0, 1, ..; at least 2, at most the published 100."""
     each: int = 0
-    """Episodes of each random feeder, its own seeds 0, 1, .., by which it is scored in a table of its own; their
-    hindsight is solved on the way, about a second an episode. None for 0."""
+    """Episodes of each random feeder, with its own seeds 0, 1, .., for a separate table of scores. Their hindsight is
+    solved too, about a second per episode. 0 omits the table."""
     worst: int = 5
     """How many of the worst random feeders to show."""
     out: Path | None = None

@@ -107,7 +107,7 @@ LOCAL = [
 )
 @pytest.mark.parametrize("name", LOCAL)
 def test_one_object_drives_every_interface(name, law):
-    """Joined, per agent and batched observations lead to the same course of the same episode."""
+    """Joined, per agent and batched observations lead to the same trajectory of the same episode."""
     scenario = make_scenario("ieee123", horizon=15, **law)
     controller = make_controller(name)
     assert isinstance(controller, Controller)

@@ -15,17 +15,17 @@ EPISODES = dict.fromkeys(PRESETS, 100) | {"ride-through": 32, "smoothing": 32}
 LINEARISED = 1e-4
 """By how much of J the program's linearised grid may differ from the exact one; 2e-5 has been seen (mixed)."""
 TRIPPING = [name for name in PRESETS if not stays_connected(make_scenario(name))]
-"""Where sites trip."""
+"""Presets in which sites trip."""
 UNPLANNED = [name for name in PRESETS if not can_be_planned(make_scenario(name))]
-"""Where there is no linear program, of trips or of smoothing: what ships is the best known."""
+"""Presets without a linear program, due to trips or smoothing; the bundled costs are the best known ones."""
 SOLVED = [name for name in PRESETS if name not in UNPLANNED]
 PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
 ACTING = [name for name in SOLVED if acting_relays(make_scenario(name)) is not None]
-"""Where regulators act by themselves, which makes the program's optimum that of one course of taps and no bound."""
+"""Presets whose regulators act by themselves; the program's optimum is for one trajectory of taps, not a bound."""
 BOUNDED = [name for name in SOLVED if name not in ACTING]
 LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09, "ieee33-weak-ups": 0.02, "routing": 0.03}
-"""Of J, between it and its bound; taps that are agents are rounded from the relaxation that gives the bound, and where
-work is routed the program may leave work at sites that their lowest clock serves (docs/routing.md)."""
+"""Largest gap between J and its bound, as a share of J. Taps of agents are rounded from the relaxation that gives the
+bound. With routing, the program may leave work at sites that their lowest clock serves (docs/routing.md)."""
 
 
 @pytest.mark.parametrize("name", PRESETS)

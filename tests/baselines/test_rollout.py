@@ -1,4 +1,4 @@
-"""What goes wrong in a controller is one error that names it."""
+"""Errors in a controller become one error that names it."""
 
 import numpy as np
 import pytest

@@ -1,8 +1,8 @@
 """Every command and every block of code in the documents runs.
 
-Commands run in the order of the document, in a folder of its own, as they stand but for what makes them take long:
-``SHORTER`` says which options get which smaller values, so that the options which a document names are read and used.
-A command of a kind that stands in no list fails. Commands within a sentence are read by the command line alone.
+Commands run in the order of the document, in a separate folder. They are unchanged except for slow options:
+``SHORTER`` gives these smaller values, so the options that a document names are parsed and used. A command of a kind
+that is not listed fails. Commands within a sentence are only parsed.
 """
 
 import contextlib
@@ -247,7 +247,7 @@ def run(command, monkeypatch):
 
 
 def alike(command):
-    """What commands have in common that differ in numbers and folders alone: one of them is run."""
+    """Return a key that is equal for commands which differ only in numbers and folders; one of them is run."""
     kept, skip = [], False
     for word in command:
         if skip or re.fullmatch(r"[-\d.,e]+", word):

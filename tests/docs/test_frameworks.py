@@ -1,4 +1,4 @@
-"""The examples that need the ``frameworks`` extra, in processes of their own, where the frameworks may warn."""
+"""The examples that need the ``frameworks`` extra, in separate processes, where the frameworks may warn."""
 
 import importlib.util
 import os
@@ -24,7 +24,7 @@ def needs(*modules, extra="frameworks"):
 
 
 def run(*arguments, home):
-    """Standard output of Python with so many threads as a test deserves, and a home of its own for what Ray writes."""
+    """Run Python with one thread and a separate home for Ray's files; return its standard output."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
     done = subprocess.run(
         [sys.executable, *arguments],

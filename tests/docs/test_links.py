@@ -19,7 +19,7 @@ MADE = ("environments/", "api/")
 
 
 def targets(path):
-    """What a document links to within the repository; a URL is no such thing, nor is a page that the site makes."""
+    """Return a document's links within the repository, without URLs and pages that the site generates."""
     found = [target for target in LINK.findall(path.read_text(encoding="utf-8")) if "://" not in target]
     return [target for target in found if not target.startswith(MADE)]
 

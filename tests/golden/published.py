@@ -2,7 +2,7 @@
 
     python tests/golden/published.py
 
-writes the file anew, which only a change that is meant to change a figure may do, and says so.
+rewrites the file. Only a change that is meant to change a figure may do this, and must state it.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ class _Finder(ast.NodeVisitor):
         self.edits.append(_Edit(start, end, text, what))
 
     def between(self, left: ast.expr, right: ast.expr, symbol: str, becomes: str, what: str, suffix: str = "") -> None:
-        """Change the operator that stands between two expressions, among brackets and spaces."""
+        """Change the operator between two expressions, among brackets and spaces."""
         first = self.end(left)
         pattern = re.escape(symbol + suffix).replace(r"\ ", r"\s+").encode()
         match = re.search(pattern, self.source[first : self.start(right)])

@@ -85,7 +85,7 @@ def all_mutants(root: Path, room: Room) -> list[Mutant]:
 
 
 def stale(root: Path, entries: list[Equivalent]) -> list[Equivalent]:
-    """Entries that name no mutant of the tree as it is."""
+    """Return the entries that do not name a mutant of the current tree."""
     found: dict[str, list[Mutant]] = {}
     for module in {entry.module for entry in entries}:
         path = root / module

@@ -4,9 +4,9 @@
     python tests/mutation/run.py engine reward --sample 60 --seed 0  # 60 of each room, drawn at random
 
 A mutant is the source with one place changed (``operators``). It is caught when a test fails or does not end in time,
-and survives when all tests of its room pass (``rooms.toml``). Changes that no test can notice stand in
-``equivalents.toml`` with a reason each and are counted apart. The tests must pass on the unchanged tree first, and
-everything runs in copies: the tree itself is not touched.
+and survives when all tests of its room pass (``rooms.toml``). ``equivalents.toml`` lists
+changes that no test can notice, with a reason each; they are counted apart. The tests must pass on the unchanged tree
+first, and everything runs in copies: the tree itself is not touched.
 
 Exit status: 0 if every room's share caught is at least ``--least``, 1 if not, 2 if the run cannot be made.
 """
@@ -144,7 +144,7 @@ def _each_end(trials: list[Trial]) -> Iterator[str]:
 def _outcomes(
     copies: list[Path], room: Room, mutants: list[Mutant], known: list[Equivalent], limit_s: float
 ) -> Iterator[Outcome]:
-    """What becomes of each mutant; those known to be equivalent are not tried."""
+    """Yield the outcome of each mutant; those known to be equivalent are not tried."""
     rest = []
     for mutant in mutants:
         if any(entry.is_of(mutant) for entry in known):

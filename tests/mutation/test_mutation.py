@@ -66,7 +66,7 @@ def toy(tmp_path):
 
 @pytest.fixture
 def tool(monkeypatch):
-    """The tool's modules by name; they are a script's own and stand in no package."""
+    """Return the tool's modules by name; they belong to a script and are not in a package."""
     monkeypatch.syspath_prepend(str(HERE))
     return import_module
 

@@ -1,4 +1,4 @@
-"""Runs tests in copies of a tree, each time in a process of its own, so that nothing of a trial stays behind."""
+"""Runs tests in copies of a tree, each in a separate process, so a trial leaves no traces."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _fork: Any = multiprocessing.get_context("fork")
 
 
 def preload(modules: list[str]) -> None:
-    """Import what the processes of the trials then inherit; what is not installed is passed over."""
+    """Import modules that the processes of the trials inherit; missing ones are skipped."""
     for name in ("pytest", *modules):
         try:
             importlib.import_module(name)

@@ -1,4 +1,4 @@
-"""Short draws above the rating: how high, for how long, and at what the work is counted."""
+"""Short draws above the rating: height, duration, and the counted work."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The course of a day against its sources."""
+"""Daily profiles against their sources."""
 
 import numpy as np
 import pytest

@@ -23,7 +23,7 @@ CUT = 68 * 1024
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Serves `server.content`, as told by `server.mode`, and notes what was asked and how much was sent."""
+    """Serves `server.content` according to `server.mode`, and notes what was asked and how much was sent."""
 
     def do_GET(self):
         server: Any = self.server

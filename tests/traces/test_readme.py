@@ -1,4 +1,4 @@
-"""The tables of traces/README.md are what their commands print."""
+"""The tables of traces/README.md equal the output of their commands."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The recorded GPU trace: published figures, and the generator held against it.
+"""The recorded GPU trace: published figures, and the generator compared with it.
 
 The recording is not shipped; where the folder `shared` beside the checkout is absent, these tests are skipped.
 """

@@ -34,19 +34,19 @@ class GpuColumns:
     time: int
     power: int
     gpu: int | None
-    """The cell that identifies a GPU, if any does."""
+    """Index of the cell that identifies a GPU; None if there is none."""
     power_name: str
     unit: str | None
-    """Unit of readings that name none themselves; None if nobody knows."""
+    """Unit of readings without one; None if it is unknown."""
     header: tuple[str, ...] | None
-    """Names as they stand in the log, which repeats them where the logger was started again."""
+    """Names as written in the log, which repeats them where the logger was restarted."""
 
     def identifies(self, gpu: str) -> bool:
-        """Whether `gpu`, the cell of a line, names one GPU; consumer cards have `[N/A]` for a serial number."""
+        """Return whether `gpu`, the cell of a line, names a GPU; consumer cards have `[N/A]` as serial number."""
         return self.gpu is not None and _UNTOLD_CELL.fullmatch(gpu) is None
 
     def pattern(self) -> re.Pattern[str]:
-        """Pattern of a line, with the groups time, gpu, power and unit; power is None where the reading is missing."""
+        """Return the pattern of a line, with groups time, gpu, power (None if the reading is missing) and unit."""
         cells = ["[^,]*"] * self.width
         cells[self.time] = rf"[ \t]*(?P<time>{TIMESTAMP})[ \t]*"
         cells[self.power] = rf"[ \t]*{_POWER}[ \t]*"
@@ -56,7 +56,7 @@ class GpuColumns:
 
 
 def split(line: str) -> tuple[str, ...]:
-    """Cells without the spaces that follow the commas."""
+    """Split a line into cells without the spaces that follow the commas."""
     return tuple(cell.strip() for cell in line.split(","))
 
 
@@ -104,9 +104,9 @@ def _from_names(where: str, names: tuple[str, ...], unit: str | None, header: tu
 
 
 def _from_cells(where: str, file: TextFile, first: Block, lines, unit: str | None) -> tuple[GpuColumns, list[Block]]:
-    """Columns of a log without header: by the first line with a time and one reading with its unit.
+    """Detect the columns of a log without header by the first line with a time and one reading with its unit.
 
-    The unit may stand in no cell if `unit` is given and a line holds only the time and a number.
+    The cells may omit the unit if `unit` is given and a line contains only the time and a number.
     """
     read: list[Block] = []
     remedy = "pass columns='timestamp,index,power.draw', as they were queried, or log with a header"

@@ -34,13 +34,13 @@ def read_gpu_log(
 ) -> PowerTrace:
     """Read the power of all GPUs of a log, summed.
 
-    Each GPU's reading holds until its next. The sum is taken on the union of all their times, from the first instant
-    at which every GPU has reported, which becomes time 0, to the last reading of any. A missing reading (`[N/A]`,
-    `[Not Supported]`, `ERR!`) is none, so it makes the gap between its GPU's readings longer. GPUs are told apart by
-    a column uuid, index, pci.bus_id or serial. Of several power columns power.draw.instant is preferred. The header
-    may be repeated where the logger was started again. A last line without a line end that cannot be read was cut
-    short and is dropped, and so is one of a GPU that no other line names. In memory 16 bytes are held for each
-    reading, and some 50 for each while they are summed.
+    Each GPU's reading applies until its next one. The sum is taken on the union of all times. It begins at the first
+    instant at which every GPU has reported, which becomes time 0, and ends at the last reading of any. Missing readings
+    (`[N/A]`, `[Not Supported]`, `ERR!`) are skipped, so the gap between the GPU's readings is longer. A column uuid,
+    index, pci.bus_id or serial identifies the GPU. Of several power columns power.draw.instant is preferred. The header
+    may be repeated where the logger was restarted. An unreadable last line without a line end was cut short and is
+    dropped, and so is one of a GPU that no other line names. Memory use is 16 bytes for each reading, and about 50
+    while they are summed.
 
     Parameters
     ----------
@@ -48,20 +48,20 @@ def read_gpu_log(
     columns : for a log without header: what was queried, for example "timestamp,index,power.draw". Without it the
         time, the power with its unit and a uuid or bus id are recognised by their cells.
     unit : of readings without one (`nounits`): "W", "kW", "MW" or "mW"; needed if the header does not name it.
-    gpus : number of GPUs; needed if no column tells them apart, and then the lines of a round must be complete and in
-        the same order.
-    max_gap_s, gaps : what to do where readings of a GPU are more than max_gap_s apart, see `GapRule` of
-        `dcgrid_env.traces.text.gaps`. The same limit holds for the time before a GPU's first reading and after its
-        last; where gaps are filled the log begins when all have reported, and a last reading holds to the end.
-    limit_w : highest reading in W that is believed.
-    name : of the trace; by default the file's name without suffix.
+    gpus : number of GPUs; needed if no column identifies them. The lines of a round must then be complete and in the
+        same order.
+    max_gap_s, gaps : rule for readings of a GPU that are more than max_gap_s apart, see `GapRule` of
+        `dcgrid_env.traces.text.gaps`. The limit also applies before a GPU's first reading and after its last. If gaps
+        are filled, the log begins when all have reported, and a last reading applies to the end.
+    limit_w : highest accepted reading, W.
+    name : name of the trace; by default the file's name without suffix.
 
     Raises
     ------
     TraceError
-        With the file and the line, for a line that cannot be read, a power that is negative or above the limit, a
-        unit that is not given or contradicts another, times of a GPU that repeat or step back, a gap, several GPUs
-        that nothing tells apart, a GPU that never reports, and an empty log.
+        If the log is empty, a line cannot be read, or a power is negative or above the limit. If a unit is missing or
+        contradicts another, or there is a gap. If the times of a GPU repeat or go back, a GPU never reports, or
+        several GPUs cannot be distinguished. The message contains the file and the line.
     """
     rule = GapRule(max_gap_s, gaps)
     require_positive(limit_w, "limit_w", "give the highest reading of a GPU in W")

@@ -27,21 +27,21 @@ _REMEDIES = (
 def read_request_log(path: str | os.PathLike[str], name: str | None = None) -> Requests:
     """Read a log with the header `TIMESTAMP,ContextTokens,GeneratedTokens`.
 
-    Times count from the first request on, and `duration_s` ends at the last one, since a log does not say how long
-    nothing came after it. Held are 24 bytes for each request, and some MB of text.
+    Times count from the first request, and `duration_s` ends at the last one, as a log does not contain the idle time
+    after it. Memory use is 24 bytes for each request, and a few MB of text.
 
     Parameters
     ----------
-    path : text file, UTF-8, plain or gzip; times in UTC like `2023-11-16 18:15:46.6805900`, also with `T`, `Z` or
-        `+00:00`, up to 9 decimals; token counts are whole numbers from 1 to those of LIMITS. Empty lines are skipped,
+    path : text file, UTF-8, plain or gzip. Times are in UTC like `2023-11-16 18:15:46.6805900`, also with `T`, `Z` or
+        `+00:00`, up to 9 decimals. Token counts are whole numbers from 1 to those of LIMITS. Empty lines are skipped,
         and so are lines at the top that begin with `#`.
-    name : of the requests; by default the file's name without suffix.
+    name : name of the requests; by default the file's name without suffix.
 
     Raises
     ------
     TraceError
-        With the file and, where there is one, the line, for another header, a line that is not of the format, a token
-        count out of range, times out of order, and fewer than two times.
+        If the header or a line has another format, a token count is out of range, times are out of order, or there
+        are fewer than two times. The message contains the file and, if there is one, the line.
     """
     arrival_s, context, generated = array("d"), array("q"), array("q")
     origin_ns = last_ns = None

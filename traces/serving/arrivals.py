@@ -8,9 +8,10 @@ Requests come by a renewal process in operational time, the integral of lambda, 
     Lambda(t) = integral of lambda        Lambda(t_i) = sum of i gamma draws
     lambda_busy = rate (calm_s + busy_s) / (calm_rate calm_s + busy_s)        lambda_calm = calm_rate lambda_busy
 
-For a two-state Poisson process (a switched Poisson process: W. Fischer and K. Meier-Hellstern, "The Markov-modulated
-Poisson process cookbook", Performance Evaluation 18, 1993) the Fano factor of counts over w seconds tends, for long w,
-to 1 + 2 var(lambda) tau / rate with 1 / tau = 1 / calm_s + 1 / busy_s.
+A two-state Poisson process is a switched Poisson process [1]. The Fano factor of its counts over w seconds tends, for
+long w, to 1 + 2 var(lambda) tau / rate with 1 / tau = 1 / calm_s + 1 / busy_s.
+
+[1] W. Fischer and K. Meier-Hellstern, "The Markov-modulated Poisson process cookbook", Performance Evaluation 18, 1993.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ roofline with two efficiencies:
     weights read     = weights (1 - (1 - active / total)^batch)        all of them but in a mixture of experts
     prefill, tokens/s = n flops 0.5 / (2 active)
 
-with n GPUs in the replica and 600 tokens of context on average (kv: bytes of key and value cache a token). Against the
-published serving points on H100, an 8B model on one GPU (7 ms between tokens at batch 8, 26 ms at batch 256) and a 70B
-model on four (17 and 40 ms), this gives 7.4, 23.7, 15.8 and 38.7 ms.
+with n GPUs in the replica and 600 tokens of context on average (kv: bytes of key and value cache a token). Published
+serving points on H100 are 7 and 26 ms between tokens at batch 8 and 256 for an 8B model on one GPU. For a 70B model on
+four GPUs they are 17 and 40 ms. The formulas give 7.4, 23.7, 15.8 and 38.7 ms.
 
 Power of a busy GPU as a share of its rated power (TDP):
 

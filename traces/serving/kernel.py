@@ -1,9 +1,9 @@
 """One pool of equal replicas with continuous batching, stepped on the grid of 0.1 s; compiled.
 
 Requests wait for a place in a batch, are read (prefill) and answered (decode), first come first served. All replicas of
-the pool carry the same load, so that the pool has one batch size; a replica that reads does not answer meanwhile. All
-requests in decode advance together, by V tokens since the beginning, so a request with g tokens whose first came at V0
-ends when V reaches V0 + g - 1: no step needs to look at every request.
+the pool carry the same load, so the pool has one batch size. A replica that reads does not answer meanwhile. All
+requests in decode advance together, by V tokens since the beginning. A request with g tokens whose first came at V0
+therefore ends when V reaches V0 + g - 1, and no step needs to visit every request.
 """
 
 from dcgrid_env.core.compiled import compiled

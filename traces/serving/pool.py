@@ -160,13 +160,13 @@ def in_chunks(
 
 
 def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:
-    """Serve requests on replicas of their own: the site is these GPUs.
+    """Serve requests on dedicated replicas, whose GPUs form the site.
 
     Parameters
     ----------
     requests : at least one.
     replica : a model on its GPUs, see `dcgrid_env.traces.serving.hardware.replica`.
-    n_replicas : how many.
+    n_replicas : number of replicas.
 
     Returns
     -------
@@ -175,7 +175,7 @@ def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:
     Raises
     ------
     TraceError
-        If there is no request or no replica.
+        If `requests` is empty or `n_replicas` is below 1.
     """
     if len(requests) == 0 or isinstance(n_replicas, bool) or not isinstance(n_replicas, Integral) or n_replicas < 1:
         raise TraceError(f"{len(requests)} requests and n_replicas = {n_replicas!r}; give at least one of each, whole")

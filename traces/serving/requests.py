@@ -18,9 +18,9 @@ IntArray = NDArray[np.int64]
 class Requests:
     """Requests in the order of arrival; all arrays are copied and made read-only.
 
-    Raises TraceError, naming the field and the index, for lengths that differ, times that are not finite, negative or
-    not sorted (equal times are allowed: requests may come together), and token counts that are not whole numbers of at
-    least 1.
+    Raises TraceError, naming the field and the index, for lengths that differ and for times that are not finite,
+    negative or not sorted. Token counts that are not whole numbers of at least 1 also raise it. Equal times are
+    allowed, as requests may arrive together.
     """
 
     arrival_s: FloatArray

@@ -8,9 +8,9 @@
 Both are fitted to the hour of each in the Azure LLM inference trace 2023 (P. Patel et al., "Splitwise: Efficient
 Generative LLM Inference Using Phase Splitting", ISCA 2024; CC-BY 4.0): rate, coefficient of variation of the distances,
 Fano factor of counts at 1 s and 60 s; tokens by expectation maximisation. A single log-normal law with the mean and
-standard deviation of the logarithms (6.63, 0.99 and so on) is off by 26 % at the median and 85 % at the 99 % quantile,
-because contexts and answers pile up at a few lengths; a mixture has them as narrow parts.
-`python -m dcgrid_env.traces.compare_requests` prints how well they do.
+standard deviation of the logarithms (6.63, 0.99 etc.) is off by 26 % at the median and 85 % at the 99 % quantile. The
+reason is that contexts and answers accumulate at a few lengths, which a mixture represents by narrow parts.
+`python -m dcgrid_env.traces.compare_requests` prints the quality of the fit.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class TokenLaw:
 
     @property
     def mean(self) -> float:
-        """Mean number of tokens, but for rounding."""
+        """Mean number of tokens, without rounding."""
         cdf, total = NormalDist().cdf, 0.0
         for weight, (_, log_mean, log_std) in zip(self._weights(), self.parts, strict=True):
             edge = (math.log(self.most) - log_mean) / log_std

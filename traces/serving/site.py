@@ -1,10 +1,10 @@
 """A data centre of many GPUs: services of language models and training under one roof, over the hours of a day.
 
-Each service has its share of the GPUs, a model on them and a load, the mean arrival rate over the rate that full
-batches sustain (with small batches the replicas are busy for much more of the time). Sites can share their users: for
-the share `correlation` of the time, in blocks of ten minutes, all sites of a group get the very same requests, and
-their own ones otherwise. So with 0 they are independent, with 1 synchronous, and a site alone looks the same whatever
-the correlation. Training and the idle draw stay each site's own.
+Each service has its share of the GPUs, a model on them and a load. The load is the mean arrival rate over the rate that
+full batches sustain; with small batches the replicas are busy for much more of the time. Sites can share their users:
+for the share `correlation` of the time, in blocks of ten minutes, all sites of a group get the same requests. Otherwise
+each gets its own. With 0 the sites are independent, with 1 synchronous, and a single site has the same statistics for
+every correlation. Training and the idle draw are separate for each site.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class Tenant:
 
 @dataclass(frozen=True)
 class Site:
-    """What a site is like.
+    """Parameters of a site.
 
-    TraceError for an unknown GPU, model or service, a number out of range, shares that exceed 1, or a tenant without a
-    whole replica.
+    Raises TraceError for an unknown GPU, model or service, a number out of range, shares that exceed 1, or a tenant
+    without a whole replica.
     """
 
     gpu: str = "H100"
@@ -113,9 +113,9 @@ def generate_site(
     Parameters
     ----------
     duration_s : length, s; rounded up to the grid of 0.1 s.
-    seed : integer of at least 0. The trace begins at hour `seed` modulo 24 of a day of its own, which has more or
-        less demand than others.
-    site : what it is like.
+    seed : integer of at least 0. The trace begins at hour `seed` modulo 24 of a day that is drawn for it, which has
+        more or less demand than others.
+    site : parameters of the site.
     correlation : share of the time in which it gets the same requests as all sites of its group, 0 to 1.
     group : integer of at least 0 that sites which share requests have in common; required if `correlation` is not 0.
 

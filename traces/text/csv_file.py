@@ -62,34 +62,34 @@ def read_csv(
     gaps: str = "error",
     limit_kw: float = 1e6,
 ) -> tuple[FloatArray, FloatArray, Provenance]:
-    """Read times and the sum of the power columns; 16 bytes are held for each line, and some MB of text.
+    """Read times and the sum of the power columns, with 16 bytes of memory for each line and a few MB of text.
 
     Parameters
     ----------
-    path : text file, UTF-8, plain or gzip, one sample on each line; empty lines are skipped, and so are lines at the
+    path : text file, UTF-8, plain or gzip, one sample on each line. Empty lines are skipped, and so are lines at the
         top that begin with `#`. The JSON object after `# dcgrid trace ` in the first line goes to the provenance.
     time_column : index from 0 or header name; times in s. A name with another unit (`time_ms`, `t [h]`) is refused.
     power_columns : indices or header names, summed; by default every column but the time (one for each GPU).
     unit : of the power columns: "W", "kW", "MW" or "mW"; by default what their names end in, for example `site [kW]`,
-        `power (MW)`, `P/kW`, `gpu0_w`. Names that tell none are refused. A file without header is in W by default, as
+        `power (MW)`, `P/kW`, `gpu0_w`. Names without a unit are refused. A file without header is in W by default, as
         the published recordings are.
-    header : whether the first line holds names; by default it does if none of its cells is a number.
-    delimiter : between cells, one character.
-    max_gap_s, gaps : what to do where samples are more than max_gap_s apart, see `dcgrid_env.traces.text.gaps.GapRule`;
+    header : whether the first line contains names; by default it does if none of its cells is a number.
+    delimiter : character between cells.
+    max_gap_s, gaps : rule for samples that are more than max_gap_s apart, see `dcgrid_env.traces.text.gaps.GapRule`;
         by default every distance is accepted.
-    limit_kw : highest power of one cell in kW that is believed; the default is 1 GW.
+    limit_kw : highest accepted power of one cell, kW; the default is 1 GW.
 
     Returns
     -------
     time_s, power_kw : (n,) float64 each
-    provenance : the file's name and hash, and what its recorder noted
+    provenance : the file's name and hash, and its recorder's notes
 
     Raises
     ------
     TraceError
-        For an empty or unreadable file, a unit that is unknown, contradicted or not given, an unknown column, a text
-        cell, a missing cell, bad samples, power above the limit, or a gap; with the file and, where there is one, the
-        line.
+        If the file is empty or unreadable, or a unit is unknown, contradicted or missing. If there is an unknown
+        column, a text cell, a missing cell, an invalid sample, power above the limit, or a gap. The message contains
+        the file and, if there is one, the line.
     """
     rule = GapRule(max_gap_s, gaps)
     limit_kw = require_positive(limit_kw, "limit_kw", "give the highest power of one cell in kW")

@@ -14,10 +14,10 @@ FILL_LIMIT = 1_000_000
 
 @dataclass(frozen=True)
 class GapRule:
-    """What to do where two samples are more than `max_gap_s` apart.
+    """Rule for two samples that are more than `max_gap_s` apart.
 
-    "error" refuses the file; "hold" keeps the sample before until the one after; "linear" puts samples on the straight
-    line between the two, evenly and at most `max_gap_s` apart, each held like a recorded one.
+    "error" refuses the file. "hold" keeps the earlier sample until the later one. "linear" adds samples on the straight
+    line between the two, evenly and at most `max_gap_s` apart, each applied like a recorded one.
 
     Raises TraceError for an unknown rule, a limit that is not above 0, and "linear" without a limit.
     """

@@ -19,7 +19,7 @@ def require_unit(name: str, unit: str | None) -> None:
 
 
 def bracketed(header: str) -> tuple[str, bool]:
-    """What stands in brackets at the end of a column's name, and whether they are square; "" where nothing does."""
+    """Return the text in brackets at the end of a column's name ("" without them), and whether they are square."""
     match = re.search(r"\[([^\[\]]*)\]$|\(([^()]*)\)$", header.strip())
     if match is None:
         return "", False
@@ -27,12 +27,12 @@ def bracketed(header: str) -> tuple[str, bool]:
 
 
 def last_word(header: str) -> str:
-    """What a column's name ends in before any brackets, after `_`, `/`, a space or the like: `kW` of `P/kW (site)`."""
+    """Return the last word of a column's name before any brackets, split at `_`, `/`, a space etc.: `kW` of `P/kW`."""
     return _SEPARATORS.split(re.sub(r"\s*(?:\[[^\[\]]*\]|\([^()]*\))$", "", header.strip()))[-1]
 
 
 def column_unit(where: str, header: str, unit: str | None) -> str | None:
-    """Unit of a column from its name and from what the caller gave; None if neither names it.
+    """Return the unit of a column from its name or the caller's `unit`; None if neither contains it.
 
     A name gives it in brackets at its end, or as its last word before them: `power (kW)`, `site [MW]`, `gpu0_w`,
     `P/kW`, `load kW`. Square brackets hold a unit unless they hold a number (`gpu[0]`); round ones may hold anything.

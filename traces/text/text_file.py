@@ -96,7 +96,7 @@ class _Hashed(io.RawIOBase):
 def open_text(path: str | os.PathLike[str]) -> Iterator[TextFile]:
     """Open a text file: UTF-8, or UTF-16 with its mark (what redirection in PowerShell writes), gzip or plain.
 
-    What is wrong with the bytes while the file is open is raised as TraceError, naming the file and the line.
+    Errors in the bytes while the file is open raise TraceError, naming the file and the line.
     """
     path = Path(path)
     with path.open("rb", buffering=0) as raw, _Hashed(raw) as hashed, io.BufferedReader(hashed) as plain:

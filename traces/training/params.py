@@ -1,4 +1,4 @@
-"""What training jobs are like: lengths, rates and levels, each with its source or as a choice."""
+"""Parameters of training jobs: lengths, rates and levels, each with its source or marked as a choice."""
 
 from dataclasses import dataclass, fields
 
@@ -33,7 +33,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class TrainingParams:
-    """What training jobs are like; pairs are the range from which each job draws, shares are of the rating.
+    """Parameters of training jobs; pairs are the range from which each job draws, shares are of the rating.
 
     Sources: [1] arXiv 2508.14318, [2] arXiv 2407.21783, [3] Chen and Zhang, arXiv 2507.06416, Fig. 1. A field without
     one is a choice, made so that an hour holds a few of each event. A field out of its range raises TraceError.

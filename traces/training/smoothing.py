@@ -38,13 +38,13 @@ class PowerSmoothing:
 
 
 def smoothed(share: FloatArray, running: np.ndarray, smoothing: PowerSmoothing) -> FloatArray:
-    """Draw of GPUs in step with smoothing on; what it adds is real draw.
+    """Apply power smoothing to the draw of synchronous GPUs; the added power is actually drawn.
 
     Parameters
     ----------
     share : (n,) float64, draw without smoothing on the grid of 0.1 s, share of rating.
     running : (n,) bool, whether a job runs.
-    smoothing : the settings.
+    smoothing : settings of the smoothing.
 
     Returns
     -------

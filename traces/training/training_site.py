@@ -1,9 +1,9 @@
-"""Generated power of a site that trains large models: a few jobs side by side, all GPUs of a job in step.
+"""Generated power of a site that trains large models: a few jobs in parallel, all GPUs of a job in step.
 
 The site is cut into slots. Each runs one job after another with idle time between; a job may fail, which drops it to
 idle at once, and goes on after a restart. A job computes near the rating and exchanges gradients near idle, at 0.2 to
-3 Hz (arXiv 2508.14318). The waveform stands in `waveform.py`, the numbers and their sources in `params.py`.
-No recording was at hand to calibrate against.
+3 Hz (arXiv 2508.14318). `waveform.py` contains the waveform, `params.py` the numbers and their sources.
+No recording was available for calibration.
 """
 
 from collections.abc import Iterator

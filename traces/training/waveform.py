@@ -18,7 +18,7 @@ _SPREADS = 3.0
 
 
 class TrainingJob(NamedTuple):
-    """What all runs of a job have in common; shares are of the rating."""
+    """Parameters that all runs of a job share; shares are of the rating."""
 
     period_s: float
     exchange_fraction: float

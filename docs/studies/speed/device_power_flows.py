@@ -1,8 +1,8 @@
-"""How fast power flows of torch tensors are on a device, in either precision: a part of the command ``speed``.
+"""Speed of power flows of torch tensors on a device, in either precision: a part of the command ``speed``.
 
-The same loads as in the rows without torch, solved from cold, and with the derivative of the voltages by all loads. The
-sweep of three phases has a compiled form for tensors of the CPU; its form in array operations, by the impedance
-matrices of the zones between regulators, is what other devices run, and is measured on the CPU beside it.
+The loads are those of the rows without torch, solved from a cold start, also with the derivative of the voltages by
+all loads. The three-phase sweep has two forms: a compiled one for CPU tensors, and one in array operations, by the
+impedance matrices of the zones between regulators. Other devices run the second, which is also measured on the CPU.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def resident_growth_mib(scenario: str, num_envs: int) -> float:
 
 
 def resident_mib() -> float:
-    """What this process holds in memory now; where the system does not tell, the most it ever held."""
+    """Return the resident memory of this process, MiB; its peak where the system does not report the current value."""
     import resource  # not on every system
 
     statm = Path("/proc/self/statm")

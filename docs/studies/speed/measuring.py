@@ -1,4 +1,4 @@
-"""How a rate is measured, and the line that it becomes."""
+"""Measurement of a rate, and the output line for it."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _NODES = {"a": 1, "b": 2, "c": 3}
 _WIRES = {"wye": (".1", ".2", ".3"), "delta": (".1.2", ".2.3", ".3.1")}
 _MODELS = {"PQ": 1, "Z": 2, "CVR": 4, "I": 5, "ZIP": 8}
 TOLERANCE = 1e-10
-"""What OpenDSS is asked to reach unless told otherwise, p.u. of voltage."""
+"""Default convergence tolerance of OpenDSS, p.u. of voltage."""
 
 
 def _wires(phases: str) -> str:

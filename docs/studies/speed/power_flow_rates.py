@@ -1,6 +1,6 @@
-"""How fast the power flow is, and the same flows in other libraries: a part of the command ``speed``.
+"""Speed of the power flow here and in other libraries: a part of the command ``speed``.
 
-Every rate stands beside the worst voltage error to a solve at a far finer tolerance.
+Every rate is listed with the worst voltage error relative to a solution at a far finer tolerance.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The command ``python -m docs.studies speed``: how fast dcgrid is on this machine."""
+"""The command ``python -m docs.studies speed``, which measures the speed of dcgrid on this machine."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ PACKAGES = ("torch", "pandapower", "power-grid-model", "lightsim2grid", "OpenDSS
 class Speed(Command):
     """Measure environments, power flows and other libraries.
 
-    Measures steps of the environments with random actions drawn beforehand, resets included; batches of torch tensors
-    on a device, with and without the derivative, in float32 and float64; the power flow alone, with its worst voltage
-    error, by arrays and by torch tensors on the device; the memory of a large batch; other libraries on the same feeder
-    and loads. Every rate is the median of several blocks after a warm-up.
+    Environments step with random actions drawn beforehand, resets included. Batches of torch tensors run on a device,
+    with and without the derivative, in float32 and float64. The power flow alone is timed by arrays and by torch
+    tensors on the device, with its worst voltage error. Further rows are the memory of a large batch, and other
+    libraries on the same feeder and loads. Every rate is the median of several blocks after a warm-up.
     """
 
     seconds: float = 2.0

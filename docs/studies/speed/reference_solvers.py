@@ -29,7 +29,7 @@ Solve = Callable[[FloatArray, FloatArray], FloatArray]
 SWITCH_X_PU = 1e-7
 """Reactance of a closed switch, p.u. on 1 MVA, where a library has none: small, yet the matrix still inverts well."""
 TOLERANCE_PU = 1e-8
-"""What each library is asked to reach, p.u. of power on 1 MVA or of voltage, whichever it measures."""
+"""Tolerance of each library, p.u. of power on 1 MVA or of voltage, whichever the library uses."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def lightsim2grid(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver
 
 
 def opendss(feeder: Feeder, v0_pu: float | None = None) -> ReferenceSolver:
-    """OpenDSS (dss_capi) with a three-phase circuit of three equal, uncoupled phases, in an engine context of its own.
+    """Return OpenDSS (dss_capi) in a separate engine context, with a circuit of three equal, uncoupled phases.
 
     A solve starts from the one before it, as OpenDSS does; more than half of its time goes into setting the loads, one
     by one through Python. The source's short-circuit power is 1e12 MVA.

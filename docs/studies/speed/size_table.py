@@ -42,17 +42,18 @@ COLUMNS = {
     "mib_per_env": ("MiB per environment", "{:.2f}"),
     "bytes_per_node": ("bytes per environment and node", "{:,.0f}"),
 }
-"""Figures of a feeder: the heading of each, and how it is written."""
+"""Column title and format of each figure of a feeder."""
 
 
 @dataclass(frozen=True)
 class SpeedSizes(Command):
     """Measure feeders of 100 to 100,000 buses.
 
-    The feeders are synthetic, three-phase ones of up to 8,500 nodes. Each is measured in a process of its own: seconds
-    to compile the tables into a feeder, to write it as CSV files and to read them; power flows a second from a cold
-    start, one at a time and 64 in a batch; an environment of a few agents on it, by its seconds to be made and reset,
-    its steps a second, and the memory that each environment of a batch of 16 adds. The table is printed in Markdown.
+    The feeders are synthetic; three-phase ones have up to 8,500 nodes. Each is measured in a separate process. The
+    table contains the seconds to compile the tables into a feeder, to write it as CSV files and to read them. Power
+    flows per second are from a cold start, one at a time and 64 in a batch. An environment of a few agents is measured
+    by its seconds to make and reset, its steps per second, and the memory that each environment of a batch of 16
+    adds. The table is printed in Markdown.
     """
 
     buses: tuple[int, ...] = (100, 1_000, 10_000, 50_000, 100_000)
@@ -81,7 +82,7 @@ class SpeedSizes(Command):
 
 
 def measured(cfg: SpeedSizes) -> Iterator[dict[str, Any]]:
-    """One record for each feeder, measured in a process of its own; RuntimeError where that fails."""
+    """Yield one record for each feeder, measured in a separate process; raise RuntimeError if that fails."""
     code = "import sys; from docs.studies.speed.size_table import report; report(*sys.argv[1:])"
     kinds = [("balanced", n) for n in cfg.buses] + [("three-phase", n) for n in cfg.three_phase_nodes]
     for kind, n in kinds:

@@ -22,7 +22,7 @@ from docs.studies.speed.measuring import Row, rate
 NUM_ENVS = {"cpu": (1024, 4096), "cuda": tuple(1024 * 4**k for k in range(5))}
 """Environments in the batches that are measured, by the kind of device."""
 PRECISIONS = ("float32", "float64")
-"""What tensors are measured in."""
+"""Precisions of the measured tensors."""
 EPISODES = 256  # different ones in a batch
 WINDOW = 20  # steps in a call, and so those through which a derivative reaches back
 UNIT = "environment steps/s"

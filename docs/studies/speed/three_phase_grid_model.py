@@ -1,8 +1,8 @@
 """A three-phase feeder in power-grid-model, as far as that library goes: lines, and constant power to ground.
 
-It has no regulator with a tap for each phase, no delta load and no capacitor of one phase, so both libraries are given
-the same plain feeder: regulators and transformers are closed switches, every leg draws constant power from its first
-node to ground, capacitors are off and the source is stiff. A phase that does not exist is there with nothing on it.
+That library has no regulator with a tap for each phase, no delta load and no single-phase capacitor, so both libraries
+solve the same plain feeder. Its regulators and transformers are closed switches, every leg draws constant power from
+its first node to ground, capacitors are off and the source is stiff. A missing phase is modelled without load.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _UPPER = ("aa", "ba", "bb", "ca", "cb", "cc")
 
 
 def plain_feeder(feeder: ThreePhaseFeeder) -> ThreePhaseFeeder:
-    """Make the feeder that both libraries can hold: no load of its own, all to be drawn at the devices' legs."""
+    """Make the feeder that both libraries can represent: without loads, as devices' legs draw all power."""
     network, source, node = feeder.network, feeder.network.source, feeder.network.node
     kv_ln = float(feeder.base_kv_ln[0])
     joined: dict[tuple[str, str], str] = {}

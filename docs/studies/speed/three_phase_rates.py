@@ -1,8 +1,8 @@
-"""How fast the three-phase power flow is, beside OpenDSS and power-grid-model: part of the command ``speed``.
+"""Speed of the three-phase power flow, OpenDSS and power-grid-model: part of the command ``speed``.
 
 The points are random: each leg's load times 0.5 to 1.5, taps within two of the base's, capacitors on or off. OpenDSS
-is timed for its ``Solve`` alone, and for what an environment around it would do in a step besides: setting all loads,
-taps and capacitors and reading all voltages.
+is timed twice: for its ``Solve`` alone, and for the whole step of an environment around it. That step also sets all
+loads, taps and capacitors and reads all voltages.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _derivative_row(case: ThreePhaseCase, label: str, seconds: float) -> Row:
 
 
 def three_phase_reference_rows(case: ThreePhaseCase, seconds: float) -> Iterator[Row]:
-    """OpenDSS's Solve alone on the same points; power-grid-model's asymmetric batch on a plain feeder, beside ours."""
+    """Yield rows of OpenDSS's Solve on the same points, and of power-grid-model and dcgrid on a plain feeder."""
     yield from _opendss_rows(case, seconds)
     name = f"power-grid-model, asymmetric, plain {case.feeder.name}"
     if find_spec("power_grid_model") is None:

@@ -23,18 +23,18 @@ EMPTY = 400
 
 @dataclass(frozen=True)
 class Overhead:
-    """What was measured of a place; times are the least of several, as other processes only ever add to them."""
+    """Times measured in one place; each is the least of several, as other processes can only add to it."""
 
     name: str
     begin_s: float
-    """From the call to the first result of a unit without work: workers are started, and import the package."""
+    """Time from the call to the first result of a unit without work, s: workers start and import the package."""
     message_s: float
-    """For each further unit without work, all workers together: what a unit costs who hands it out."""
+    """Time for each further unit without work, s, all workers together: the cost of handing out a unit."""
     wall_s: tuple[float, float]
-    """The long units take so long one at a time, and so long on all workers, without what it takes to begin."""
+    """Time of the long units one at a time and on all workers, s, without the time to begin."""
     between_s: float
-    """From the end of a long unit to the beginning of the next on that worker, in the mean: what a unit costs beside
-    its work, however fast the cores are meanwhile."""
+    """Mean time from the end of a long unit to the beginning of the next on that worker, s: the overhead of a unit,
+    independent of the speed of the cores."""
 
 
 def spin(steps: int) -> int:
@@ -115,11 +115,11 @@ def _long(place: Place, units: int, steps: int, cores: float) -> tuple[float, fl
 
 
 def simulated_s(overhead: Overhead, units: int, seconds: float, workers: int) -> float:
-    """Wall time of many units on many workers, s, simulated from what was measured.
+    """Simulate the wall time of many units on many workers, s, from the measured overhead.
 
-    Units are handed out one after the other by one process, each for ``message_s``, to the worker that is free first,
-    which begins it ``between_s`` later; every worker is there after ``begin_s``, all at once. Nothing
-    of a network's or a file system's is in it.
+    One process hands out the units one after the other, in ``message_s`` each, to the worker that is free first. The
+    worker begins the unit ``between_s`` later. All workers are ready at once, after ``begin_s``. The simulation
+    ignores network and file system.
     """
     handed, free = 0.0, [overhead.begin_s] * workers
     for i in range(units):
@@ -133,10 +133,10 @@ def simulated_s(overhead: Overhead, units: int, seconds: float, workers: int) ->
 class UnitOverhead(OverWorkers):
     """Measure the overhead of units of work.
 
-    Measures it on this machine and, with --ray, on a cluster.
+    The command runs on this machine and, with --ray, on a cluster.
 
-    Units of about --seconds of CPU time are run one at a time and on all workers, and units without work by the
-    hundred; times are the least of --repeats. How long many units take on many workers is simulated from that.
+    Units of about --seconds of CPU time run one at a time and on all workers, and units without work by the hundred.
+    Times are the least of --repeats. The time of many units on many workers is simulated from these measurements.
     """
 
     units: int = 4
@@ -144,7 +144,7 @@ class UnitOverhead(OverWorkers):
     seconds: float = 10.0
     """CPU time of each, s."""
     repeats: int = 3
-    """How often all is measured."""
+    """Number of repetitions of all measurements."""
 
     def run(self) -> None:
         """Measure and print. ValueError for an invalid setting."""

@@ -1,4 +1,4 @@
-"""Trainings with agents and channels beside clock and reactive power: they learn, and what they write acts alike."""
+"""Training with agents and channels other than clock and reactive power: it learns, and saved policies act alike."""
 
 import numpy as np
 import pytest

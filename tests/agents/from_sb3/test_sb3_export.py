@@ -162,12 +162,12 @@ def test_weights_that_are_more_than_weights_are_refused(tmp_path, capsys):
 
 
 def pickled(mark):
-    """What SB3 writes of an object that is no JSON: here of one that leaves a mark."""
+    """Return SB3's entry for an object that JSON cannot represent; loading this one leaves a mark."""
     return {":type:": "<class 'object'>", ":serialized:": base64.b64encode(pickle.dumps(Marked(mark))).decode()}
 
 
 def rewritten(source, target, change, weights=None):
-    """A zip with other ``data``, or other weights."""
+    """Copy a zip file with other ``data`` or other weights."""
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
         for name in old.namelist():
             content = old.read(name)

@@ -1,4 +1,4 @@
-"""Entries of the leaderboard: submitted, run again, listed; and what is noticed where something was changed."""
+"""Entries of the leaderboard: submission, verification and listing; changed entries are detected."""
 
 import json
 import random

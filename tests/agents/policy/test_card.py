@@ -1,4 +1,4 @@
-"""Cards: what they hold, what is refused, and those of the policies that ship."""
+"""Cards: their contents, the refused ones, and those of the bundled policies."""
 
 import dataclasses
 import json
@@ -25,7 +25,7 @@ WITHOUT_VALIDATION_COSTS = Path(__file__).with_name("without_validation_costs.tx
 
 
 def belongs(folder, name):
-    """A policy and the card beside it."""
+    """Check that a policy and the card next to it belong together."""
     policy, card = Policy.load(folder / f"{name}.safetensors"), Card.load(folder / f"{name}.json")
     assert card.sha256 == policy.sha256
     assert card.n_parameters == policy.n_parameters

@@ -1,4 +1,4 @@
-"""Policies of agents beside data centres and inverters, and of channels beside clock and reactive power."""
+"""Policies of agents other than data centres and inverters, and of channels other than clock and reactive power."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Policies under guard: the law beyond the trained range, bounds in new places, and what is told of it."""
+"""Guarded policies: the law outside the trained range, bounds in new places, and their report."""
 
 import warnings
 

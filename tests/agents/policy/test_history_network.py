@@ -1,4 +1,4 @@
-"""Policies that remember: what they see of the past, when an episode begins, and what is refused."""
+"""Policies with memory: their past observations, the start of an episode, and refused settings."""
 
 import numpy as np
 import pytest

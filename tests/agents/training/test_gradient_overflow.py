@@ -1,4 +1,4 @@
-"""Derivatives that grow from step to step reach the weights finite, and others reach them as they are."""
+"""Derivatives that grow from step to step are limited to finite values, and others are unchanged."""
 
 import math
 

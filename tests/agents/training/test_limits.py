@@ -1,4 +1,4 @@
-"""Limits of training: how their multipliers move, and which policy is the best under them."""
+"""Limits of training: updates of their multipliers, and the best policy under them."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""How a policy is judged while it is trained."""
+"""Validation of a policy during training."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Units: how work is cut, what is kept, and what tells two controllers apart."""
+"""Units: division of work, stored results, and the identity of controllers."""
 
 import numpy as np
 import pytest

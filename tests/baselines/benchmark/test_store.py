@@ -1,4 +1,4 @@
-"""Units on disk: what counts as done, and what is refused."""
+"""Units on disk: finished units and refused files."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""Scores and what stands beside them, on costs made up by hand; tables and figures of them."""
+"""Scores and the figures next to them, on hand-made costs; their tables and plots."""
 
 import re
 from dataclasses import replace

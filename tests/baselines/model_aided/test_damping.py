@@ -1,4 +1,4 @@
-"""How far to move at once: the damping that neither creeps nor overshoots is found, for each agent its own."""
+"""The damping of each agent: the search finds one that neither creeps nor overshoots."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The rounded cost against the one that it rounds, its slope, and setpoints against a search that knows no slopes."""
+"""The smoothed cost against the exact one, its slope, and set points against a derivative-free search."""
 
 import numpy as np
 import pytest

@@ -10,7 +10,7 @@ from dcgrid_env.baselines.model_based.linear_model import Estimate, slopes
 
 
 def on_toy6(law, v_pu, p_kw=575.0, p_ref_kw=575.0, p_ref_next_kw=575.0, backlog_kws=0.0, q_kvar=0.0):
-    """One environment's estimate on toy6, whose agents stand at the buses 4, 3 and 5, with slopes around 1 p.u."""
+    """Return one environment's estimate on toy6 with agents at buses 4, 3 and 5 and slopes around 1 p.u."""
     scenario = make_scenario("toy6", observe="feeder")
     law.reset(scenario)
     known = slopes(scenario, np.array([[4, 3, 5]]))
@@ -30,10 +30,11 @@ def on_toy6(law, v_pu, p_kw=575.0, p_ref_kw=575.0, p_ref_next_kw=575.0, backlog_
 
 
 def test_a_step_by_hand():
-    """All buses are low by more than the width, so that every multiplier is the weight of a bus, 100 / 5 = 20.
+    """All buses are low by more than the width, so every multiplier is the weight of a bus, 100 / 5 = 20.
 
-    toy6, p.u. per MW and Mvar at the buses 1 to 5: the site at 4 (0, 0, 0, 1, 1) r and x, the inverters at 3
-    (1, 1, 2, 0, 0) x and at 5 (0, 0, 0, 1, 2) x with r = 0.01 and x = 0.02; k = 20 / 0.01 = 2000.
+    Slopes on toy6 are in p.u. per MW and Mvar at the buses 1 to 5, with r = 0.01 and x = 0.02. The site at 4 has
+    (0, 0, 0, 1, 1) r and x. The inverters have (1, 1, 2, 0, 0) x at 3 and (0, 0, 0, 1, 2) x at 5. The gain is
+    k = 20 / 0.01 = 2000.
     """
     law = FeedbackOptimisation(gain=0.1, dual_step=1.0, width_pu=0.01)
     now = on_toy6(law, 0.97, p_kw=1575.0, p_ref_kw=1775.0, p_ref_next_kw=1475.0, backlog_kws=500.0)

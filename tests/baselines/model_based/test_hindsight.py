@@ -37,7 +37,7 @@ def test_no_controller_beats_hindsight_or_the_bound(solved, name):
 
 
 def test_toy6_against_a_direct_nonlinear_solution():
-    """Nothing waits on toy6, so each step stands alone: three reactive injections against the exact power flow."""
+    """No work waits on toy6, so steps are independent: three reactive injections against the exact power flow."""
     scenario = make_scenario("toy6", split="validation")
     best, known = hindsight(scenario, 3), forecast(scenario, 3)
     series, feeder, w = best.recorder.series(0), scenario.feeder, scenario.cost.weights

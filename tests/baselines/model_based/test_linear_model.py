@@ -1,4 +1,4 @@
-"""What controllers with a model know of the feeder, and what they make of an old or noisy measurement."""
+"""The linear feeder model of controllers, and its use of old or noisy measurements."""
 
 import numpy as np
 import pytest
@@ -99,7 +99,7 @@ def test_what_is_believed_is_what_is_measured():
 
 @pytest.mark.parametrize("delay", [1, 3])
 def test_an_old_measurement_is_brought_up_to_date(delay):
-    """Other loads still, so all that has changed is the agents' doing, which the model knows but for its linearity."""
+    """The other loads are constant, so agents cause all changes, which the model predicts except for nonlinearity."""
     scenario = make_scenario("ieee33-weak", horizon=15, background={"load_sigma": 0.0}, sensing={"delay_steps": delay})
     restless = Restless()
     v = course(rollout(scenario, restless, [0, 1]), 2)[:-1]

@@ -118,7 +118,7 @@ def within(program, x):
 
 @pytest.mark.parametrize("steps", [1, 4])
 def test_the_solver_against_highs(steps):
-    """Within 0.2 % of the optimum after 300 rounds from nothing, and within 0.02 % after 3000, never below it."""
+    """Within 0.2 % of the optimum after 300 rounds from scratch, and within 0.02 % after 3000, never below it."""
     for seed in range(4):
         program = drawn(np.random.default_rng(seed), steps=steps)
         best = np.array([optimum(program, row) for row in range(3)])
@@ -131,7 +131,7 @@ def test_the_solver_against_highs(steps):
 
 
 def test_the_circle_binds_and_the_nearest_point_on_it_is_found():
-    """Where reactive power is worth more than the work it displaces, the solver trades one for the other."""
+    """If reactive power is worth more than the work it displaces, the solver trades one for the other."""
     program = drawn(np.random.default_rng(1), steps=1)
     program = program._replace(s_rated=np.full_like(program.base, 1.0), high=np.full_like(program.base, 0.65))
     found = solve(program, None, 3000)
@@ -153,8 +153,8 @@ def test_a_row_is_solved_the_same_alone_and_among_others():
 def test_one_step_by_hand():
     """toy6, a linear grid, no noise: r = 0.01 and x = 0.02 a branch, 0-1, 1-2, 1-3 and 0-4, 4-5; inverters at 3 and 5.
 
-    The site at 4 and the inverter at 5 bring both their buses to 1 p.u. The one at 3 has three buses: 1, 2 and 3 want
-    500, 700 and 400 kvar of it, with slopes 1 : 1 : 2 but for their voltages, of which the third is the lowest.
+    The site at 4 and the inverter at 5 bring both their buses to 1 p.u. The inverter at 3 has three buses: 1, 2 and 3
+    need 500, 700 and 400 kvar from it. Their slopes are 1 : 1 : 2 except for their voltages, the third is the lowest.
     """
     scenario = make_scenario("toy6", background={"load_sigma": 0.0}, power_flow="lindistflow", horizon=6)
     series = rollout(scenario, Mpc(horizon=1, rounds=2000), [0]).series(0)
@@ -246,7 +246,7 @@ def test_the_clock_is_the_share_served_of_what_the_top_clock_serves(monkeypatch,
 
 @pytest.mark.parametrize("make", CONTROLLERS)
 def test_one_object_drives_every_interface(make):
-    """Joined, per agent and batched observations lead to the same course of the same episode."""
+    """Joined, per agent and batched observations lead to the same trajectory of the same episode."""
     scenario = make_scenario("ieee123", horizon=8, observe="feeder")
     controller = make()
     recorder = rollout(scenario, controller, [21, 22, 23])

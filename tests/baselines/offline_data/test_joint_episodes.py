@@ -12,7 +12,7 @@ from dcgrid_env.baselines.offline_data.minari_writer import env_spec
 
 
 def replayed(scenario, episode):
-    """Step the environment of a spec with an episode's actions; everything must come out as it stands there."""
+    """Step the environment of a spec with an episode's actions; all results must equal those of the episode."""
     env = gymnasium.make(env_spec(scenario))
     observation, info = env.reset(seed=episode.seed)
     terminated = truncated = False

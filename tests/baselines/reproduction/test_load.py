@@ -1,4 +1,4 @@
-"""The load of the study: recorded where it is at hand, generated otherwise, and the table says which."""
+"""The load of the study: recorded if available, otherwise generated; the table states which."""
 
 import shutil
 

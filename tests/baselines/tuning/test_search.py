@@ -1,4 +1,4 @@
-"""Tuning: it finds what a plain search finds, says the same twice, and what ships is what it found."""
+"""Tuning: it finds the result of a plain search, is reproducible, and found the bundled parameters."""
 
 import json
 from dataclasses import replace
@@ -113,7 +113,7 @@ LONG = ("ieee123-3ph-day", "smoothing")
 
 @pytest.mark.parametrize("preset", [pytest.param(p, marks=pytest.mark.slow) if p in LONG else p for p in PRESETS])
 def test_tuning_did_no_harm(preset):
-    """On the episodes it was tuned on, a tuned law costs no more than as it stands."""
+    """On the episodes it was tuned on, a tuned law costs no more than with its default parameters."""
     scenario = make_scenario(preset, split="validation", **SHORTENED.get(preset, {}))
     untuned = mean_cost(scenario, CONTROLLERS["droop"][1](), 8 if preset in SHORTENED else EPISODES)
     assert SHIPPED["laws"]["droop"][preset]["J"] <= untuned

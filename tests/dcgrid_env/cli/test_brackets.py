@@ -1,4 +1,4 @@
-"""Names that the console library would read as markup are shown as they are."""
+"""Names that the console library would read as markup are shown unchanged."""
 
 from types import SimpleNamespace
 

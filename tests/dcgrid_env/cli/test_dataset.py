@@ -1,4 +1,4 @@
-"""The command dcgrid dataset: what it writes is read by Minari and replays exactly; what cannot be is one line."""
+"""The command dcgrid dataset: Minari reads its files, they replay exactly, and an error is one line."""
 
 import importlib
 import json

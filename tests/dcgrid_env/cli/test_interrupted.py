@@ -35,14 +35,14 @@ KEPT = {"run, its figure": {"results.json"}}
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder of one's own."""
+    """Change to a temporary working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """What takes long is replaced; the writing is the commands' own."""
+    """Replace slow functions; the commands still write the files."""
     solved = SimpleNamespace(J=1.0, bound=1.0, rounds=1)
     monkeypatch.setattr("dcgrid_env.baselines.model_based.hindsight.hindsight", lambda scenario, seed: solved)
     tuned = SimpleNamespace(parameters={}, score=1.0, trials=1, spectral_radius=None)

@@ -1,4 +1,4 @@
-"""The tables of commands, of ``dcgrid`` and of docs/studies: where each stands and what its help says."""
+"""The tables of commands of ``dcgrid`` and of docs/studies: the place of each command, and its help."""
 
 import dataclasses
 import itertools

@@ -33,7 +33,7 @@ class Ppo(Training):
 
 @pytest.fixture
 def opened(monkeypatch):
-    """What a browser is asked to open."""
+    """Collect the addresses that a browser would open."""
     seen: list[str] = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(webbrowser, "open", lambda uri: seen.append(uri) or True)

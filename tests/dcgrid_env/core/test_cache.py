@@ -107,7 +107,7 @@ def test_a_scenario_and_its_feeder_are_freed_when_nobody_holds_them(observe):
 
 @pytest.mark.slow
 def test_200_scenarios_of_2000_buses_take_flat_memory():
-    """In a process of its own, whose peak is its own; kept alive, each would take 30 MiB and more."""
+    """A separate process has its own memory peak; each scenario would take 30 MiB and more if it were kept alive."""
     code = f"""
 import dataclasses, resource, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})

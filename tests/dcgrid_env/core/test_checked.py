@@ -1,4 +1,4 @@
-"""Fields that say which values they take."""
+"""Fields that declare their allowed values."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Hints of how to install what is optional work: the package is on no registry, a clone is what everybody has."""
+"""Hints for installing optional extras work from a clone, as the package is not on a registry."""
 
 import re
 import subprocess

@@ -168,7 +168,7 @@ def test_a_row_does_not_depend_on_its_company():
 
 
 def load_steps(keys: np.ndarray, first: np.ndarray, count: int, rho: float, n_bus: int = 5, **kw: Any) -> np.ndarray:
-    """(count, row, bus) of the noise process, from ``first`` on, starting where ``z`` stands."""
+    """Compute (count, row, bus) of the noise process from step ``first`` on, starting at ``z``."""
     base = np.ones(n_bus)
     z = kw.get("z", np.zeros((len(keys), n_bus)))
     course = []

@@ -1,4 +1,4 @@
-"""Faults: what is lost draws and injects nothing, when the episode says so, and work goes on."""
+"""Faults: lost equipment draws and injects no power at the drawn times, and work continues."""
 
 import math
 

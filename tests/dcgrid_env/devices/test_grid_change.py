@@ -1,4 +1,4 @@
-"""Devices that change the grid itself: what they switch reaches the power flow, or is refused by name."""
+"""Devices that change the grid itself: their switching acts on the power flow, or is refused by name."""
 
 from typing import Any, ClassVar, NamedTuple
 

@@ -1,4 +1,4 @@
-"""Regulators and capacitor banks as agents: what they are asked for, how fast they go, what they observe."""
+"""Regulators and capacitor banks as agents: their actions, speed and observations."""
 
 import numpy as np
 import pytest

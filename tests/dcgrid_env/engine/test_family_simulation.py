@@ -1,4 +1,4 @@
-"""Episodes on random feeders: the same ones in every environment, alone or beside environments on other feeders."""
+"""Episodes on random feeders: identical in every environment, alone or in a batch with other feeders."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The engine on three-phase feeders: where devices draw, what agents see, what is charged and measured."""
+"""The engine on three-phase feeders: phases of devices, observations, charges and metrics."""
 
 from typing import Any
 

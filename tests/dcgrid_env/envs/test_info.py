@@ -1,4 +1,4 @@
-"""What stands in ``info``: NumPy scalars of constant type, the benchmark's own J, and as much as is asked for."""
+"""Contents of ``info``: NumPy scalars of constant type, the benchmark's J, and the requested amount of detail."""
 
 import dataclasses
 from typing import Any

@@ -1,4 +1,4 @@
-"""Trees and their depth-first index; what is not a radial feeder, and that the message names buses and branches."""
+"""Trees and their depth-first index; feeders that are not radial are refused, naming buses and branches."""
 
 import numpy as np
 import pytest

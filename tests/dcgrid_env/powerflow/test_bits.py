@@ -9,7 +9,7 @@ N_ROW = 200
 
 
 def mixed_loads(name, dtype):
-    """200 rows: most ordinary, some close to collapse (more than 30 sweeps, a path of its own), some beyond it."""
+    """200 rows: most ordinary, some close to collapse (more than 30 sweeps, a separate path), some beyond it."""
     feeder = load_feeder(name)
     rng = np.random.default_rng(40)
     p_kw = feeder.p_load_kw * rng.uniform(-0.5, 1.5, (N_ROW, feeder.n_bus))

@@ -1,4 +1,4 @@
-"""Properties of every solution, on random trees: the DistFlow equations, written anew from the tables given.
+"""Properties of every solution, on random trees: the DistFlow equations, derived again from the tables.
 
 The residuals here know the feeder only by its tables: buses shuffled, branches turned, a quarter of them switches.
 """

@@ -1,4 +1,4 @@
-"""The picture of a three-phase feeder: what is drawn is the state, phase by phase."""
+"""The picture of a three-phase feeder shows the state, phase by phase."""
 
 from itertools import pairwise
 from typing import Any

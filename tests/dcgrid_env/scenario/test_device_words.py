@@ -1,4 +1,4 @@
-"""Groups of devices in words: what is read, and what is refused with a remedy."""
+"""Groups of devices in words: reading, and refusals with a remedy."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The ends of a feeder, held against the rule that they are said to follow."""
+"""The ends of a feeder, compared with their documented rule."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scenarios whose regulators and capacitor banks are no agents any more."""
+"""Scenarios whose regulators and capacitor banks are not agents any more."""
 
 import numpy as np
 import pytest

@@ -294,7 +294,7 @@ class _ThreeClasses(LinearDvfs):
 
 
 class _NobodysLaw:
-    """A law of one's own that says nothing of work classes."""
+    """A custom law that does not define work classes."""
 
     def serve(self, params, f_mhz, work_kw):
         return work_kw, work_kw

@@ -1,4 +1,4 @@
-"""The figures of published feeders that random ones are held against, measured again where their packages are."""
+"""The figures of published feeders to compare random ones with, measured if their packages are installed."""
 
 import math
 import warnings
@@ -23,7 +23,7 @@ OTHERS = {
 
 
 def agree(found, name):
-    """Whether figures are those of the table, to a digit of what stands there."""
+    """Check that figures equal those of the table, to its last digit."""
     for field, value in zip(Figures._fields[1:], KNOWN[name][1:], strict=True):
         if not math.isnan(value):
             digit = 0.51 * 10.0 ** -(len(str(value).partition(".")[2]) or 0)

@@ -18,7 +18,7 @@ def stopped(capsys, *arguments):
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder of one's own."""
+    """Change to a temporary working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -1,4 +1,4 @@
-"""The forms that a scenario takes: what code that must run on any scenario is tried on."""
+"""The forms of a scenario, for tests of code that must run on any scenario."""
 
 import pytest
 

@@ -27,7 +27,7 @@ ODD_JSON = [None, True, "", "x", "\x1b[2J", [], {}, [1], {"x": 1}, [[]], -1, 1.5
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure within a file, which decides the feeder: where it stands, and the words by which an error names it."""
+    """A figure in a file that defines the feeder: its position, and the words by which an error names it."""
 
     file: str
     span: tuple[int, int]

@@ -7,7 +7,7 @@ from dcgrid_env.engine.physics.state import State
 
 
 def state_of(fields: dict[str, Any]) -> State:
-    """A state out of its own fields and those of the data centres."""
+    """Build a state from its fields and those of the data centres."""
     sites = DataCenterState(**{name: fields[name] for name in DataCenterState._fields})
     own = {name: value for name, value in fields.items() if name not in DataCenterState._fields}
     return State(**own, devices=(sites, ()))

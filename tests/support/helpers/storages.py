@@ -13,7 +13,7 @@ def ieee33_weak_ups(trace="code", **overrides) -> Scenario:
 
 
 def toy6_storage(horizon: int = 20, figures: dict | None = None, **overrides) -> Scenario:
-    """toy6 with a storage of 300 kW and 5 kWh at the data centre's bus and one at a bus of its own."""
+    """toy6 with a storage of 300 kW and 5 kWh at the data centre's bus and one at a separate bus."""
     base = make_scenario("toy6", horizon=horizon)
     storages = Storages(buses=(4, 2), **(FIGURES | (figures or {})))
     return base.replace(name="toy6-storage", devices=(*base.devices, storages), **overrides)

@@ -26,7 +26,7 @@ STEADY = TrainingParams(
 
 
 def lengths(mask):
-    """Lengths of the stretches in which `mask` holds, but for those that touch an end."""
+    """Return the lengths of the runs in which `mask` is true, except those that touch an end."""
     edges = np.flatnonzero(np.diff(mask.astype(int)))
     return np.diff(edges)[int(mask[0]) :: 2]
 
@@ -220,7 +220,7 @@ def test_any_duration_and_seed_stay_in_bounds(duration_s, seed):
 
 @st.composite
 def any_params(draw):
-    """Valid parameters over the whole of their ranges, but for fewer slots."""
+    """Draw valid parameters over their whole ranges, except for fewer slots."""
     chosen = {}
     for name, (low, high) in _RANGES.items():
         if name == "n_slots":

@@ -72,7 +72,7 @@ def test_a_traceback_is_offered_where_some_work_raised(error):
 
 
 class Awkward(Exception):
-    """Cannot be made again from its pickle."""
+    """Exception that cannot be restored from its pickle."""
 
     def __init__(self, first, second):
         super().__init__(f"{first} and {second}")

@@ -1,4 +1,4 @@
-"""Features of data centres side by side, and beside faults: what one takes from another is charged once and is real."""
+"""Features of data centres combined with each other and with faults: shared effects are charged once and are real."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ AT_ONCE = UpsRideThrough(
 
 
 def states(s, change=None, seed=3):
-    """States and charges after each step with all channels at rest but those that ``change`` names."""
+    """Return states and charges after each step with all channels inactive except those that ``change`` names."""
     env = DcgridVectorEnv(1, s)
     observations, _ = env.reset(seed=[seed])
     layout = dcgrid_env.action_layout(s)

@@ -110,7 +110,7 @@ amounts = st.one_of(st.just(0), st.integers(0, 20))
 
 
 def course(drawn: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
-    """What arrives, and what of it is served by the capacities."""
+    """Return the arriving work and the part of it that the capacities serve."""
     backlog, done = 0, []
     for came, capacity in drawn:
         done.append(min(backlog + came, capacity))
@@ -119,7 +119,7 @@ def course(drawn: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def finished_at(level: float, done: np.ndarray, dt_s: float) -> float | None:
-    """When so much has been served, walked step by step; None if never."""
+    """Return when so much work has been served, found step by step; None if never."""
     so_far = 0.0
     for step, work in enumerate(done.ravel()):
         if level <= so_far:

@@ -1,4 +1,4 @@
-"""Service levels: who is served first, what is overdue and what it costs, and that nothing is lost or free."""
+"""Service levels: order of service, overdue work and its cost; no work is lost or free."""
 
 import numpy as np
 import pytest

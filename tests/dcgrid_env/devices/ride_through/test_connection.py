@@ -1,4 +1,4 @@
-"""Who leaves the grid and who returns: each rule on a course of voltages and sags that is written out."""
+"""Disconnection and reconnection: each rule on an explicit series of voltages and sags."""
 
 import numpy as np
 import pytest

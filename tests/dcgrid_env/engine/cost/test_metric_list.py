@@ -1,4 +1,4 @@
-"""How metrics are shown: every one of an episode has its entry, its digits and the way that is better."""
+"""Display of metrics: every metric of an episode has an entry, digits and a better direction."""
 
 import dataclasses
 

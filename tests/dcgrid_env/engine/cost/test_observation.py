@@ -177,7 +177,7 @@ def hand_made(n_env: int = 1) -> dict[str, Any]:
 
 
 def given(p_ref_kw: Any, compute_share: Any = None) -> tuple[Work, None]:
-    """What comes over the next interval: work, and nothing that is known of injections."""
+    """Return the work of the next interval, and None for unknown injections."""
     return Work(p_ref_kw, compute_share), None
 
 

@@ -1,4 +1,4 @@
-"""The forecast: what it refuses. That it is what the environments draw stands with hindsight's tests."""
+"""Refusals of the forecast. The tests of hindsight check that it equals the draws of the environments."""
 
 import pytest
 

@@ -23,7 +23,7 @@ LAWS: dict[str, dict[str, Any]] = {
 
 
 class Outside(NamedTuple):
-    """What comes from outside over an episode's first steps, t = 0 first, and where the agents stand."""
+    """Exogenous inputs of an episode's first steps, t = 0 first, and the buses of the agents."""
 
     steps: list[Exogenous]
     buses: np.ndarray

@@ -220,7 +220,7 @@ def test_tensors_take_the_same_steps(who):
 
 
 def test_the_gradient_passes_the_rounded_tap():
-    """A regulator below its tap that is told to go up by less than half a tap stays, and its derivative says up."""
+    """A regulator commanded up by less than half a tap keeps its tap, but the derivative is positive."""
     scenario = ieee13().replace(grid_control={"regulators": "agent"}, background={"load_sigma": 0.0})
     base = scenario.feeder.base_tap
     joint = torch.tensor(commanded(scenario, tap=base / 16.0)[None], requires_grad=True)

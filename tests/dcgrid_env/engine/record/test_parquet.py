@@ -1,4 +1,4 @@
-"""The course of episodes as Parquet: what stands in it, and what is left of a run that ends before its time."""
+"""Trajectories of episodes as Parquet: their contents, and the files of a run that ends early."""
 
 import sys
 
@@ -63,7 +63,7 @@ def test_the_same_seeds_give_the_same_bytes_in_files_that_are_cut_alike(tmp_path
 
 
 def test_an_error_half_way_leaves_the_whole_files_before_it(tmp_path, small, monkeypatch):
-    """A full disk, or Ctrl-C: what has been written by then can be read, and nothing else is there."""
+    """After a full disk or Ctrl-C, only complete files exist, and they can be read."""
     written_before = parquet_course.whole
     calls = []
 

@@ -1,4 +1,4 @@
-"""Folders of three-phase feeders: what is read, what is refused by file, line and column."""
+"""Folders of three-phase feeders: reading, and refusals by file, line and column."""
 
 from dataclasses import replace
 

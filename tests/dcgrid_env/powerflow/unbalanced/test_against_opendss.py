@@ -1,4 +1,4 @@
-"""The sweep against OpenDSS itself, on a circuit made of our own tables, at random points up to near the collapse."""
+"""The sweep against OpenDSS itself, on a circuit made of our tables, at random points up to near the collapse."""
 
 from dataclasses import replace
 

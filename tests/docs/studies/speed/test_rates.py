@@ -1,4 +1,4 @@
-"""The measurements run and give figures. What the figures are is never asserted: that is the machine's."""
+"""The measurements run and give figures. Their values depend on the machine and are not asserted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scripts written into a folder of their own, and the circuit that they are variations of."""
+"""Fixtures that write scripts into a temporary folder, and the circuit that the scripts vary."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What a script that nobody vouches for must not make OpenDSS do: each is refused by file, line and command."""
+"""Untrusted scripts must not control OpenDSS: dangerous commands are refused by file, line and command."""
 
 import os
 

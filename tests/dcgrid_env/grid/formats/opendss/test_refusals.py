@@ -1,4 +1,4 @@
-"""What an OpenDSS circuit holds and the tables cannot: refused, or lost where that is allowed, always by name."""
+"""Parts of an OpenDSS circuit that the tables cannot represent are refused, or dropped if allowed, by name."""
 
 import sys
 
