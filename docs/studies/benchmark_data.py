@@ -33,8 +33,8 @@ COLUMNS = (
     *FIGURES,
 )  # fmt: skip
 """Columns of a row in a data file."""
-DIGITS = 6
-"""Significant digits of a figure in a data file."""
+DIGITS = 9
+"""Significant digits of a figure in a data file: so many that pages do not round a rounded figure."""
 
 
 class Row(NamedTuple):

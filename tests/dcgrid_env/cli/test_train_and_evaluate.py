@@ -208,14 +208,14 @@ def test_what_ships_can_be_listed_run_and_benchmarked_by_name(tmp_path, capsys, 
     made = {"algorithm": "ppo", "seed": 0, "training_s": 1.0, "validation_J": 0.3}
     policy().save(tmp_path / "run" / "policy", made)
     main(["ship", str(tmp_path / "run"), "--name", "toy6-ppo", "--episodes", "2", "--out", str(tmp_path / "out")])
-    assert "toy6-ppo: ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
+    assert "toy6-ppo: ppo trained on toy6, 28 parameters; score" in " ".join(capsys.readouterr().out.split())
     for module, name, value in (
         (policies, "FOLDER", tmp_path / "out"), (policies, "SHIPPED", ("toy6-ppo",)),
         (controllers, "TRAINED", {"ppo": ("toy6",)}),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
     main(["list"])
-    assert "ppo trained on toy6, 28 figures; score" in " ".join(capsys.readouterr().out.split())
+    assert "ppo trained on toy6, 28 parameters; score" in " ".join(capsys.readouterr().out.split())
     main(["evaluate", "toy6-ppo", "--episodes", "2"])
     assert "toy6, test split, 2 episodes" in capsys.readouterr().out
     run = ["--scenario", "toy6", "--controllers", "toy6-ppo,ppo", "--episodes", "2", "--out", str(tmp_path / "r")]
