@@ -73,7 +73,7 @@ class Table:
     def rich(self, width: int, fixed: int = 1) -> Group:
         """The table on a terminal of so many characters, in parts where it is wider.
 
-        The first ``fixed`` columns are the row's name, and stand in every part.
+        The first ``fixed`` columns contain the row's name and are repeated in every part.
         """
         from rich import box
         from rich.console import Group

@@ -152,15 +152,16 @@ def _failure(unit: Unit, text: str) -> dict[str, Any]:
 
 
 def observed(controller: Controller, scenario: Scenario) -> str:
-    """What a controller is shown, in words."""
+    """Describe the observation of a controller in words."""
     scope = getattr(controller, "observe", scenario.sensing.observe)
     knows = getattr(controller, "scope", "feeder's model" if isinstance(controller, NeedsPlacement) else "")
     return f"{scope}, {knows}" if knows else scope
 
 
 def controller_hash(controller: Controller, spec: str = "") -> str:
-    """SHA-256 of a fresh controller's parameters, of the file its class stands in, and of the file and the arguments
-    that ``spec``, as the command line names it, holds, 16 hexadecimal digits.
+    """Hash a new controller: SHA-256 over its parameters, the file of its class, and the file and arguments in ``spec``.
+
+    The result has 16 hexadecimal digits.
     """
     digest = hashlib.sha256(f"{type(controller).__module__}.{type(controller).__qualname__}".encode())
     with contextlib.suppress(TypeError, OSError):  # made without a file

@@ -77,7 +77,7 @@ class ScenarioSummary:
     episodes: int
     rows: tuple[Summary, ...]
     no_score: str | None
-    """Why there are no scores, None if there are."""
+    """Reason why scores are missing; None if they are known."""
     hindsight: Hindsight | BestKnownCost | None
     """None where it is not known for these episodes."""
 

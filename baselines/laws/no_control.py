@@ -10,7 +10,7 @@ from dcgrid_env.baselines.controller import Local, LocalController
 
 
 class NoControl(LocalController):
-    """Top clock, no reactive power, regulators that are agents at rest."""
+    """Run at the top clock without reactive power; regulators that are agents keep their position."""
 
     moves_taps: ClassVar[bool] = False
 

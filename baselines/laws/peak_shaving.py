@@ -23,7 +23,7 @@ from dcgrid_env.baselines.parameter_checks import require_finite, require_non_ne
 
 @dataclass
 class PeakShaving(Droop):
-    """Storages that shave peaks, beside the droop.
+    """Storages that shave peaks, in addition to the droop.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from dcgrid_env.baselines.parameter_checks import require_non_negative
 
 @dataclass
 class RouteToStrongest(Droop):
-    """Work moved towards the strongest bus, beside the droop.
+    """Routing of work towards the strongest bus, in addition to the droop.
 
     Parameters
     ----------

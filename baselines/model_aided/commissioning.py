@@ -41,7 +41,7 @@ _CORRELATED = 4.0  # sites count as correlated where their correlation is beyond
 
 
 def site_of(scenario: Scenario, law: Law | None = None, points: OperatingPoints | None = None) -> Site:
-    """What agents know of a scenario before they are placed.
+    """Compute the data that agents have of a scenario before they are placed.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def site_of(scenario: Scenario, law: Law | None = None, points: OperatingPoints 
 
 
 def commission(site: Site, buses: np.ndarray) -> Commissioned:
-    """What agents know of each placement, positions in ``bus_ids`` of their buses, (m, n_agent).
+    """Compute the agents' data for each placement, positions in ``bus_ids`` of their buses, (m, n_agent).
 
     Voltages of moments without a solution, as under an extreme load, are replaced by the mean. ValueError where none
     has one.
@@ -77,7 +77,7 @@ def commission(site: Site, buses: np.ndarray) -> Commissioned:
 
 
 def _commission(site: Site, buses: np.ndarray) -> Commissioned:
-    """What agents know of one placement, (n_agent,), with a leading 1."""
+    """Compute the agents' data for one placement, (n_agent,), with a leading 1."""
     s, points, law = site.scenario, site.points, site.law
     n_dc, scale, draw = s.datacenters.count, site.share_of_kvar, points.p_agent_kw
     by_p, by_q = (slope[0][:, s.feeder.load_slice] / 1000.0 for slope in sensitivity_to_agents(s, buses[None]))

@@ -14,7 +14,7 @@ EPISODES = 48
 
 
 class OperatingPoints(NamedTuple):
-    """Moments of an operation without control, m of them; nothing of them depends on where agents stand."""
+    """Moments of an operation without control, m of them; they do not depend on the agents' buses."""
 
     scenario: Scenario
     """What they are drawn from."""

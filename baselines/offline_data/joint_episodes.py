@@ -59,9 +59,9 @@ def joint_episodes(
     Parameters
     ----------
     scenario
-        What to run; its split says which episodes the seeds mean.
+        Scenario to run; its split determines the episode of each seed.
     controller
-        What acts. It must take the scenario's own scope of observation, which is what the episodes hold.
+        Controller to run. It must use the scenario's scope of observation, which the episodes contain.
     seeds
         One episode each.
     noise, behaviour_seed
@@ -130,7 +130,7 @@ def _driven(
 
 
 def agent_layout(scenario: Scenario) -> dict[str, dict[str, Any]]:
-    """Where each agent stands in the joint observation and action: kind, begin and end of both, names of entries."""
+    """Return each agent's kind, and its slices and entry names in the joint observation and action."""
     layout, fields = action_layout(scenario), field_names(scenario)
     kinds = [device.kind for device in scenario.devices for _ in range(device.count)]
     found: dict[str, dict[str, Any]] = {}

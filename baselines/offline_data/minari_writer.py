@@ -49,7 +49,7 @@ def require_minari() -> None:
 
 
 def default_root() -> Path:
-    """Where data sets go unless something else is asked for: where Minari is told to look, or results/datasets."""
+    """Return the default folder of data sets: that of Minari's environment variable, or results/datasets."""
     return Path(os.environ.get(ROOT_VARIABLE) or "results/datasets")
 
 
@@ -119,7 +119,7 @@ def new_dataset(root: Path, name: str, scenario: Scenario, algorithm: str) -> It
 
 
 class DatasetWriter:
-    """A data set that is being written into a folder of its own; made by :func:`new_dataset`."""
+    """Writer of a data set in a new folder; made by :func:`new_dataset`."""
 
     def __init__(self, folder: Path, name: str, scenario: Scenario, algorithm: str):
         storage: Any = importlib.import_module("minari.dataset.minari_storage")

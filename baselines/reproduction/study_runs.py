@@ -55,7 +55,7 @@ ACTIVE = Law(k_p_mw_per_pu=10.0, k_q_mvar_per_pu_s=0.0)
 
 @dataclass(frozen=True)
 class Setting:
-    """What the study is run with; ValueError for what cannot be."""
+    """Settings of the study; an invalid value raises ValueError."""
 
     load: Load
     episodes: int = 20
@@ -142,7 +142,7 @@ class Runs:
         return self.done[key]
 
     def series(self, scenario: Scenario, law: Law, seed: int) -> Series:
-        """The course of one episode."""
+        """Return the time series of one episode."""
         return rollout(scenario, law.controller(), [seed]).series(0)
 
 

@@ -1,4 +1,4 @@
-"""What the figures of a scenario's check say in plain words: whether it is worth learning on, and what to change."""
+"""Interpret the figures of a scenario's check: whether the scenario is worth learning on, and what to change."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Figures:
     lowest_bus: str
     """Bus of the lowest mean voltage without control."""
     refused: str
-    """Why there is no hindsight; empty where there is."""
+    """Reason why hindsight is missing; empty if it is known."""
     largest_k_q: float
     """The largest reactive gain of the droop that is stable by itself, Mvar per p.u. and s."""
     asked: int
@@ -70,7 +70,7 @@ class Figures:
 
 
 NONE, PAPER, DROOP, CONSTANT, HINDSIGHT = "no control", "paper's droop", "best droop", "best constant", "hindsight"
-"""Who stands in the table."""
+"""Names of the controllers in the table."""
 BARE, PINNED = "no control without data centres", "hindsight at the top clock"
 """Who is looked at besides."""
 
@@ -81,7 +81,7 @@ class Verdict:
 
     text: str
     remedy: str = ""
-    """What to change; empty where there is no need."""
+    """Recommended change; empty if none is needed."""
     is_bar: bool = False
     """Whether it keeps the scenario from being worth learning on."""
 
@@ -181,7 +181,7 @@ def _droop(largest_k_q: float) -> list[Verdict]:
 
 
 def _clock(reached: Mapping[str, Reached]) -> list[Verdict]:
-    """What the clock is worth."""
+    """Assess the benefit of clock control."""
     pinned = reached.get(PINNED)
     if pinned is None:
         return []
