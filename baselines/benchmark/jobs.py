@@ -159,7 +159,7 @@ def observed(controller: Controller, scenario: Scenario) -> str:
 
 
 def controller_hash(controller: Controller, spec: str = "") -> str:
-    """Hash a new controller: SHA-256 over its parameters, the file of its class, and the file and arguments in ``spec``.
+    """Hash a new controller: SHA-256 over its parameters, its class's file, and the file and arguments in ``spec``.
 
     The result has 16 hexadecimal digits.
     """
