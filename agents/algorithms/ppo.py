@@ -4,7 +4,7 @@ One policy is shared by all agents (``--view shared``), or one policy controls a
 implementation extends Stable-Baselines3. A rollout contains complete episodes and is collected by array operations. The
 critic, used in training only, observes all agents of an environment and is evaluated once for all of them. Entries of
 an action that do not reach the grid, such as an inverter's clock, do not count in the likelihood. A penalty keeps
-action means within the action range, because there is no learning signal outside it.
+action means within the action range, because actions outside it give no learning signal.
 
 Every agent receives the team reward. PPO needs no grid model and supports all devices and costs. If training may use
 the grid model, prefer ``ppo-counterfactual``: it scores higher on the presets where both were compared
@@ -106,7 +106,7 @@ class GroupPolicy(ActorCriticPolicy):
         Initial mean of each entry of an action, (n_action,).
     pull
         Weight of half the squared excess of the mean over [-1, 1] in the loss. If the mean is far outside this range,
-        all sampled actions have the same effect and there is no learning signal.
+        all sampled actions have the same effect, which gives no learning signal.
     """
 
     used: torch.Tensor

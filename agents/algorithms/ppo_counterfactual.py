@@ -12,10 +12,10 @@ Each A_c is divided by its standard deviation in the rollout, and each component
 rollout is a complete episode in every environment.
 
 The algorithm scores higher than ``ppo`` where both were compared (docs/training.md). It rejects devices and costs that
-affect later steps; use ``ppo`` for them, and if there is no grid model.
+affect later steps; use ``ppo`` for them, or without a grid model.
 
-The implementation uses the vector environment and the base classes for algorithms and policies of Stable-Baselines3,
-but not its PPO, which has one advantage and one likelihood for each action, a critic, and one network for all rows.
+The implementation uses the vector environment and the base classes of Stable-Baselines3, but not its PPO. That PPO has
+one advantage and one likelihood for each action, a critic, and one network for all rows.
 
 Reference: J. Schulman et al., "Proximal policy optimization algorithms", arXiv 1707.06347.
 """

@@ -80,7 +80,7 @@ class Step(NamedTuple):
 
 
 class LawStep:
-    """The law's second in a scenario, for what its agents know of a placement, or of one a row.
+    """One second of the law in a scenario, for the data of one placement or of one placement per row.
 
     ``array`` makes the arrays to compute with out of NumPy ones.
     """

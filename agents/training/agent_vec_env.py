@@ -58,7 +58,7 @@ class AgentVecEnv(JointVecEnv):
         self.fields = tuple(dict.fromkeys(name for group in view.groups.values() for name in group.fields))
         self._figures = 3 * nameplate
         self.kinds = ("inverter", "datacenter", *(kind for kind in view.groups if kind not in PLAIN_CHANNELS))
-        """Kinds of agents, in the order of the rows of ``used``; each but the first has a figure of its own."""
+        """Kinds of agents in the order of the rows of ``used``; all but the first have a figure in the observation."""
         self.members = {kind: np.arange(group.agents.start, group.agents.stop) for kind, group in view.groups.items()}
         """Positions of the agents of each kind among all."""
         self._kind = np.zeros((scenario.n_agents, len(self.kinds) - 1), np.float32)
@@ -88,7 +88,7 @@ class AgentVecEnv(JointVecEnv):
 
     @property
     def rest(self) -> np.ndarray:
-        """What an action is at rest as a setpoint, the mean over the agents that have it, float32, (n_action,)."""
+        """Inactive action as a set point: the mean over the agents that have the channel, float32, (n_action,)."""
         resting, layout = at_rest(self.scenario), action_layout(self.scenario)
         at_rest_values = [resting[layout.is_channel(name)] for name in self.channels]
         return np.array([values.mean() if len(values) else 0.0 for values in at_rest_values], np.float32)

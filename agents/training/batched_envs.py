@@ -38,12 +38,12 @@ def droop_gains(scenario: Scenario) -> Gains:
 class JointVecEnv(VecEnv):
     """One row for each environment of a native batch.
 
-    Row i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. An episode's last observation
-    stands in ``infos[row]["terminal_observation"]``, ``infos[row]["TimeLimit.truncated"]`` says whether it ended at
-    the horizon rather than in a voltage collapse, and ``infos[row]["J"]`` is its cost; other steps have empty infos.
-    Rewards are the team's less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in steps. With
-    ``end_as_it_arises`` each step is charged by how much it raises what an episode's end would charge, and the end no
-    more: the same in sum, and what a step takes out of a storage costs there and then.
+    Row i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. The last step of an
+    episode has infos: ``infos[row]["terminal_observation"]`` is the last observation,
+    ``infos[row]["TimeLimit.truncated"]`` is True at the horizon and False after a voltage collapse, and
+    ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are the team's less ``reward_mean``, times
+    ``reward_scale``; ``physics_s`` is the time spent in steps. With ``end_as_it_arises`` each step pays for the change
+    of the end charge that it causes, and the last step pays no more. The sum is the same.
 
     Parameters
     ----------

@@ -126,9 +126,9 @@ def networks_of(
     vec_env: JointVecEnv, weights: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, squash: str,
     mean: np.ndarray | None, std: np.ndarray | None, clip: float | None,
 ) -> dict[str, Network]:  # fmt: skip
-    """The networks of a policy whose layers act on a row: one, or in the shared view one for each kind of agent.
+    """Make the networks of a policy whose layers act on a row: one, or in the shared view one for each kind of agent.
 
-    What an agent does not observe is constant in its rows and goes into the first bias, and so does the kind.
+    The first bias contains the kind of agent and the entries that the agent does not observe: both are constant.
 
     Parameters
     ----------

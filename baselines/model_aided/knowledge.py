@@ -106,7 +106,7 @@ class Site(NamedTuple):
 
 
 class Commissioned(NamedTuple):
-    """What agents know of placements: m of them, n agents, L levels, k nodes but the source's.
+    """Data that agents have of m placements: n agents, L levels, k nodes without the source.
 
     ``known.take(rows)`` has one a row, where rows are at different placements; one alone serves all rows.
     """

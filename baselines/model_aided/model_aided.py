@@ -74,7 +74,7 @@ class ModelAided(Law, LocalController):
 
     @property
     def known(self) -> Commissioned | None:
-        """What the agents know at their places, stacked over rows; None before they are placed."""
+        """Data of the agents at their buses, stacked over rows; None before they are placed."""
         return self._known
 
     def place(self, buses: np.ndarray) -> None:

@@ -16,7 +16,7 @@ so that each part has a solution in closed form: soft thresholds at 0 and at the
 and one least-squares problem, whose inverse the eigenvectors of the time axis split into one of the size of a single
 step for each. On states of validation episodes 100 rounds from the last second's solution moved on by a step leave the
 objective 0.04 % above the optimum of HiGHS on average, 0.35 % at most (12 steps of ieee33-weak; less on ieee123 and
-toy6). The number of rounds is fixed, so that a row's solution is the same whatever stands beside it.
+toy6). The number of rounds is fixed, so the solution of a row does not depend on the other rows.
 """
 
 from __future__ import annotations

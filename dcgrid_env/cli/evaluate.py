@@ -228,7 +228,7 @@ def _missing(costs: Published | None, seeds: Sequence[int]) -> list[int]:
 
 
 def _offer(scenario: Scenario, missing: Sequence[int], n: int, workers: int, console: Console) -> str:
-    """Return why there is no score and how long --hindsight would take, estimated from one linear program."""
+    """Return why the score is missing and how long --hindsight would take, estimated from one linear program."""
     from dcgrid_env.baselines.model_based.hindsight import effort_of, hindsight
 
     with console.status("estimating the time for hindsight"):

@@ -30,7 +30,7 @@ AGENT_LABELS = {
     "burnt_kw": "burnt power (kW)",
 }
 """Label of the row of each figure of agents, by its name in ``replay_course.SHOWN``, in the order of the rows."""
-HELD = ("f_mhz", "burnt_kw")
+OVER_INTERVAL = ("f_mhz", "burnt_kw")
 """Figures that hold over an interval; the others are amounts at its end."""
 
 
@@ -110,22 +110,22 @@ def agent_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
     names = _agent_names(scenario)
 
     def changes(name: str) -> bool:
-        curves = [own[name] for of_run in figures.values() for own in of_run if name in own]
+        curves = [agent[name] for agents in figures.values() for agent in agents if name in agent]
         return any(np.ptp(curve[1:]) > 0.0 for curve in curves) or len({float(curve[-1]) for curve in curves}) > 1
 
     def row(name: str) -> Row:
-        shown = [i for i, own in enumerate(figures[id(runs[0])]) if name in own]
+        shown = [i for i, agent in enumerate(figures[id(runs[0])]) if name in agent]
 
         def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
             for place, i in enumerate(shown):
                 values, look = figures[id(run)][i][name], {"color": agent_colour(place), "linewidth": 1.2}
-                if name in HELD:
+                if name in OVER_INTERVAL:
                     ax.step(t[1:], values[1:], where="pre", label=names[i], **look)
                 else:
                     ax.plot(t, values, label=names[i], **look)
 
         def finish(across: np.ndarray, runs: list[Series]) -> None:
-            peak = max(float(own[name].max()) for run in runs for own in figures[id(run)] if name in own)
+            peak = max(float(agent[name].max()) for run in runs for agent in figures[id(run)] if name in agent)
             top = {"f_mhz": scenario.datacenters.f_max_mhz, "on_grid_pct": 100.0, "stored_pct": 100.0}.get(name, peak)
             across[0].set_ylim(-0.02 * max(top, 1.0), 1.05 * max(top, 1.0))
             if 0 < len(shown) <= _NAMED:
@@ -201,8 +201,8 @@ def _taps(feeder: Any) -> Row:
 
     def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
         taps = run.three_phase.equipment.regulators.tap
-        for own, colour, style in zip(taps.T, looks["colors"], looks["linestyles"], strict=True):
-            ax.step(t, own, where="pre", color=colour, linestyle=style, linewidth=1.4)
+        for tap, colour, style in zip(taps.T, looks["colors"], looks["linestyles"], strict=True):
+            ax.step(t, tap, where="pre", color=colour, linestyle=style, linewidth=1.4)
 
     def finish(across: np.ndarray, runs: list[Series]) -> None:
         across[0].yaxis.set_major_locator(MaxNLocator(5, integer=True))

@@ -22,8 +22,8 @@ MOST_STEPS = 6000
 ZOOM_S = 10.0
 """Seconds that are shown of an episode in steps below 1 s."""
 CAPTION = (
-    "J: mean cost per step, lower is better; it adds the deviation of voltages from 1 p.u., the excess over the limits "
-    "(dashed), waiting work and control effort, weighted."
+    "J: mean cost per step, lower is better. It adds the weighted costs of voltage deviation, voltages outside the limits "
+    "(dashed), waiting work and the scenario's other terms."
 )
 
 
@@ -89,7 +89,9 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
     figure.suptitle(
         f"{scenario.name}, {scenario.split} split, seed {seed}{shown}:{cut}the same episode under each controller"
     )
-    figure.supxlabel(CAPTION if len(series) > 1 else CAPTION.replace("; ", ";\n"), fontsize=8.5, color="#444444")
+    figure.supxlabel(
+        CAPTION if len(series) > 1 else CAPTION.replace("better. ", "better.\n"), fontsize=8.5, color="#444444"
+    )
     return figure
 
 
@@ -106,7 +108,7 @@ def shown_s(scenario: Scenario, runs: list[Series]) -> tuple[float, float]:
 
 def _events(scenario: Scenario, run: Series, seed: int) -> dict[Event, np.ndarray]:
     """Return the times of each kind of event, s."""
-    on_grid: Any = [own["on_grid_pct"] for own in agent_figures(run) if "on_grid_pct" in own]
+    on_grid: Any = [agent["on_grid_pct"] for agent in agent_figures(run) if "on_grid_pct" in agent]
     tripped = (np.diff(on_grid, axis=1) < 0.0) & (np.array(on_grid)[:, :-1] > 0.0) if on_grid else np.zeros((1, 0))
     sags = forecast(scenario, seed).sags
     return {

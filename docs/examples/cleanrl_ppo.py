@@ -1,8 +1,8 @@
 """PPO in a single file, as CleanRL has it, in torch on the native batch of dcgrid.
 
 ``gymnasium.make_vec`` steps all environments by the same array operations. One whose episode ends begins the next
-in the same step (``AutoresetMode.SAME_STEP``): what is returned is already the new episode's first observation, the old
-one's last stands in ``infos["final_obs"]``. The horizon is not a terminal state, so the value of that last observation
+in the same step (``AutoresetMode.SAME_STEP``): the returned observation is the first of the new episode, and the last
+of the old one is in ``infos["final_obs"]``. The horizon is not a terminal state, so the value of that last observation
 belongs in the advantage; after a collapse of the power flow (``terminated``) there is none.
 
     python docs/examples/cleanrl_ppo.py --steps 500000 --save results/cleanrl

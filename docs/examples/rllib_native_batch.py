@@ -1,8 +1,8 @@
-"""RLlib on the native batch: PPO with one policy that holds all actuators, many env runners, many environments each.
+"""RLlib on the native batch: PPO with one policy for all devices, several env runners, many environments each.
 
-Each env runner, a process of its own, makes one ``DcgridVectorEnv`` and steps all its environments at once
-(``gym_env_vectorize_mode="vector_entry_point"``). ``autoreset_mode="next_step"`` is what RLlib expects of a batch:
-with another it would lose the first transition of each episode and say nothing.
+Each env runner is a process. It makes one ``DcgridVectorEnv`` and steps all its environments at once
+(``gym_env_vectorize_mode="vector_entry_point"``). RLlib expects ``autoreset_mode="next_step"``: with another mode it
+loses the first transition of each episode without a message.
 
     python docs/examples/rllib_native_batch.py --runners 2 --num-envs 32 --save results/rllib
 

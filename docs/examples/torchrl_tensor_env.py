@@ -26,7 +26,7 @@ KINDS = {"datacenter": "dc_", "inverter": "inv_"}
 
 
 class DcgridTensorEnv(EnvBase):
-    """Lanes of a scenario of data centres and inverters as one TorchRL environment of that batch size.
+    """Episodes of a scenario of data centres and inverters as one TorchRL environment of that batch size.
 
     Episodes are those of the seeds ``seed, seed + 1, ..``, a new one for each environment at each reset.
     """

@@ -81,11 +81,11 @@ def results(data: BenchmarkData) -> str:
     head += [*(plain(metric.column) for metric in METRICS_SHOWN), "observes"]
     rows = []
     for name, facts in data.scenarios.items():
-        own = sorted(data.of(name).values(), key=lambda row: -row.score.value)
+        best_first = sorted(data.of(name).values(), key=lambda row: -row.score.value)
         blank = [NONE] * (1 + len(METRICS_SHOWN))
         known = "best known" if isinstance(facts.hindsight, BestKnownCost) else "hindsight"
         best = [known, *[name] * many, "1.000", number(data.headroom_pct(name), 1), number(facts.hindsight.J, 4)]
-        rows += [[*best, *blank, "the whole episode"], *(_cells(row, many) for row in own)]
+        rows += [[*best, *blank, "the whole episode"], *(_cells(row, many) for row in best_first)]
     return sortable(head, rows)
 
 

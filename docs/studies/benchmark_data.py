@@ -94,8 +94,8 @@ class BenchmarkData:
             means = {name: row[name] for name in FIGURES}
             rows.append(Row(row["scenario"], row["controller"], row["observes"], score, saved, means))
         refusals = tuple(Refusal(*words) for words in content["refusals"])
-        none = tuple(content["apply_to_none"])
-        return cls(content["command"], content["versions"], scenarios, none, refusals, tuple(rows))
+        unused = tuple(content["apply_to_none"])
+        return cls(content["command"], content["versions"], scenarios, unused, refusals, tuple(rows))
 
     def save(self, path: Path) -> None:
         """Write a data file, one line for each row."""
@@ -156,10 +156,10 @@ def from_results(content: Mapping[str, Any], name: str) -> BenchmarkData:
             raise ValueError(f"{scenario}, {controller}: {reason}; run dcgrid benchmark again without it")
         if controller in applied:
             refusals.append(Refusal(scenario, controller, why))
-    none = tuple(dict.fromkeys(f["controller"] for f in content["failures"] if f["controller"] not in applied))
+    unused = tuple(dict.fromkeys(f["controller"] for f in content["failures"] if f["controller"] not in applied))
     scenarios = {preset: _facts(preset, digest, meta["episodes"]) for preset, digest in meta["scenarios"].items()}
     command = public_command(meta["command"], name)
-    return BenchmarkData(command, meta["versions"], scenarios, none, tuple(refusals), tuple(rows))
+    return BenchmarkData(command, meta["versions"], scenarios, unused, tuple(refusals), tuple(rows))
 
 
 def _row(summary: Mapping[str, Any]) -> Row:

@@ -147,10 +147,8 @@ class ServedSites(PassesBy):
     ) -> tuple[ServiceState, DataCenterState, Array]:
         """Take what was served out of the queue, see ``SiteFeature.step``."""
         soon, later = self.rule.slack(dt_s)
-        queue, moved = (
-            feature_state.slack_kws,
-            given.load.moved_kw if given.load is not None and self.moves_late else None,
-        )
+        queue = feature_state.slack_kws
+        moved = given.load.moved_kw if given.load is not None and self.moves_late else None
         if queue.shape[-1] != later + 1:
             queue = namespace(queue).concat((queue,) * (later + 1), axis=-1)
         share, first = self.rule.interactive_share, self.rule.order == "edf"
