@@ -22,8 +22,8 @@ MOST_STEPS = 6000
 ZOOM_S = 10.0
 """Seconds that are shown of an episode in steps below 1 s."""
 CAPTION = (
-    "J: mean cost per step, lower is better. It adds the weighted costs of voltage deviation, voltages outside the limits "
-    "(dashed), waiting work and the scenario's other terms."
+    "J: mean cost per step, lower is better. It adds the weighted costs of voltage deviation, voltages outside the "
+    "limits (dashed), waiting work and the scenario's other terms."
 )
 
 
