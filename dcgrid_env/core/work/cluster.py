@@ -11,6 +11,7 @@ import logging
 import os
 import re
 import socket
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ SAME = ("dcgrid-env", "numpy", "scipy", "numba")
 """Packages whose versions must be the same on all nodes, or the bits of results may not be."""
 SECONDS_TO_ANSWER = 5.0
 """Time in which a cluster's address must take a connection."""
+SECONDS_TO_LEAVE = 60.0
+"""Time in which Ray must notice that a node which does not answer has gone."""
 _ADDRESS = re.compile(r"(?:ray://)?(?P<host>[^\s:/]+|\[[^\s/]+\]):(?P<port>\d+)")
 _GB = 1 << 30
 
@@ -172,21 +175,36 @@ def _require_same_code(found: Cluster) -> None:
     ray, expected, nodes = found.ray, _asked()(SAME), found.nodes
     if not nodes:
         raise ValueError(f"ray: the cluster at {found.address!r} has no node with a core for work; add one")
-    strategy = importlib.import_module("ray.util.scheduling_strategies").NodeAffinitySchedulingStrategy
-    ask, asked = ray.remote(_asked()), {}
-    for node in nodes:
-        there = {"num_cpus": 0, "max_retries": 0, "scheduling_strategy": strategy(node["NodeID"], soft=False)}
-        asked[f"{node['NodeManagerAddress']} ({node['NodeID'][:8]})"] = ask.options(**there).remote(SAME)
-    others = []
-    for name, answer in asked.items():
-        try:
-            has = ray.get(answer)
-        except ray.exceptions.RayError as error:
-            raise OSError(f"ray: node {name} does not answer ({_first_line(error)})") from None
-        if differ := [f"{what} {has[what]}, here {here}" for what, here in expected.items() if has[what] != here]:
+    ask, others = ray.remote(_asked()), []
+    for node, answer in [(node, _sent(ask, node)) for node in nodes]:
+        name = f"{node['NodeManagerAddress']} ({node['NodeID'][:8]})"
+        has = _answered(found, ask, node, answer, name)
+        if has and (differ := [f"{what} {has[what]}, here {here}" for what, here in expected.items() if has[what] != here]):
             others.append(f"node {name} has {', '.join(differ)}")
     if others:
         raise ValueError(f"ray: {'; '.join(others)}; install the same on all nodes")
+
+
+def _sent(ask: Any, node: Mapping[str, Any]) -> Any:
+    """Ask a node, and nobody else, for its software; return Ray's reference to the answer."""
+    strategy = importlib.import_module("ray.util.scheduling_strategies").NodeAffinitySchedulingStrategy
+    there = {"num_cpus": 0, "max_retries": 0, "scheduling_strategy": strategy(node["NodeID"], soft=False)}
+    return ask.options(**there).remote(SAME)
+
+
+def _answered(found: Cluster, ask: Any, node: Mapping[str, Any], answer: Any, name: str) -> dict[str, str | None] | None:
+    """Return a node's answer; None for a node that has died, which Ray lists as alive until it notices."""
+    until = time.monotonic() + SECONDS_TO_LEAVE
+    while True:
+        try:
+            return found.ray.get(answer)
+        except found.ray.exceptions.RayError as error:
+            if node["NodeID"] not in {alive["NodeID"] for alive in found.nodes}:
+                return None
+            if time.monotonic() > until:
+                raise OSError(f"ray: node {name} does not answer ({_first_line(error)})") from None
+        time.sleep(1.0)
+        answer = _sent(ask, node)
 
 
 def _asked() -> Callable[[tuple[str, ...]], dict[str, str | None]]:

@@ -158,6 +158,18 @@ def test_tuning_hindsight_capacity_studies_and_searches_come_to_the_same(here, c
         assert local
 
 
+def test_a_node_that_has_just_died_is_left_out(here, cluster):
+    """Ray lists it as alive for a while."""
+    cluster.add_node()
+    assert cluster.kill_node() is not None
+    ask = "import sys; from dcgrid_env.core.work.cluster import cluster; print(len(cluster(sys.argv[1]).nodes))"
+    process = subprocess.run(
+        [sys.executable, "-c", ask, cluster.address],
+        env=os.environ | QUIET, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert (process.returncode, process.stdout.strip()) == (0, "2"), process.stderr
+
+
 def test_a_search_over_settings_finds_the_same(here, cluster):
     pytest.importorskip("optuna", reason="the extra search is not installed")
     words = ["tune-agent", "analytic", "--scenario", "toy6", "--trials", "3", "--batch", "2"]
