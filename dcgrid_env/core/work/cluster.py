@@ -177,10 +177,10 @@ def _require_same_code(found: Cluster) -> None:
         raise ValueError(f"ray: the cluster at {found.address!r} has no node with a core for work; add one")
     ask, others = ray.remote(_asked()), []
     for node, answer in [(node, _sent(ask, node)) for node in nodes]:
-        name = f"{node['NodeManagerAddress']} ({node['NodeID'][:8]})"
-        has = _answered(found, ask, node, answer, name)
-        if has and (differ := [f"{what} {has[what]}, here {here}" for what, here in expected.items() if has[what] != here]):
-            others.append(f"node {name} has {', '.join(differ)}")
+        has = _answered(found, ask, node, answer)
+        differ = [f"{what} {has[what]}, here {here}" for what, here in expected.items() if has and has[what] != here]
+        if differ:
+            others.append(f"node {_named(node)} has {', '.join(differ)}")
     if others:
         raise ValueError(f"ray: {'; '.join(others)}; install the same on all nodes")
 
@@ -192,17 +192,21 @@ def _sent(ask: Any, node: Mapping[str, Any]) -> Any:
     return ask.options(**there).remote(SAME)
 
 
-def _answered(found: Cluster, ask: Any, node: Mapping[str, Any], answer: Any, name: str) -> dict[str, str | None] | None:
-    """Return a node's answer; None for a node that has died, which Ray lists as alive until it notices."""
+def _named(node: Mapping[str, Any]) -> str:
+    return f"{node['NodeManagerAddress']} ({node['NodeID'][:8]})"
+
+
+def _answered(found: Cluster, ask: Any, node: Mapping[str, Any], answer: Any) -> dict[str, str | None]:
+    """Return a node's answer; nothing for a node that has died, which Ray lists as alive until it notices."""
     until = time.monotonic() + SECONDS_TO_LEAVE
     while True:
         try:
             return found.ray.get(answer)
         except found.ray.exceptions.RayError as error:
             if node["NodeID"] not in {alive["NodeID"] for alive in found.nodes}:
-                return None
+                return {}
             if time.monotonic() > until:
-                raise OSError(f"ray: node {name} does not answer ({_first_line(error)})") from None
+                raise OSError(f"ray: node {_named(node)} does not answer ({_first_line(error)})") from None
         time.sleep(1.0)
         answer = _sent(ask, node)
 
