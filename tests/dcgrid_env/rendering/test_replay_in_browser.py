@@ -61,7 +61,7 @@ def fills(page, run=0):
 
 
 def spoiled(browser, path, text, said):
-    """What a page says that was changed after it had been written."""
+    """Return the text that a damaged page shows."""
     path.write_text(text)
     opened = browser.new_page()
     opened.goto(path.as_uri())
