@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +26,9 @@ CAPTION = (
     "J: mean cost per step, lower is better. It adds the weighted costs of voltage deviation, voltages outside the "
     "limits (dashed), waiting work and the scenario's other terms."
 )
+
+_LETTERS_AN_INCH = 14.0
+"""Letters of the caption in an inch of the figure's width at most."""
 
 
 class Event(NamedTuple):
@@ -92,8 +96,8 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
     figure.suptitle(
         f"{scenario.name}, {scenario.split} split, seed {seed}{shown}:{cut}the same episode under each controller"
     )
-    caption = CAPTION if len(series) > 1 else CAPTION.replace("better. ", "better.\n")
-    figure.supxlabel("\n".join([caption, *_counts(events)]), fontsize=8.5, color="#444444")
+    caption = "\n".join(fill(line, int(_LETTERS_AN_INCH * width)) for line in [CAPTION, *_counts(events)])
+    figure.supxlabel(caption, fontsize=8.5, color="#444444")
     return figure
 
 

@@ -87,5 +87,7 @@ def test_of_an_episode_in_short_steps_ten_seconds_are_shown(dt_s, shown):
 
 def test_the_caption_says_what_j_is():
     figure = figure_of(make_scenario("toy6", horizon=4), "none")[1]
+    (caption,) = [text for text in figure.findobj(Text) if text.get_text() == figure.get_supxlabel()]
+    assert 0.0 < caption.get_window_extent().x0 < caption.get_window_extent().x1 < figure.bbox.x1
     assert "J: mean cost per step, lower is better" in figure.get_supxlabel()
     assert "Events" not in figure.get_supxlabel()
