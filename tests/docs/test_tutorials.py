@@ -1,6 +1,6 @@
 """The tutorials: kept without outputs, every cell whole, every link right, and a picture in each.
 
-The site's build runs them (docs/extensions/notebooks.py).
+The build of the site runs them (docs/conf.py).
 """
 
 import ast
