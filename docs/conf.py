@@ -1,13 +1,25 @@
-"""How the site is built: ``python -m sphinx -W -n docs site``, without the network (docs/decisions/0019-site.md)."""
+"""Settings of the site, which ``python -m sphinx -W -n docs site`` builds without a network (decision 19)."""
 
+import hashlib
 import sys
 from pathlib import Path
-from typing import Any
 
 from dcgrid_env import __version__
 
+ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
-sys.path.append(str(Path(__file__).parents[1]))  # docs.studies is not installed
+sys.path.append(str(ROOT))  # docs.studies is not installed
+
+
+def hash_of_the_package() -> str:
+    """Hash of all files of the package, code and data."""
+    rooms = [ROOT / name for name in ("dcgrid_env", "traces", "baselines", "agents")]
+    found = hashlib.sha256(__version__.encode())
+    for path in sorted(path for room in rooms for path in room.rglob("*")):
+        if path.is_file() and path.suffix != ".pyc":
+            found.update(f"{path.relative_to(ROOT)}\n".encode() + path.read_bytes())
+    return found.hexdigest()[:16]
+
 
 project = "dcgrid"
 author = "The dcgrid authors"
@@ -16,6 +28,7 @@ release = __version__
 
 extensions = [
     "myst_nb",
+    "notebooks",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
@@ -34,7 +47,14 @@ exclude_patterns = ["extensions/*"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
-nb_execution_mode = "off"  # tests run the notebooks
+nb_execution_mode = "cache"
+# MyST-NB runs a notebook again only if its cells change. This name changes with the package, so outputs are never old.
+nb_execution_cache_path = str(ROOT / "build" / "tutorials" / hash_of_the_package())
+nb_execution_in_temp = True
+nb_execution_timeout = 600  # of a cell, s
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+nb_merge_streams = True
 
 html_theme = "furo"
 html_title = f"dcgrid {release}"
@@ -58,14 +78,3 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_custom_sections = ["Problem", "Action space", "Observation space", "Reward", "Starting state", "Episode end"]
 napoleon_custom_sections += ["Information"]
-
-
-def notebook_output_with_the_site(app: Any) -> None:
-    """Write what notebooks show into the site's own folder, not into ``jupyter_execute`` in the folder above it."""
-    output_folder = str(Path(app.doctreedir) / "jupyter_execute")
-    app.env.mystnb_config = app.env.mystnb_config.copy(output_folder=output_folder)
-
-
-def setup(app: Any) -> None:
-    """Connect the functions of this file."""
-    app.connect("builder-inited", notebook_output_with_the_site, priority=900)  # after myst_nb has set its own

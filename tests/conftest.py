@@ -6,7 +6,7 @@ import signal
 from hypothesis import settings
 
 if "PYTEST_XDIST_WORKER" in os.environ:
-    # Workers share the cores: threads of one's torch would wait for those of the others', of notebooks' too.
+    # Workers share the cores: threads of one's torch would wait for those of the others'.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # The same examples at every run, and no limit on an example's time: a busy machine is no failure.

@@ -107,18 +107,42 @@ def test_the_readme_has_the_table_that_its_command_prints():
     assert headline["results"]() in (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
 
 
-def test_a_build_leaves_nothing_beside_the_site(tmp_path):
-    """A page with a notebook's picture, built with what docs/conf.py connects."""
+@pytest.fixture
+def built(tmp_path):
+    """Build a site of one notebook, which has run, with this output; return what the build says, and its folder."""
     pytest.importorskip("myst_nb")
-    source, out = tmp_path / "docs", tmp_path / "built" / "site"
-    source.mkdir()
-    shown = {"output_type": "display_data", "metadata": {}, "data": {"image/png": PIXEL}}
-    cell = {"cell_type": "code", "execution_count": 1, "metadata": {}, "outputs": [shown], "source": "1"}
-    notebook = {"cells": [cell], "metadata": {}, "nbformat": 4, "nbformat_minor": 4}
-    (source / "index.ipynb").write_text(json.dumps(notebook), encoding="utf-8")
-    own = f"import runpy\nsetup = runpy.run_path({str(ROOT / 'docs' / 'conf.py')!r})['setup']\n"
-    (source / "conf.py").write_text(own + "extensions = ['myst_nb']\nnb_execution_mode = 'off'\n", encoding="utf-8")
-    done = subprocess.run([sys.executable, "-m", "sphinx", "-q", source, out], capture_output=True, text=True)
+
+    def build(output):
+        source, out = tmp_path / "docs", tmp_path / "built" / "site"
+        source.mkdir()
+        cell = {"cell_type": "code", "execution_count": 1, "metadata": {}, "outputs": [output], "source": "1"}
+        notebook = {
+            "cells": [cell],
+            "metadata": {"language_info": {"name": "python"}},
+            "nbformat": 4,
+            "nbformat_minor": 4,
+        }
+        (source / "index.ipynb").write_text(json.dumps(notebook), encoding="utf-8")
+        conf = f"import sys\nsys.path.insert(0, {str(EXTENSIONS)!r})\nextensions = ['myst_nb', 'notebooks']\n"
+        (source / "conf.py").write_text(f"{conf}nb_execution_mode = 'off'\n", encoding="utf-8")
+        command = [sys.executable, "-m", "sphinx", "-W", "-q", source, out]
+        return subprocess.run(command, capture_output=True, text=True), out
+
+    return build
+
+
+def test_a_build_leaves_nothing_beside_the_site(built):
+    done, out = built({"output_type": "display_data", "metadata": {}, "data": {"image/png": PIXEL}})
     assert done.returncode == 0, done.stderr
     assert [path.name for path in out.parent.iterdir()] == ["site"]
     assert list((out / "_images").glob("*.png"))
+
+
+@pytest.mark.parametrize(
+    ("text", "fails"), [("dcgrid: compiling kernels, once.\n", False), ("Warning: a number is odd\n", True)]
+)
+def test_stderr_of_a_notebook_fails_the_build_unless_it_is_the_line_about_compiling(built, text, fails):
+    done, out = built({"output_type": "stream", "name": "stderr", "text": text})
+    assert (done.returncode != 0) is fails
+    assert ("a cell writes to stderr: Warning: a number is odd" in done.stderr) is fails
+    assert text.strip() not in (out / "index.html").read_text(encoding="utf-8")
