@@ -124,7 +124,7 @@ GROUPS = (
 )
 
 INDEXED = {"dcgrid_env.envs.single": "make", "dcgrid_env.envs.vector": "make_vec"}
-"""Functions of Gymnasium by the module that they use; the index and the search list them."""
+"""Functions of Gymnasium by the module that they use: main entries of the index, which the search lists first."""
 
 
 def modules() -> dict[str, list[str]]:
@@ -167,7 +167,7 @@ def page(module: str, names: list[str]) -> str:
     title, package, group = titled(names), names[0].rpartition(".")[0], place(module)[0].title
     rows = [(f":py:obj:`~{public}`", described(module, public)) for public in names]
     lines = [":orphan:", "", *heading(title, "="), summary(import_module(module).__doc__), ""]
-    lines += [f".. index:: {INDEXED[module]}", ""] if module in INDEXED else []
+    lines += [f".. index:: ! {INDEXED[module]}", ""] if module in INDEXED else []
     lines += [f"*Import from* ``{package}``. *Group:* :ref:`{group} <{label(group)}>`.", ""]
     lines += [*table(rows), f".. currentmodule:: {package}", ""]
     return "\n".join([*lines, *(line for public in names for line in entry(module, public))]) + "\n"

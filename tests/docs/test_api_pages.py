@@ -50,6 +50,7 @@ def test_every_public_name_is_on_one_page(api):
         assert text.index(import_module(module).__doc__.split(".")[0].split("\n")[0]) < text.index(".. list-table::")
         assert LINK.findall(text) == documented_on(text)  # the table at the top has all names of the page
     assert sorted(LINK.findall(api["index"]())) == sorted(documented)
+    assert ".. index:: ! make_vec\n" in pages["dcgrid_env.envs.vector"]  # Gymnasium's name leads to the class
 
 
 def test_every_public_name_has_a_description(api):
