@@ -230,7 +230,7 @@ def heading(title: str, line: str) -> list[str]:
 
 def table(rows: list[tuple[str, str]]) -> list[str]:
     """A table of names and what they are for."""
-    lines = [".. list-table::", "   :class: api", "   :widths: auto", ""]
+    lines = [".. list-table::", "   :widths: auto", ""]
     return [*lines, *(line for name, about in rows for line in (f"   * - {name}", f"     - {about}")), ""]
 
 
