@@ -1,7 +1,7 @@
 """What a user's files hold that options name, as objects for workers that do not see those files.
 
-Scenarios, controllers and policies of one's own are read here once and travel to every node of a cluster; what ships
-with the package, or is registered by another, is made there by its name.
+A user's scenarios, controllers and policies are read once and sent to every node of a cluster. Bundled objects, and
+those that other packages register, are made on each node by their name.
 """
 
 from __future__ import annotations

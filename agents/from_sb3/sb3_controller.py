@@ -86,9 +86,9 @@ class Sb3Controller:
 
 
 def trusted(path: Path) -> Sb3Controller:
-    """A model that is driven as it is.
+    """A controller that runs a model unchanged.
 
-    PolicyError where it was trained behind VecNormalize, without whose statistics it acts at random.
+    PolicyError if it was trained behind VecNormalize, without whose statistics its actions are meaningless.
     """
     controller = Sb3Controller(path)
     about = read_about(path)

@@ -53,7 +53,7 @@ def as_policy(actor: Actor, spec: ScenarioSpec, made_with: str, normalisation: N
     actor
         What :func:`read_actor` read.
     spec
-        What it was trained on; its agents say what the actor's inputs and outputs are.
+        What it was trained on; its agents define the actor's inputs and outputs.
     made_with
         The command that makes it.
     normalisation

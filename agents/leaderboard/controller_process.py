@@ -47,8 +47,6 @@ class Code(NamedTuple):
     """A submitter's file."""
 
     content: bytes
-    folder: Path
-    """Folder of the process, where the file is to be."""
     confined: bool
 
 
@@ -61,6 +59,8 @@ class Loading(NamedTuple):
     """Pickle of the preset."""
     tuned: Path
     """File of tuned parameters."""
+    folder: Path
+    """Working directory of the process, by which relative paths are found and where a submitter's file is to be."""
     code: Code | None = None
     """The submitter's file, where it is such."""
 
@@ -115,11 +115,11 @@ class _Server:
     def load(self, content: bytes) -> bytes:
         """Make the controller; a confined process is so before it sees the code."""
         loading: Loading = pickle.loads(content)
+        os.chdir(loading.folder)
         if loading.code is not None:
-            os.chdir(loading.code.folder)
             Path(CONTROLLER).write_bytes(loading.code.content)
             if loading.code.confined:
-                confine(loading.code.folder)
+                confine(loading.folder)
         self._controller = find_controller(loading.spec, _scenario(loading.scenario), loading.tuned)
         return b""
 

@@ -75,8 +75,9 @@ class ControllerProcess:
 
     def load(self, spec: str, scenario: Scenario, tuned: Path, code: bytes | None, confined: bool) -> None:
         """Have it make a controller, see ``remote``."""
-        submitted = None if code is None or self._folder is None else Code(code, Path(self._folder.name), confined)
-        self.ask(LOAD, pickle.dumps(Loading(spec, pickle.dumps(scenario), tuned, submitted)))
+        folder = Path.cwd() if self._folder is None else Path(self._folder.name)
+        submitted = None if code is None or self._folder is None else Code(code, confined)
+        self.ask(LOAD, pickle.dumps(Loading(spec, pickle.dumps(scenario), tuned, folder, submitted)))
 
     def ask(self, name: bytes, content: bytes, n_bytes: int = 0) -> bytes:
         """Send a message and give the answer, of so many bytes.

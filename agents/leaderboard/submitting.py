@@ -65,7 +65,7 @@ def submit(
     Parameters
     ----------
     policy
-        What names the controller, see ``find_controller``; of one's own code ``path/to/file.py:Class``.
+        Name of the controller, see ``find_controller``; for a user's code ``path/to/file.py:Class``.
     name, paper
         What the entry is called on the page, and where it is described.
     out
@@ -150,7 +150,7 @@ def runner_of(
 
 
 def _entry(policy: str) -> _Entry:
-    """How a controller stands in a folder; SubmissionError for one that a folder cannot hold."""
+    """Form of a controller in a folder; SubmissionError for one that a folder cannot contain."""
     before, inner = split_prefix(policy)
     reference = parse(inner)
     if reference is not None:

@@ -2,8 +2,8 @@
 
     input = (o_t, c_t - c_t-1, c_t-1 - c_t-2, .. c_t-n+1 - c_t-n)
 
-with o the observation and c some columns of it, so that a perceptron can go on with a ramp, as the edge of a cloud is
-one, and tell what it did itself from what others did. Steps before an episode's first changed nothing. Changes are
+with o the observation and c some columns of it. So a perceptron can continue a ramp, such as the edge of a cloud, and
+separate its own effect from that of others. Steps before an episode's first changed nothing. Changes are
 given rather than earlier values: a voltage moves by thousandths of the band from one second to the next, which a
 normalised value would hide.
 """

@@ -1,6 +1,6 @@
 """A small network of NumPy arrays: a multilayer perceptron with the normalisation it was trained with.
 
-Other families of networks stand beside it under the same interface, :class:`Family`. A layer is x W + b with W of shape
+Other families of networks have the same interface, :class:`Family`. A layer is x W + b with W of shape
 (n_in, n_out); the network is, in float32,
 
     x = clip((observation - mean) / std, -clip, clip)        x = activation(x W + b) for each layer but the last

@@ -1,8 +1,8 @@
 """The file of a policy: arrays and text in the safetensors format, which holds no code.
 
-The arrays are ``NETWORK.ARRAY`` for each array of each network. Under ``KEY`` the metadata hold one JSON object:
-version, kind, observe, preview, act, nameplate, scenario, made_with, the networks with family and settings of each, and
-the SHA-256 of all that, so that damage anywhere shows.
+The arrays are ``NETWORK.ARRAY`` for each array of each network. Under ``KEY`` the metadata contain one JSON object:
+version, kind, observe, preview, act, nameplate, scenario, made_with, and the networks with family and settings of each.
+It also contains the SHA-256 of all that, which detects damage.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ def packed(about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> bytes:
 def unpacked(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What was packed.
 
-    PolicyError for what is no policy, of an unknown version, damaged or too large; OSError if it cannot be opened.
+    PolicyError if the file is not a policy, has an unknown version, is damaged or too large; OSError if it cannot be
+    opened.
     """
     about, arrays = _contents(path)
     version, said = about.pop("version", None), about.pop("sha256", None)

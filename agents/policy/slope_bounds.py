@@ -5,9 +5,9 @@ With X and R in bands per share of the agents' ratings, d the data centres, and 
     reactive power    slope lambda_max(D^1/2 X D^1/2) < 2 sin(pi / (2 (2 m + 1)))     the integrating droop's
     clock             slope rho(R_dd) < 1 / 2                                         the proportional droop's
 
-The second is that of ``baselines.laws.stability`` with alpha dt = 1: what the clock held back is asked for again a step
-later. The first with m steps of delay is where a root of z^(m+1) - z^m + k leaves the unit circle. Each holds for its
-axis alone, on the linearised feeder.
+The second is that of ``baselines.laws.stability`` with alpha dt = 1: deferred work is requested again a step later. The
+first with m steps of delay is where a root of z^(m+1) - z^m + k leaves the unit circle. Each holds for its axis alone,
+on the linearised feeder.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ PLACEMENTS = 1000
 def slope_bounds(scenario: Scenario, n: int = PLACEMENTS) -> tuple[float, float]:
     """Largest stable slope of reactive power and of the clock, in units of the action for each band of voltage.
 
-    The smallest over the placements of the first ``n`` seeds; infinite where there are no agents of the kind.
-    ValueError for random feeders, of which each has a bound of its own.
+    The smallest over the placements of the first ``n`` seeds; infinite without agents of the kind.
+    ValueError for random feeders, as each has another bound.
     """
     if isinstance(scenario.feeder, RandomFeeders):
         raise ValueError(

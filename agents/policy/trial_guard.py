@@ -2,8 +2,8 @@
 
 At ``place`` the policy and the law alone are driven through episodes of the training split, on the feeder's model with
 all agents at their places. Where the policy costs less in the mean it acts, else the law does. The trial uses what the
-law is commissioned with, a model and the statistics of load, work and sun, and nothing that is measured later. A model
-that is said to be wrong (``sensing.r_model_share``) is no judge: there the law acts.
+law is commissioned with, a model and the statistics of load, work and sun, and nothing that is measured later. If the
+model is wrong (``sensing.r_model_share``), the law acts.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def on_purpose() -> Iterator[None]:
 def unseen(trained_on: str, scenario: Scenario) -> str | None:
     """Name of the field in which a scenario's grid differs from all that a policy was trained on; None for none.
 
-    Where one of those is on the scenario's feeder, the field in which that one differs.
+    If one of those is on the scenario's feeder, the field in which that one differs.
 
     Parameters
     ----------

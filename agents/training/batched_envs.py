@@ -52,8 +52,8 @@ class JointVecEnv(VecEnv):
     n_envs
         Environments in the batch.
     act
-        What a policy has in hand: both, or the clock or the reactive power alone, the other being held at the top clock
-        or at no reactive power.
+        Channels that a policy drives: both, or the clock or the reactive power alone. The other is at the top clock or
+        at zero reactive power.
     outputs
         Whether actions are setpoints, changes, or corrections of a droop.
     gains

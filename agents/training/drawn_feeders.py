@@ -64,7 +64,7 @@ def drawn_scenarios(split: str) -> Iterator[Scenario]:
 
 
 def _feeder(load_kw: float, seed: int, n_bus: int, style: str) -> tuple[Feeder, float]:
-    """A feeder of a load, or where the style has none of that load on so many buses, of a load of its own; the load."""
+    """Draw a feeder of a load, or of the style's own load if it has no such feeder on so many buses; and the load."""
     try:
         return random_feeder(seed, n_bus=n_bus, style=style, load_kw=load_kw), load_kw
     except FeederError:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dcgrid_env.agents.training.run_folder import torch
 
 LARGEST = 1e9
-"""Largest component of a derivative that goes on backward. Where the loop of policy and grid is unstable the derivative
-grows by a factor in each step (4 and more were met), and float32 ends at 3e38."""
+"""Largest component of a derivative that goes on backward. If the loop of policy and grid is unstable, the derivative
+grows by a factor of 4 and more in each step, and float32 ends at 3e38."""
 
 
 def without_overflow(actions: torch.Tensor) -> torch.Tensor:
-    """Actions as they are; a derivative that reaches them is scaled down, episode by episode, to ``LARGEST`` at most.
+    """Return the actions unchanged; scale their derivative down, episode by episode, to ``LARGEST`` at most.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is put into a Stable-Baselines3 model before it is trained, and what is taken out of it: buffer and policy."""
+"""Buffers for Stable-Baselines3 models before training, and policies from trained models."""
 
 from __future__ import annotations
 

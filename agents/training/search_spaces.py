@@ -77,7 +77,7 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
         "tau": Range(0.003, 0.03, log=True),
     },
 }
-"""By algorithm; what is not named stays as it is found for the scenario."""
+"""Search spaces by algorithm; other settings are those found for the scenario."""
 
 
 def within(space: Range | Choice, value: Any) -> bool:

@@ -129,7 +129,7 @@ def train_all(
 ) -> Iterator[tuple[Any, str | None]]:
     """Do runs as units of a place; each with why it failed, if it did, as they are done.
 
-    Leaving the iterator ends them; what they have kept is gone on from.
+    Leaving the iterator ends them; a later call continues from their checkpoints.
 
     Parameters
     ----------

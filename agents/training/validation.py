@@ -32,8 +32,9 @@ class Validation:
         self.j_droop = self._mean([self._run(s, make_controller("droop-tuned", s)) for s in self.scenarios])["J"]
 
     def __call__(self, policy: Policy) -> dict[str, float]:
-        """Means: J, what of it is charged for waiting and for violation, the tuned droop's J, by how much J is below
-        that as a share, the delay, s, and the excess over the band, p.u.
+        """Means: J, its parts for waiting and for violation, and the tuned droop's J.
+
+        Also the share by which J is below that, the delay, s, and the excess over the band, p.u.
         """
         figures = self._mean([self._run(scenario, policy) for scenario in self.scenarios])
         return figures | {"J_droop": self.j_droop, "gain": 1.0 - figures["J"] / self.j_droop}

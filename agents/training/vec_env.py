@@ -36,10 +36,10 @@ def sb3_vec_env(
     view
         "joint": a row is an environment, with the observation and action of ``gymnasium.make``. "shared": a row is an
         agent, so that one policy drives all of them; the VecEnv has ``num_envs`` times the scenario's agents as rows,
-        environment by environment. Observations are then an agent's own fields, 0 where it has none of the name, and
-        last 1 for a data centre or 0 for an inverter, with a further such figure for each other kind of agent; actions
-        are (clock, q) and then the other channels of the scenario's agents, of which an agent's are those that it has,
-        so that an inverter's clock is ignored; each agent is paid the team's reward.
+        environment by environment. Observations are then an agent's own fields, 0 where it has none of the name. The
+        last entry is 1 for a data centre or 0 for an inverter, with a further such entry for each other kind of agent.
+        Actions are (clock, q) and then the other channels of the scenario's agents. Channels that an agent does not
+        have are ignored, such as an inverter's clock. Each agent is paid the team's reward.
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     **overrides
@@ -50,7 +50,7 @@ def sb3_vec_env(
     ImportError
         Where Stable-Baselines3 is not installed.
     ScenarioError
-        For an unknown scenario; TypeError for an override that is no field of it.
+        For an unknown scenario; TypeError for an override that is not a field of it.
     ValueError
         For another view, or a shared one of a scenario with regulators or capacitor banks among its agents.
     """

@@ -1,7 +1,7 @@
 """Figures of the benchmark: scores, voltage against delay, voltage distributions, and an episode replayed.
 
-Colour says three things only, told apart under the common kinds of colour blindness: the reference, what is on the
-Pareto front, and the rest; names stand beside the points.
+Colours distinguish the reference, controllers on the Pareto front, and the rest. They differ under the common kinds of
+colour blindness. Names are next to the points.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from dcgrid_env.rendering import run_figure
 REFERENCE_COLOUR, FRONT_COLOUR, REST_COLOUR = "#D55E00", "#0072B2", "#6b6b6b"
 NAME_LENGTH = 28
 LABEL_HEIGHT_IN, OTHER_HEIGHT_IN = 0.17, 1.1
-"""Height of a name beside a point, and of what is not axes in its figure, inches."""
+"""Height of a name next to a point, and of the figure without its axes, inches."""
 
 
 @dataclass(frozen=True)
 class Replay:
-    """Episodes of a scenario to run again and draw, each under all of the controllers."""
+    """Episodes of a scenario to repeat and draw, each under all of the controllers."""
 
     case: Case
     costliest: Mapping[str, int]

@@ -1,4 +1,4 @@
-"""The benchmark's tables: the score of every controller on every scenario, and all beside it for each scenario.
+"""The benchmark's tables: the score of every controller on every scenario, and all other figures for each scenario.
 
 One plain table of text behind all its forms: Markdown, HTML and the terminal.
 """

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 BETWEEN = 2
-"""Characters that a column takes beside its text, as ``Table.rich`` draws it; the table takes one more."""
+"""Characters that a column takes in addition to its text, as ``Table.rich`` draws it; the table takes one more."""
 NAME_SHARE = 0.4
 """Share of the terminal's width that the fixed columns may take together, where their words allow it."""
 _PIECES = re.compile(r"\S+?(?:(?<=\w\w[-/])(?=\w)|(?=\s)|$)\s*")
@@ -48,12 +48,12 @@ def fit(header: Sequence[str], rows: Sequence[Sequence[str]], width: int, fixed:
     width
         How many characters a line of the terminal takes.
     fixed
-        How many of the first columns name the rows; they stand in every part, and their cells fold as headings do.
+        Number of first columns that name the rows. Every part contains them, and their cells fold like headings.
 
     Returns
     -------
     list
-        The parts, each of at least one column besides; headings stand unfolded as far as there is room.
+        The parts, each of at least one column besides; headings are unfolded where there is room.
     """
     columns = [(name, *(row[i] for row in rows)) for i, name in enumerate(header)]
     widest = [max(map(len, column)) for column in columns]

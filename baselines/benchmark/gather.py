@@ -87,7 +87,7 @@ def gather(
 
 
 def no_hindsight(case: Case, episodes: int, published: Callable[[Scenario], Published | None]) -> str | None:
-    """Why there is no hindsight for the episodes of a scenario and the command that solves them; None if there is."""
+    """Why hindsight is missing for the episodes of a scenario and the command that solves them; None if it exists."""
     costs = published(case.scenario())
     missing = len(costs.missing(range(episodes))) if costs else episodes
     if not missing:

@@ -61,7 +61,7 @@ class Unit:
 GIVES_ANOTHER = "failed: {} gives another scenario in each process; let it draw nothing at random, or from a fixed seed"
 
 CODE = (type, FunctionType, BuiltinFunctionType, ModuleType, np.ufunc)
-"""What a controller may hold that is code and no parameter."""
+"""Types of a controller's attributes that are code instead of parameters."""
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
     OUT/units/about.json                                    format and version of the package
     OUT/units/SCENARIO/CONTROLLER/FIRST-LAST.json           what ``jobs.run`` gave for FIRST to LAST, and its hash
 
-A unit counts as done if all that defines it is the same. Of another package version or another form of its scenario the
-whole folder is refused, lest two benchmarks mix; where only the controller has changed (its parameters, or the file of
-its class) the unit is computed anew. Other code changed under one version goes unseen: give another OUT then.
+A unit counts as done if everything that defines it is the same. If the package version or the scenario differs, the
+whole folder is refused, since two benchmarks would mix. If only the controller has changed (its parameters, or the file
+of its class), the unit is recomputed. Other changes of code under one version are not detected: use another OUT then.
 """
 
 from __future__ import annotations

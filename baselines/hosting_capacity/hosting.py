@@ -127,8 +127,8 @@ def hosting_capacity(
     Returns
     -------
     Capacities
-        For each controller and bus, the capacity in MW, the limit that the next size breaks, mean and 95th percentile
-        of the delay of the site's work in s, and its unserved share in %.
+        For each controller and bus, the capacity in MW and the limit that the next size breaks. Also the mean and 95th
+        percentile of the delay of the site's work in s, and its unserved share in %.
 
     Raises
     ------

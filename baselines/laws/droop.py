@@ -9,7 +9,7 @@ be negative and forgets.
 The paper says in words that alpha may be larger where the backlog is large, without a formula. The form here is ours,
 alpha_t = alpha (1 + g max(S, 0) / p_rated): at 1/g seconds of work at the rating alpha has doubled; g = 0 disables it.
 The ceiling is that of the linear clock law, whichever law the scenario has: under another one P is not quite met.
-Where the scenario hides p_ref (``sensing.preview``) the rating stands in its place: below 1 p.u. the site is capped.
+Where the scenario hides p_ref (``sensing.preview``) the rating replaces it: below 1 p.u. the site is capped.
 Inverters run the second law alone.
 """
 

@@ -1,4 +1,4 @@
-"""Power smoothing at a fixed profile: floor and ramps that never change, in the terms of NVML, the droop beside them.
+"""Power smoothing at a fixed profile: floor and ramps that never change, in the terms of NVML, with the droop.
 
 A setting beyond what the scenario's agents may choose is cut there. The profiles are choices: no source gives typical
 ones.
@@ -20,8 +20,8 @@ PROFILES: Mapping[str, Mapping[str, Any]] = {
     "light": {"floor_share": 0.5, "ramp_up_w_per_s": 2400.0, "ramp_down_w_per_s": 2400.0},
     "strong": {"floor_share": 0.9, "ramp_up_w_per_s": 600.0, "ramp_down_w_per_s": 600.0},
 }
-"""Parameters of two profiles by name: half of the rating and half a second from nothing to the rating of a GPU of the
-GB200, and the highest floor of that GPU and two seconds. None at all is the droop alone."""
+"""Parameters of two profiles by name, for a GPU of the GB200. One has half of the rating as its floor and half a second
+from zero to the rating. The other has the highest floor and two seconds. Without parameters the droop acts alone."""
 
 
 @dataclass

@@ -1,12 +1,11 @@
-"""Peak shaving: a storage holds the voltage of its own bus above a threshold and takes its energy back above it.
+"""Peak shaving: a storage keeps the voltage of its bus above a threshold and recharges above it.
 
     P_{t+1} = clip(P_t + g (V_t - V_hold) / R_ii, -p_rated, most)       P: draw of the storage, R_ii: p.u. for each MW
     most    = min(p_rated, (E_0 - E_t) / (eta_c h))                     E_0: energy that is to be stored at the end
 
-At g = 1 the storage would by itself bring its voltage to the threshold in one step. The peak of the draws upstream is
-what pulls that voltage down, whether it is the site's own at the same bus or a neighbour's, so the rule needs no
-measurement but its own. It charges no further than to what it began with. Clocks and reactive power follow the paper's
-droop beside it.
+At g = 1 the storage alone would bring its voltage to the threshold in one step. Peaks of draws upstream pull that
+voltage down, those of the site at the same bus and of neighbours alike. So the rule needs no other measurement. It
+charges up to its initial energy. Clocks and reactive power follow the paper's droop.
 """
 
 from __future__ import annotations

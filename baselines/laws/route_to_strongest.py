@@ -4,8 +4,8 @@
     r_i  = clip(g (V'_i - mean V'), -1, 1)               below 0 given away, above 0 taken; the mean is over the sites
 
 R_ii is the drop of a site's own voltage for each MW that it draws, so V' counts on what comes for it alone and not on
-what others will draw. With a large gain the strongest bus takes all that it may. Where the scenario hides p_ref the
-voltages are those measured. Clocks and reactive power follow the paper's droop beside it.
+what others will draw. With a large gain the strongest bus takes all that it may. If the scenario hides p_ref, the
+measured voltages are used. Clocks and reactive power follow the paper's droop.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Return by hand and staggered return: when sites behind a UPS come back by fixed rules, the droop beside them.
+"""Return by hand and staggered return: sites behind a UPS reconnect by fixed rules, and the droop drives the rest.
 
 A site that is not locked out returns ``return_delay_s`` after its last event, one that is locked out ``release_s``
 after it, by a ramp of ``pace`` times the fastest. Staggered, slot i waits i ``stagger_s`` longer than that, so that no

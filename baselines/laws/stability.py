@@ -14,19 +14,27 @@ The errors follow x_{t+1} = M x_t with x = (q, p, S), and the loop is stable whe
     k_q = alpha = 0     M = -k_p R_dd            stable where k_p rho(R_dd) < 1
     k_q = 0, alpha      as the backlog is fed back, only where k_p rho(R_dd) < 1 - alpha dt / 2   (alpha dt <= 2)
 
-and both axes together by the eigenvalues. The first bound is that of integrating local volt-var control (H. Zhu and H.
-J. Liu, "Fast local voltage control under limited reactive power: optimality and stability analysis", IEEE Trans. Power
-Systems 31(5), 2016; M. Farivar, L. Chen and S. Low, "Equilibrium and dynamics of local voltage control in distribution
-systems", CDC 2013, for the proportional law); the second is theirs for a proportional law on p, whose measurement is a
-step old; the third and the joint matrix are worked out here.
+and both axes together by the eigenvalues. The first bound is that of integrating local volt-var control [1]_. The
+second is the bound of [2]_ for a proportional law on p, whose measurement is a step old. The third and the joint matrix
+are derived here.
 
-What the model leaves out: limits (they bound an oscillation, they do not end it), work that is not there and cannot be
-served before it arrives (so an oscillation of the clock shows while there is a backlog), the steeper voltage of the
-exact power flow (on toy6 the reactive bound holds to 2 %, the active one is 5 to 10 % lower; on ieee33-weak at its low
-voltages the clock swings from 10 or 20 % below the bound on: stay that far below),
-another clock law than the linear one, the one-step memory, the growth of alpha (it adds to alpha) and a delay of the
-measurement, which tightens the bounds. A direction that no voltage sees (two agents behind the same impedance) has the
-eigenvalue 1: it does not grow.
+The model leaves out:
+
+- limits, which bound an oscillation but do not end it;
+- work that has not arrived, so an oscillation of the clock shows only while there is a backlog;
+- the steeper voltage of the exact power flow. On toy6 the reactive bound holds to 2 %, the active one is 5 to 10 %
+  lower. On ieee33-weak the clock swings from 10 or 20 % below the bound on, at its low voltages;
+- clock laws other than the linear one, the one-step memory, and the growth of alpha, which adds to alpha;
+- a delay of the measurement, which tightens the bounds.
+
+A direction that no voltage sees (two agents behind the same impedance) has the eigenvalue 1: it does not grow.
+
+References
+----------
+.. [1] H. Zhu and H. J. Liu, "Fast local voltage control under limited reactive power: optimality and stability
+   analysis", IEEE Trans. Power Systems 31(5), 2016.
+.. [2] M. Farivar, L. Chen and S. Low, "Equilibrium and dynamics of local voltage control in distribution systems",
+   CDC 2013.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
-"""Reactive power that never moves: one number, one for each agent, or a rule of where the agent stands.
+"""Constant reactive power: one number, one for each agent, or a rule by the agent's place.
 
     ConstantQ       q = share q_limit
     PlacementRule   q = clip(a + b R_ii + c X_ii, -1, 1) q_limit        q_limit: the reactive limit at zero active power
 
 R_ii and X_ii are the drops of the own voltage for 1 MW and 1 Mvar drawn: zero at the substation, large at a feeder's
-end. The fairest simple rivals of a learner that sees R_ii and X_ii: what they reach is owed to knowing the place alone.
-The data centres run at their top clock, and what a converter cannot give beside its active power is cut.
+end. These are the fairest simple rivals of a learner that sees R_ii and X_ii, as they use the place alone. The data
+centres run at their top clock. Reactive power is cut to what the converter can supply with its active power.
 
 The defaults are one compromise over three presets, found on the validation split (never the test split) with
 
     dcgrid tune --laws constant-q,placement --scenarios toy6,ieee123,ieee33-weak --together
 
-J is then on average 0.512 of no control's with one number and 0.457 with the rule. Elsewhere they can do harm: where PV
-holds the voltage up (``mixed``) injecting is wrong. What was found for each preset alone ships as ``constant-q-tuned``,
-one share for each agent (one for all data centres where they are drawn), and ``placement-tuned``.
+J is then on average 0.512 of no control's with one number and 0.457 with the rule. They can do harm on other presets:
+injecting is wrong if PV raises the voltage (``mixed``). What was found for each preset alone ships as
+``constant-q-tuned``, one share for each agent (one for all data centres where they are drawn), and ``placement-tuned``.
 """
 
 from __future__ import annotations

@@ -6,14 +6,14 @@
 
 Yan, Joswig-Jones, Zhang, Chen and Cui, "Switching-Reference Voltage Control for Distribution Systems with AI-Training
 Data Centers", arXiv 2603.15588, algorithm 1, in the form of its public code (github.com/yan-mingyuan/switchref, commit
-3d74db9: ``AdaRefVBiasAmpMaxDV`` with amp_gain 0.5). A training load jumps between computing and exchanging gradients; a
-fixed reference sends the reactive power after each edge, while here the voltage of either level is its own target, the
-two lie about 1 p.u. and the worst deviation after an edge is half the jump. With a steady load it is the plain droop.
+3d74db9: ``AdaRefVBiasAmpMaxDV`` with amp_gain 0.5). A training load jumps between computing and exchanging gradients.
+With a fixed reference the reactive power follows each edge. Here each level has its own target, the two are around
+1 p.u., and the worst deviation after an edge is half the jump. With a steady load it is the plain droop.
 
-Ours and not theirs: the gain is in Mvar per p.u. and s as in ``Droop`` and the same for all agents; the bias, with
-which the code slowly moves the pair's centre, is left out, as the law integrates anyway; their deadband is 0.02 p.u.,
-here 0 by default, so that the law differs from ``Droop(k_p_mw_per_pu=0)`` in its reference alone. The window should
-hold a cycle of the load. An edge that takes longer than a step of dt is seen as its steepest step. Data centres give
+Differences from that code: the gain is in Mvar per p.u. and s as in ``Droop`` and the same for all agents. The bias,
+which slowly moves the centre of both references, is left out, as the law integrates. The deadband is 0 by default
+instead of 0.02 p.u., so the law differs from ``Droop(k_p_mw_per_pu=0)`` in its reference alone. The window should
+contain a cycle of the load. An edge that takes longer than a step of dt is seen as its steepest step. Data centres give
 reactive power too and run at their top clock.
 """
 

@@ -3,13 +3,13 @@
     q* = s_rated curve(V)                            (0.92, 44 %), (0.98, 0), (1.02, 0), (1.08, -44 %), flat beyond
     q_{t+1} = q_t + (1 - exp(-dt / tau)) (q* - q_t)  tau = T / ln 10, so that 90 % of a step is done within T
 
-IEEE Std 1547-2018, clause 5.3.3, table 8 (category B, default): V_ref = 1, V2 and V3 0.02 p.u. and V1 and V4 0.08 p.u.
-beside it, Q1 and Q4 44 % of the nameplate apparent power, injected and absorbed, open-loop response time T = 5 s (1 to
-90 s may be set), which the standard defines as the time to 90 % of the final change. The text of the standard was not
-at hand: the figures are those of EPRI's OpenDER (github.com/epri-dev/OpenDER, category B), as is the choice of a
-first-order approach. The autonomous adjustment of V_ref, off by default there, is left out. q_t is what was dispatched,
-so that nothing winds up where a limit cuts. A data centre is held to the same curve, cut to its own limit, and runs at
-its top clock.
+The settings are those of IEEE Std 1547-2018, clause 5.3.3, table 8 (category B, default). V_ref is 1, V2 and V3 are
+0.02 p.u. away from it, V1 and V4 0.08 p.u. Q1 and Q4 are 44 % of the nameplate apparent power, injected and absorbed.
+The open-loop response time is T = 5 s (allowed: 1 to 90 s), the time to 90 % of the final change. The text of the
+standard was not available. The figures and the first-order response are those of EPRI's OpenDER
+(github.com/epri-dev/OpenDER, category B). The autonomous adjustment of V_ref, off by default there, is left out. q_t is
+the dispatched value, which avoids wind-up at a limit. A data centre follows the same curve, cut to its limit, and runs
+at its top clock.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ it and answer, and answer each other's answers:
 
     h_j = b_j (X_ij + sum_l h_l X_lj)  over j, l other than i          X'_ik = X_ik + sum_j h_j X_jk
 
-with X_ij the rise at j's bus. Agents that take the slope of the cost along X, as if the others stood still, hold
-each other at opposite limits: each believes that it moves voltages which the other then moves back.
+with X_ij the rise at j's bus. Agents that take the slope of the cost along X assume that the others do not respond.
+They keep each other at opposite limits, since each one's effect on the voltages is undone by the other.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""What an agent's voltage was of late, in place of the newest measurement alone, where measurements have noise.
+"""Average an agent's recent voltages if measurements have noise.
 
 An agent's E, its voltage without its own part, changes by w from one step to the next, and is measured with noise n.
-Where both are independent of what was before, the best estimate is an average that each measurement moves by K of its
-way, with, for q = E[w^2] / E[n^2],
+If both are independent of the past, the best estimate is an average that each measurement moves by a share K of the
+difference. With q = E[w^2] / E[n^2],
 
     K = (sqrt(q^2 + 4 q) - q) / 2        error variance K E[n^2]
 
-the steady state of the Kalman filter of one state (R. E. Kalman, "A new approach to linear filtering and prediction
-problems", 1960), and at least 0.1, as the others' reactive power moves E too. The first t measurements count alike as
-long as 1 / t is more than K.
+This is the steady state of the Kalman filter of one state (R. E. Kalman, "A new approach to linear filtering and
+prediction problems", 1960). K is at least 0.1, as the others' reactive power moves E too. The first t measurements
+count alike as long as 1 / t is more than K.
 """
 
 from __future__ import annotations

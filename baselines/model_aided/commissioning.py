@@ -1,10 +1,10 @@
 """What an agent works out once from the feeder's model, all agents' places and ratings, and the statistics of the load.
 
 Moments of the operation (``operating_points``) are solved by the exact power flow with all agents at their static
-optimum u* (with a schedule of the sun: at six levels of it), and each agent's estimate of all voltages from its own is
-their regression (``regression``). Then the agents respond to what each sees, some rounds of ``decision`` at every
-moment, so that what others do about a deviation is in the statistics too, and how they answer what an agent does
-itself (``answers``). At last each finds how far to move at once (``damping``).
+optimum u*. With a schedule of the sun there are six levels of it. A regression gives each agent's estimate of all
+voltages from its own (``regression``). Then the agents respond to what each sees, some rounds of ``decision`` at every
+moment. So the statistics include the others' reactions to a deviation and their answers to an agent's action
+(``answers``). At last each agent finds how far to move at once (``damping``).
 """
 
 from __future__ import annotations
@@ -152,9 +152,9 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
 def _there(rng: np.random.Generator, m: int, n: int) -> np.ndarray:
     """Share of its setpoint that each agent has at each moment, (m, n).
 
-    Mostly all of it. What an agent infers from a surprise must hold too where others are not where they should be:
-    from moments at which all are, gains follow that are wrong beyond them, and joint setpoints far from u* that agree
-    with each other.
+    The share is 1 at most moments. An agent's inference from a surprise must also be right if others are away from
+    their set points. Otherwise gains are wrong away from these moments, and joint set points far from u* can agree with
+    each other.
     """
     on_the_way = np.where(rng.random((m, 1)) < _ON_THE_WAY, rng.random((m, 1)), 1.0)
     return on_the_way * (rng.random((m, n)) >= _MISSING)

@@ -8,13 +8,13 @@ The reactive setpoint, if all agents move alike: find t with
 
     sum_k c'(V^_k + t O_k) X'_ik q_i + effort'(u + t) + hold (u + t - u*) = 0
 
-c' is the slope of the expected cost (``expected_cost``), X'_ik what the agent's own reactive power does to bus k once
-the others have answered it (``answers``), u its setpoint as a share of its limit q_i, and O_k what all agents do to bus
-k when each moves by its whole limit, times the agent's damping (``damping``). The gradient is the agent's own; the
-voltages it is taken at are those after all have moved as it does. Without that each agent would do all that is missing,
-and together they would overshoot by the number of agents. Both left sides rise, so that a bracket closes on the zero
-(Illinois method: M. Dowell and P. Jarratt, BIT 11, 1971); steps by the local slope alone (Newton) oscillate, as the
-cost is almost piecewise linear where voltages are known well.
+c' is the slope of the expected cost (``expected_cost``). X'_ik is the effect of the agent's reactive power on bus k
+once the others have answered it (``answers``). u is its setpoint as a share of its limit q_i. O_k is the effect of all
+agents on bus k when each moves by its whole limit, times the agent's damping (``damping``). The gradient is the agent's
+own; the voltages it is taken at are those after all have moved as it does. Without that each agent would do all that is
+missing, and together they would overshoot by the number of agents. Both left sides rise, so that a bracket closes on
+the zero (Illinois method: M. Dowell and P. Jarratt, BIT 11, 1971); steps by the local slope alone (Newton) oscillate,
+as the cost is almost piecewise linear where voltages are known well.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@
 
         w (2 Phi(e / s) - 1) + W (Phi((e - band) / s) - Phi(-(e + band) / s))
 
-Phi is the standard normal distribution. The error smooths both kinks, so that the slope rises through the band's edge
-before the edge is reached: the price of what is not seen.
+Phi is the standard normal distribution. The error smooths both kinks, so the slope rises through the band's edge
+before the edge is reached. This is the price of uncertainty.
 """
 
 from __future__ import annotations

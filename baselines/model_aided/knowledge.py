@@ -19,7 +19,7 @@ class Law:
     Parameters
     ----------
     floor_pu
-        Least standard deviation of an estimated voltage, p.u.: what the model cannot know of itself.
+        Least standard deviation of an estimated voltage, p.u.: the model's error.
     alike
         Share of all limits that an agent takes to move as it moves, where commissioning begins to look for the best.
     hold
@@ -134,7 +134,7 @@ class Commissioned(NamedTuple):
     own_by_draw: np.ndarray
     """D at the own bus, (m, n)."""
     key: np.ndarray
-    """What a level is known by: own draw of an inverter under a schedule, kW, else E_i, p.u., rising, (m, n, L)."""
+    """Key of each level: own draw of an inverter under a schedule, kW, else E_i, p.u., rising, (m, n, L)."""
     base_pu: np.ndarray
     """Mean of E_k, (m, n, L, k)."""
     own_base_pu: np.ndarray
@@ -170,7 +170,7 @@ def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> 
     Parameters
     ----------
     site
-        Says which agents see the sun.
+        Knowledge of the placement, which contains the agents that see the sun.
     values, at
         Figures by level, such as ``Commissioned.rest_kvar``, (m, L, n), and ``rest_at``, (m, L); m is 1, or the rows.
     p_kw

@@ -8,15 +8,15 @@ coming work. Each second it
    have noise, averages that (``average``),
 2. estimates every voltage of the coming second from that, with its error,
        V^_k = E[E_k | E_i] + X_ik (q_i - u*_i) - D_ik (p_next - mean p_i),
-3. data centres: serves work as long as the relief of the expected cost by a kW less, sum_k -c'(V^_k + D_ik y) R_ik
-   with y kW put off, is below the price of letting it wait: that of MPC, (w_backlog + w_leftover) dt / sum p_rated,
-   charged as if left at the end, and more where later moments are no better (``commissioning``),
-4. sets its reactive power where its own slope of the expected cost is zero if all move alike (``response_kernels``); an
+3. if it is a data centre, serves work while a kW less would relieve less expected cost than waiting costs. The relief
+   is sum_k -c'(V^_k + D_ik y) R_ik with y kW put off. The price is that of MPC, (w_backlog + w_leftover) dt / sum
+   p_rated, charged as if left at the end, and more if later moments are not better (``commissioning``),
+4. sets its reactive power where its slope of the expected cost is zero if all move alike (``response_kernels``). An
    inverter that sees the sun is pulled towards the optimum of that level.
 
 It knows more than a law of local measurements does and less than MPC, which sees all voltages: its scope is
 ``model-aided``. Under a delay of the measurement it takes the powers of that time; a hidden p_ref is taken at its mean.
-Equipment that is an agent follows its own control; cost terms beside voltage, backlog and effort are not weighed.
+Equipment that is an agent follows its own control. Cost terms other than voltage, backlog and effort have no effect.
 """
 
 from __future__ import annotations

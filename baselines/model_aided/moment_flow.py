@@ -1,7 +1,7 @@
 """The exact power flow of the moments, for one placement.
 
-Where the scenario says that its model is not exact, agents know by how much and not in which direction: a quarter of
-the moments each is of the model with all resistances and all reactances larger or smaller by that share.
+If a scenario's model is not exact, agents know the size of the error but not its direction. All resistances and all
+reactances are then larger or smaller by that share, in a quarter of the moments each.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class MomentFlow:
         return lambda q_kvar: self.at(np.broadcast_to(q_kvar, (len(rows), len(q_kvar))), rows)
 
     def at(self, q_kvar: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Voltages of moments under setpoints, (m, n_agent), p.u., (m, k); the mean where there is no solution."""
+        """Voltages of moments under setpoints, (m, n_agent), p.u., (m, k); the mean where no solution exists."""
         s, points = self.scenario, self.points
         p = points.p_load_kw[rows] + points.p_agent_kw[rows] @ self.shares
         q = points.q_load_kvar[rows] - q_kvar @ self.shares

@@ -17,7 +17,7 @@ class OperatingPoints(NamedTuple):
     """Moments of an operation without control, m of them; they do not depend on the agents' buses."""
 
     scenario: Scenario
-    """What they are drawn from."""
+    """Sources of the moments."""
     p_load_kw: np.ndarray
     """Other loads, kW, (m, n_leg)."""
     q_load_kvar: np.ndarray
@@ -26,11 +26,11 @@ class OperatingPoints(NamedTuple):
     """What each agent would draw, kW, an inverter's injection negative, (m, n_agent); data centres at the top clock
     with nothing queued."""
     later: OperatingPoints | None = None
-    """What they are a step later, where measurements have noise."""
+    """The moments a step later, if measurements have noise."""
 
     @property
     def sun(self) -> np.ndarray:
-        """What the inverters inject together, kW, (m,), by which moments are ordered by their sun."""
+        """Sum of the inverters' injections, kW, (m,), which orders moments by their sun."""
         return np.maximum(-self.p_agent_kw, 0.0).sum(axis=1)
 
     def on(self, scenario: Scenario) -> OperatingPoints:

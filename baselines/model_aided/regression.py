@@ -1,8 +1,8 @@
-"""What moments tell an agent of all voltages, given its own: the estimate of one normal variable from another.
+"""Estimate all voltages from an agent's own: one normal variable from another.
 
     E_k = V_k - X_ik (q_i - u*_i) + D_ik (p_i - mean p_i)          D: own drop, and that of sites that draw as it draws
 
-is what remains of the voltages once the agent's own part is taken out. Around a level of the sun that an inverter reads
+are the voltages without the agent's own part. Around a level of the sun that an inverter reads
 from its own injection, and the others from E_i, with C the covariance over the moments of that level,
 
     E[E_k | E_i] = base_k + g_ik (E_i - base_i)      g_ik = C_ki / (C_ii + noise)      s_ik^2 = C_kk - C_ki g_ik
@@ -19,7 +19,7 @@ from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site
 
 
 def regressed(site: Site, known: Commissioned, v: np.ndarray, own_v: np.ndarray, moved: np.ndarray) -> Commissioned:
-    """``known`` of one placement with what the moments tell each agent.
+    """``known`` of one placement with each agent's estimate from the moments.
 
     Parameters
     ----------

@@ -101,8 +101,8 @@ def half_normal(x):
 def _slope(x, edge, apart, direction, moved, by, price):
     """Derivative of the expected cost by what moves the voltages by ``by``, after a move along ``direction``.
 
-    Where the band's edges are ``apart`` by so much that at each bus only one of the three kinks is in reach, one
-    normal distribution a bus does.
+    If ``apart``, the band's edges are so far apart that only one of the three kinks matters at each bus. Then one
+    normal distribution per bus is enough.
     """
     by_voltage, by_violation = price
     total = 0.0
@@ -124,7 +124,7 @@ def _slope(x, edge, apart, direction, moved, by, price):
 
 @compiled(inner=True, fastmath=_FAST)
 def _zero(x, edge, apart, direction, by, price, constant, rise, low, low_f, high, high_f, close):
-    """Where ``constant + rise t + _slope(t)`` is 0 in (low, high), of other signs at its ends; the Illinois method."""
+    """Find the zero of ``constant + rise t + _slope(t)`` in (low, high), with a change of sign; the Illinois method."""
     side = 0
     for _ in range(_MOST):
         t = (low * high_f - high * low_f) / (high_f - low_f)
@@ -150,7 +150,7 @@ def _zero(x, edge, apart, direction, by, price, constant, rise, low, low_f, high
 def _cut(x, edge, apart, drawn, by_p, price, span_kw, waiting):
     """How much less than all work to serve, kW, until a kW less relieves no more than it costs to let it wait.
 
-    The second figure is what the first kW relieves.
+    The second figure is the relief by the first kW.
     """
     low_f = waiting + _slope(x, edge, apart, drawn, 0.0, by_p, price)
     relief = waiting - low_f
@@ -168,8 +168,8 @@ def _cut(x, edge, apart, drawn, by_p, price, span_kw, waiting):
 def respond(x, edge, apart, rises, together, own, price, share, limit, effort, hold, rest):
     """The best setpoint as a share of the limit, and the slope at the one now without the price of effort.
 
-    Where the slope ``rises`` along the setpoint, as wherever no agent raises the voltage that another lowers, its sign
-    at the setpoint now says on which side the best one is, and the other is not looked at.
+    The slope ``rises`` along the setpoint if no agent raises a voltage that another lowers. Then its sign at the
+    present setpoint gives the side of the best one, and the other side is skipped.
     """
     constant = hold * (share - rest)
     now = constant + _slope(x, edge, apart, together, 0.0, own, price)

@@ -22,7 +22,7 @@ def static_optimum(
     limit_kvar: np.ndarray,
     effort: np.ndarray,
 ) -> np.ndarray:
-    """Find constant reactive injections, kvar, (n_agent,), by L-BFGS-B on the voltages' linearisation, made anew.
+    """Find constant reactive injections, kvar, (n_agent,), by L-BFGS-B on repeated linearisations of the voltages.
 
     Parameters
     ----------

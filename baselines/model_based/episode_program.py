@@ -10,9 +10,9 @@ On the power flow linearised around a trajectory:
               cos(theta) p + sin(theta) g <= s_rated     for tangents theta of the capability circle
 
 so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Storages
-add the unknowns and rows of ``storage_rows``; their draws stand behind the served work in d. Work that may be moved, or
+add the unknowns and rows of ``storage_rows``; their draws follow the served work in d. Work that may be moved, or
 has a time to be served by, adds those of ``work_rows``.
-``voltage_rows`` leaves out the e and w that are not needed; where regulators follow a control of their own,
+``voltage_rows`` leaves out the e and w that are not needed; where regulators follow their own control,
 ``same_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual
 revised simplex method", Mathematical Programming Computation 10, 2018).
 """
@@ -135,7 +135,7 @@ class EpisodeProgram(Trajectory):
 
     @property
     def _done(self) -> tuple[np.ndarray, ...]:
-        """What the trajectory is of: work served, draws of storages, reactive power and work moved."""
+        """Contents of the trajectory: work served, draws of storages, reactive power and work moved."""
         return self.served_kw, self.storage_kw, self.q_kvar, self.moved_kw
 
     @_done.setter

@@ -1,16 +1,16 @@
 """The program of an episode in which regulators and capacitor banks are agents: their positions are unknowns too.
 
-What ``episode_program`` minimises, and beside it
+The program extends ``episode_program``:
 
     over   u          taps, and switches between 0 and 1, of the equipment that is agents
     cost   switching times the mean of |u_t - u_{t-1}|, as the reward has it
     with   u within its range, and |u_t - u_{t-1}| at most what a drive makes in a step
 
-Positions are whole numbers in truth. As continuous unknowns they make the program a relaxation, whose optimum is below
-what any controller reaches, but for what the grid's curvature does. ``round`` makes whole ones of them, around which
-the program is then solved for work and reactive power alone.
+Positions are whole numbers. As continuous unknowns they make the program a relaxation, whose optimum is below every
+controller's cost, apart from the grid's curvature. ``round`` makes whole numbers of them, and the program is then
+solved for work and reactive power alone.
 
-All costs and constraints are hinges of what stands in one step or two, which is what ``interior_point`` solves.
+All costs and constraints are hinges of unknowns of one step or two, and ``interior_point`` solves such programs.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class EquipmentProgram(Trajectory):
         self.position, self.is_whole = np.rint(self.position), True
 
     def follow(self, replayed: Recorder) -> None:
-        """Take positions as they were in a replay: of all equipment if rounded, else of what is no agent."""
+        """Take positions as they were in a replay: of all equipment if rounded, else of all that are not agents."""
         super().follow(replayed)
         if self.is_whole:
             columns = [self._of_kind(device, self._tap, self._on)[:, list(device.rows)] for device in self.groups]

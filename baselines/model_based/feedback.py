@@ -9,20 +9,20 @@ With e = V - 1 at every bus, S the model's slopes (``model``) and x = (work serv
 These are projected primal-dual steps on a regularised Lagrangian in which the network's response is measured and not
 computed (E. Dall'Anese and A. Simonetto, "Optimal power flow pursuit", IEEE Trans. Smart Grid 9(2), 2018; A. Hauswirth,
 Z. He, S. Bolognani, G. Hug and F. Doerfler, "Optimization algorithms as robust feedback controllers", Annual Reviews in
-Control 57, 2024). The voltage terms are penalties and not limits, so their multipliers are bounded by the weights;
-k = w_v / width says how close to its kink a term gives way, and 1 / k is the regularisation. With
+Control 57, 2024). The voltage terms are penalties and not limits, so their multipliers are bounded by the weights. k =
+w_v / width sets how close to its kink a term gives way, and 1 / k is the regularisation. With
 
     D_j = 1 / (k sum_i |S_ij| sum_n |S_in|)        so that k S'S <= D^-1        (after T. Pock and A. Chambolle,
                                                    "Diagonal preconditioning for first order primal-dual algorithms in
                                                    convex optimization", ICCV 2011)
 
-no mode of the loop has a curvature above 1, and the loop is stable on the model for g < 2 (2 - s) / s, the limit at
-which z^2 - (2 - s - g s) z + 1 - s has a root of magnitude 1. Where few voltages are at their kinks there is more room.
+no mode of the loop has a curvature above 1. The loop is stable on the model for g < 2 (2 - s) / s, the limit at which
+z^2 - (2 - s - g s) z + 1 - s has a root of magnitude 1. With few voltages at their kinks there is more room.
 
-A site's clock cannot forget work, so its variable is how far arriving work is held back: what was served, moved by how
-much more arrives in the coming step than in the last. The voltages are moved on by the same. Work that waits has the
-price of a step and of what is left at the end, so that holding back ends when it no longer pays. x begins from what was
-dispatched, so nothing winds up behind a limit.
+A site's clock cannot drop work, so its variable is how far arriving work is deferred. It is the served work, moved by
+the increase of arriving work in the coming step. The voltages are moved by the same. Waiting work has the price of a
+step and of leftover work, so deferral ends when it no longer pays. x starts from the dispatched values, which avoids
+wind-up.
 
 The defaults were chosen on the validation split of toy6, ieee123 and ieee33-weak, the last also with R and X off by
 20 %, noise of 0.002 p.u., a delay of two steps and no preview. With g beyond the limit toy6 oscillates: J = 0.70 with

@@ -10,8 +10,8 @@ optimum has
 towards which Newton steps are made with predictor and corrector (S. Mehrotra, "On the implementation of a primal-dual
 interior point method", SIAM Journal on Optimization 2, 1992; with bounded multipliers as in S. Portnoy and R. Koenker,
 "The Gaussian hare and the Laplacian tortoise", Statistical Science 12, 1997). Each solves A'D A dx = r with D diagonal.
-A program over time whose rows reach from one step to the next has a band there as wide as two steps, and so takes time
-in proportion to the number of steps, where the simplex method's grows with its square or more.
+In a program over time, rows connect one step with the next, so the band is as wide as two steps. The time is
+proportional to the number of steps; the simplex method's grows with its square or more.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ class Rows(NamedTuple):
     quantities: Any
     """These quantities of all steps by the unknowns, sparse, (T k, n_x)."""
     times: tuple[float, ...]
-    """Signs with which the dense rows stand in the program, one copy of all for each."""
+    """Signs of the dense rows in the program, one copy of all rows for each."""
     other: Any
     """The rows behind them, sparse, (m, n_x)."""
     width: int
-    """How far apart two unknowns of a row are at most."""
+    """Largest distance of two unknowns of a row."""
 
     def apply(self, x: np.ndarray) -> np.ndarray:
         """A x."""
@@ -87,7 +87,7 @@ class Optimum(NamedTuple):
     value: float
     """The objective."""
     bound: float
-    """What no x can be below, but for rounding."""
+    """Lower bound for every x, apart from rounding."""
     steps: int
     """Newton steps made."""
 

@@ -5,19 +5,19 @@
 R and X are LinDistFlow's (M. E. Baran and F. F. Wu 1989) of ``Scenario.model``, the feeder as controllers believe it;
 on a three-phase feeder the derivatives of its nodes' voltages around the base case, across phases. LinDistFlow is
 linear in V^2, so a bus's slopes are divided by its voltage, which those of a three-phase feeder already are; p is
-drawn, q injected. Only changes are predicted: what the other loads, the losses and an error of R and X do stands in the
-measurement, so that none of it is left in a steady state (offset-free, as with the disturbance model of J. B. Rawlings,
-D. Q. Mayne and M. Diehl, "Model predictive control: theory, computation, and design", 2017, section 1.5).
+drawn, q injected. Only changes are predicted. The measurement contains the effect of other loads, losses and errors of
+R and X, so no offset remains in a steady state. This is the disturbance model of J. B. Rawlings, D. Q. Mayne and M.
+Diehl, "Model predictive control: theory, computation, and design", 2017, section 1.5.
 
-A measurement that is k steps old is of the agents' powers k steps ago, which they know: the model adds what they have
-done since. Where it is noisy, the part of it that is not the agents' is smoothed,
+A measurement that is k steps old belongs to the agents' powers k steps ago, which they know. The model adds the later
+changes. With noise, the part of the measurement that is not the agents' is smoothed,
 
     V^_t = V' + g (V_t - V')                                 V': V^_{t-1} and what the agents' last change did to it
     g    = (sqrt(r^2 + 4 r) - r) / 2                         r = (sigma_w / sigma_v)^2
 
 with the gain of a Kalman filter in its steady state for a random walk (R. E. Kalman, "A new approach to linear
-filtering and prediction problems", 1960), sigma_v the measurement's noise and sigma_w the root mean square over buses
-of what the other loads' noise does to a voltage in a step, both as the scenario tells them. Without noise g = 1.
+filtering and prediction problems", 1960). sigma_v is the measurement's noise. sigma_w is the root mean square over
+buses of the voltage change in a step by the other loads' noise. Both come from the scenario. Without noise g = 1.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Estimate(NamedTuple):
 class ModelController(LocalController):
     """Base of controllers with a model, which see all voltages; subclasses write ``plan``.
 
-    Where the buses are drawn, ``place`` must be called after ``reset``, as ``rollout`` does.
+    If buses are drawn, call ``place`` after ``reset``, as ``rollout`` does.
     """
 
     name: ClassVar[str]
@@ -189,7 +189,7 @@ def _moved(by_p: np.ndarray, by_q: np.ndarray, change: np.ndarray) -> np.ndarray
 
 
 def _gain(scenario: Scenario) -> float:
-    """How much of what a new measurement says beyond the expected is believed, 0 .. 1."""
+    """Weight of the difference between a new measurement and its prediction, 0 .. 1."""
     s, sigma_v = scenario, scenario.sensing.noise_pu
     if sigma_v == 0.0:
         return 1.0

@@ -15,9 +15,8 @@ def rounds(
 ):  # fmt: skip
     """Do ``count`` rounds of the rows from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
 
-    Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous; ``price`` (row, step, n_dc) and
-    ``effort`` (row, n_agent) are divided by the penalties, as are ``by`` and ``by_more``, the weights of a deviation
-    and of its excess.
+    Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous. ``price`` (row, step, n_dc), ``effort``
+    (row, n_agent), and the weights ``by`` of a deviation and ``by_more`` of its excess are divided by the penalties.
     """
     for row in range(first, last):
         _row(
@@ -100,7 +99,7 @@ def _bus_terms(k, w_e, slopes, line, right):
 
 @compiled(inner=True, fastmath={"reassoc", "contract"})
 def _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_sites, x):
-    """Solve the least-squares problem for ``right`` (n, step), into ``x``; ``_System`` says how."""
+    """Solve the least-squares problem for ``right`` (n, step), into ``x``; see ``_System``."""
     n, steps = right.shape
     n_dc = sites.shape[1]
     for i in range(n):

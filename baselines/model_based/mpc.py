@@ -7,11 +7,10 @@ the scenario hides it, the forecast is
     p_ref(t + k) = mean + exp(-(k - 1) dt / tau) (p_ref(t + 1) - mean)
 
 with the mean of what the site has drawn so far; an infinite tau is persistence. Other loads and the inverters' active
-power are taken to stay, as is an inverter's reactive limit, and an agent whose limit is gone is counted out. What waits
-at the end of the horizon is charged as the environment charges what is left at the end of an episode, without which a
-short horizon would put work off for ever. With a horizon of one step it is one-step control, which knows all that it
-needs if p_ref is observed. (J. B. Rawlings, D. Q. Mayne, M. Diehl, "Model predictive control: theory, computation, and
-design", 2017.)
+power are assumed constant, like an inverter's reactive limit, and an agent whose limit is zero is left out. Waiting
+work at the end of the horizon is charged like leftover work at the end of an episode. Otherwise a short horizon would
+always defer work. With a horizon of one step it is one-step control, which knows all that it needs if p_ref is
+observed. (J. B. Rawlings, D. Q. Mayne, M. Diehl, "Model predictive control: theory, computation, and design", 2017.)
 
 The price of what is left does most of it. J on the validation split of ieee33-weak (hindsight 2.674), 20 episodes, and
 10 under two other loads; 14 s is when the default load's autocorrelation has fallen to some 0.3:
@@ -137,7 +136,7 @@ class Mpc(ModelController):
         )
 
     def _limit_kvar(self, now: Estimate) -> np.ndarray:
-        """Reactive limit beside the sites' circle, kvar, (row, n_agent): an inverter's as observed, a site's own.
+        """Reactive limit apart from the sites' circle, kvar, (row, n_agent): an inverter's as observed, a site's own.
 
         A site without one though its draw leaves room is out of order.
         """

@@ -1,14 +1,16 @@
 """Rows of the linear program of an episode that make regulators change their taps at given steps, and at no other.
 
-A relay moves its tap after so many steps out of band in a row, and one step back in band sets its clock to nothing;
-what its own tap or one further up is expected to do to its volts counts at once. So a relay is to be out of band in the
-steps of its delay before a tap, on that side, and further out than taps that are made meanwhile are worth, where it is
-to go on; in band just before these steps and after the last tap of a sequence; and between taps in band once in the
-steps of its delay:
+A relay moves its tap after a number of steps out of band in a row, its delay. One step in band resets its clock. The
+expected effect of this tap, or of one further up, on its volts counts at once. So a relay must be
+
+- out of band, on the side of the tap, in the steps of its delay before a tap, and further out than the effect of taps
+  that are made meanwhile if it is to go on;
+- in band just before these steps and after the last tap of a sequence;
+- between taps, in band once in the steps of its delay:
 
     low - z <= u + U_p (d - d0) + U_q (q - q0) <= high + z        u: relay volts around the trajectory
 
-What it is off by, z, is priced so that it stays only where that cannot be met.
+The slack z has a price, so it remains only if the rows cannot be met.
 """
 
 from __future__ import annotations

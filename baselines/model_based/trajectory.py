@@ -22,7 +22,7 @@ class Trajectory:
     """
 
     n_further = 0
-    """Power flows beside those by which ``_linear`` finds slopes."""
+    """Power flows in addition to those by which ``_linear`` finds slopes."""
     has_own_taps = False
     """Whether taps change by themselves, as what is done makes them."""
 
@@ -120,7 +120,7 @@ class Trajectory:
         return self._acting(*(np.tile(rows, (copies, 1, 1)) for rows in (self._tap, self._on)))
 
     def _acting(self, taps: np.ndarray, on: np.ndarray) -> Control:
-        """What equipment is to the power flow, of taps and switches in each step, (flow, T, n); flattened."""
+        """Inputs of equipment to the power flow by taps and switches in each step, (flow, T, n); flattened."""
         if self.episode.capacitor_on is not None:
             on = on * self.episode.capacitor_on
         taps, on = (rows.reshape(-1, rows.shape[-1]) for rows in (taps, on))

@@ -1,8 +1,8 @@
 """What deviations of voltages cost in the linear program of an episode, with as few rows and unknowns as do.
 
-A voltage that stays on one side of 1 p.u. whatever the unknowns d and q are within their ranges costs in proportion to
-them, and needs no unknown e for its magnitude; one that stays within the band needs no unknown w for its excess. On a
-feeder with many nodes that leaves some half of the rows.
+A voltage that is on one side of 1 p.u. for all d and q within their ranges costs in proportion to them. It needs no
+unknown e for its magnitude. A voltage that is always within the band needs no unknown w for its excess. On a feeder
+with many nodes about half of the rows remain.
 """
 
 from __future__ import annotations

@@ -1,20 +1,20 @@
-"""What work that may be moved, and that is to be served by a time, adds to the linear program of an episode.
+"""Rows for work that is routed or has deadlines in the linear program of an episode.
 
-Where work is routed (``devices.datacenter.work_routing``):
+Routed work (``devices.datacenter.work_routing``):
 
     over      o, y   work that each site sends and receives, kW
     with      o <= m a,  y <= P,  sum_i y = sum_i o          a: what arrives there, P: dynamic power at the rating
               b_t = b_{t-1} + (a_t - o_t + y_t - d_t) dt
 
-Where it has service levels (``devices.datacenter.service_levels``), of the earliest deadline first:
+Service levels (``devices.datacenter.service_levels``), earliest deadline first:
 
     over      i, h   interactive work served, kW, and queued, kW s           the rest of d and b is deferrable
               l, k   interactive and deferrable work that is overdue, kW s
     with      h_t = h_{t-1} + (phi (a_t - o_t + y_t) - i_t) dt,  i <= d,  h <= b
               l_t >= h_t - phi (a - o + y) dt summed over the last steps in which it is in time, and so k of b - h
 
-of which the order that costs least is the earliest deadline first, since all that is overdue has one price. First come
-first served has h = phi b, and neither i nor h. What was moved is in time for a step less.
+The order that costs least is the earliest deadline first, since all overdue work has one price. First come first served
+has h = phi b, and neither i nor h. Moved work has one step less until its deadline.
 """
 
 from __future__ import annotations

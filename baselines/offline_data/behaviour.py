@@ -16,7 +16,7 @@ _STREAM = 0x0FF11E
 
 
 def drawn(seed: int, behaviour_seed: int) -> np.random.Generator:
-    """Random numbers for the behaviour in the episode of a seed, whatever other episodes are run beside it."""
+    """Random numbers for the behaviour in the episode of a seed, independent of other episodes."""
     return np.random.default_rng((_STREAM, behaviour_seed, seed))
 
 

@@ -1,4 +1,4 @@
-"""Data sets on disk in Minari's layout: ROOT/ID/data is what ``minari.load_dataset`` reads, ROOT/ID/card.json its card.
+"""Data sets on disk in Minari's layout: ROOT/ID/data for ``minari.load_dataset``, and its card ROOT/ID/card.json.
 
 Minari is imported when a data set is written. Episodes are those of the joint environment, see
 docs/decisions/0020-offline-data.md.
@@ -169,7 +169,7 @@ class DatasetWriter:
         )
 
     def _about(self, episode: JointEpisode) -> dict[str, Any]:
-        """What is kept of an episode beside its steps, as Minari's episode metadata."""
+        """Minari's metadata of an episode, which is stored in addition to its steps."""
         buses = {f"buses/{agent}": bus for agent, bus in episode.buses.items()}
         return {"J": episode.J, "episode_hash": episode_hash(self._scenario, episode.seed), **buses}
 

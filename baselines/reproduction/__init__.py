@@ -1,1 +1,1 @@
-"""The paper's study again: Y. Chen and B. Zhang, arXiv 2507.06416, with what they report beside what comes out here."""
+"""The study of Y. Chen and B. Zhang, arXiv 2507.06416, with their reported figures next to ours."""

@@ -22,7 +22,7 @@ LARGEST_KW = 20_000.0
 def bus_thirteen(runs: Runs) -> dict[str, Any]:
     """Runs with inverters only, and the drop at bus 13 taken apart at base load, every site at its rating.
 
-    What is no result of the runs is the mean over the bus's phases.
+    Figures that are not results of the runs are means over the bus's phases.
     """
     five, alone = runs.setting.published(5), runs.setting.pinned((BUS,))
     low = runs.setting.with_head_at_1pu(5)

@@ -1,4 +1,4 @@
-"""What the study's figures share: colours, marks, and how an axis is named."""
+"""Common parts of the study's figures: colours, marks and names of axes."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ LEFT_OUT = {
 }
 """Claims that the comparison leaves out, and why."""
 RANKED = {"deviation": "voltage_deviation_mean_pu", "J": "J"}
-"""What rows are ranked by, and the metric."""
+"""Rankings of rows: name and metric."""
 
 
 def compare_feeders(
@@ -50,9 +50,9 @@ def compare_feeders(
 
     Returns
     -------
-    ``setting``; ``cases``, for each form its ``label``, what it is ``about`` and the records of the study; ``orders``,
-    how each form ranks the rows against the balanced one; ``causes``, figures that change from form to form;
-    ``equipment``, what regulators do and how unbalanced the voltages are; all JSON values.
+    JSON values. ``setting``; ``cases``, for each form its ``label``, ``about`` and the records of the study.
+    ``orders``, the rank of rows in each form against the balanced one. ``causes``, figures that change from form to
+    form. ``equipment``, moves of regulators and unbalance of voltages.
     """
     forms = cases()
     runs = {name: Runs(setting_of(case, setting)) for name, case in forms.items()}
@@ -92,7 +92,7 @@ def _law_rows(runs: Runs, metric: str) -> dict[str, Rows]:
 
 
 def causes(runs: Mapping[str, Runs], found: Mapping[str, Records]) -> list[Records]:
-    """Figures of each form: what it adds to the one before is the change from there."""
+    """Figures of each form, to compare with those of the form before."""
 
     def over_counts(name: str, law: str, figure: Callable[[Run], float]) -> float:
         own = runs[name]

@@ -50,7 +50,7 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
     """For each published site, what 1 Mvar at the nearest and the farthest inverter does for it, and closed loops.
 
     Near and far is by X_ij, the shared reactance; the voltage of a bus is the mean over its phases. In the closed loops
-    one inverter stands for all seven (350 kvar).
+    one inverter represents all seven (350 kvar).
     """
     records = []
     for site in runs.setting.sites:

@@ -10,7 +10,7 @@ from dcgrid_env.traces.by_name import recorded_trace
 from dcgrid_env.traces.trace import PowerTrace
 
 GENERATOR = "inference"
-"""The generator that stands for the recording."""
+"""The generator that replaces the recording."""
 
 
 class Load(NamedTuple):
@@ -40,7 +40,7 @@ def choose_load(choice: str) -> Load:
     Raises
     ------
     TraceError
-        For a recording or file that is not there or cannot be read; the message says how to get it.
+        If a recording or file is missing or unreadable; the message contains the command that fetches it.
     """
     if choice == "auto":
         fetched = cache_folder() / RECORDINGS[RECORDING].file_name

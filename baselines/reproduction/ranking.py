@@ -26,9 +26,9 @@ def agreement(one: Mapping[str, Rows], other: Mapping[str, Rows]) -> dict[str, A
 
     Returns
     -------
-    ``kendall_tau`` (b) and ``spearman_rho``, means over the groups, None where all rows of a group are alike;
-    ``pairs``, how many there are; ``swapped``, a record of each pair that changes places: ``better`` and ``worse`` on
-    the first feeder, ``certain`` where the difference is beyond :data:`STANDARD_ERRORS` and :data:`MARGIN` on both.
+    ``kendall_tau`` (b) and ``spearman_rho``, means over the groups, None where all rows of a group are alike.
+    ``pairs``, their number. ``swapped``, a record of each pair that changes places: ``better`` and ``worse`` on the
+    first feeder, ``certain`` if the difference is beyond :data:`STANDARD_ERRORS` and :data:`MARGIN` on both.
     """
     found, swapped, pairs = [], [], 0
     for group, here in one.items():
@@ -58,7 +58,7 @@ def correlations(one: Sequence[float], other: Sequence[float]) -> tuple[float, f
 
 
 def _counts(difference: np.ndarray, figure: np.ndarray) -> bool:
-    """Whether a paired difference over episodes is beyond chance, and of some size beside the figure itself."""
+    """Whether a paired difference over episodes is beyond chance, and not small relative to the figure itself."""
     error = difference.std(ddof=1) / np.sqrt(len(difference))
     return bool(abs(difference.mean()) > max(STANDARD_ERRORS * error, MARGIN * abs(figure.mean())))
 

@@ -65,7 +65,7 @@ class Setting:
     fields: Mapping[str, Any] = field(default_factory=dict)
     """Fields of it that are to be otherwise."""
     sites: tuple[int, ...] = PUBLISHED_BUSES
-    """Where data centres stand that are not drawn: buses of the public code, in its order."""
+    """Buses of data centres that are not drawn, from the public code, in its order."""
 
     def __post_init__(self) -> None:
         if self.episodes < 2:
@@ -130,7 +130,7 @@ class Runs:
     def __init__(self, setting: Setting):
         self.setting = setting
         self.done: dict[tuple[str, Law], Run] = {}
-        """What has been computed, by the scenario's hash, which is the same in every process, and the law."""
+        """Computed runs by the scenario's hash, which is the same in every process, and the law."""
 
     def of(self, scenario: Scenario, law: Law) -> Run:
         """The episodes of a scenario under a law."""

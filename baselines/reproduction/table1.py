@@ -87,8 +87,8 @@ def grids(runs: Runs) -> list[dict[str, Any]]:
 def gains(runs: Runs) -> list[dict[str, Any]]:
     """How far each step brings mean abs(V - 1) below inverters only, in % of that, and what it costs.
 
-    ``reactive`` is what the data centres' converters add, ``active`` what the clock adds on top of it, in both forms
-    of the backlog; ``standard_error_pct`` is that of the whole gain (cumulative) over episodes, paired.
+    ``reactive`` is the gain by the data centres' converters, ``active`` the further gain by the clock, in both forms of
+    the backlog. ``standard_error_pct`` is that of the whole gain (cumulative) over episodes, paired.
     """
     records = []
     for n in runs.setting.counts:

@@ -1,9 +1,8 @@
 """The best parameters of a law on a few episodes, found roughly: all candidates run in one batch.
 
 The cross-entropy method (R. Y. Rubinstein, 1999): in each generation parameters are drawn around those of the best
-quarter so far. From the best of it on, the method of ``tuning.search`` takes some steps. That module finds the
-parameters that count, more finely, one set after the other, on more episodes; here they are fitted to the very episodes
-that they are looked at on, within seconds.
+quarter so far. From the best set the method of ``tuning.search`` takes some steps. That module finds the published
+parameters more finely, on more episodes. Here they are fitted within seconds to the same episodes that are compared.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class ScenarioCheck:
 
     @cached_property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """What the figures say, each with a remedy where there is need of one; the last one sums up."""
+        """Conclusions from the figures, with a remedy where one is needed; the last one sums up."""
         return verdicts(self.scenario, self.figures)
 
     @property
@@ -169,7 +169,7 @@ def _lowest_bus(recorder: Recorder, n_env: int) -> str:
 
 
 def _fitted(law: str, scenario: Scenario, seeds: Sequence[int], until_s: float) -> Reached:
-    """What a law reaches with the best parameters that are found for the episodes."""
+    """Results of a law with the best parameters found for the episodes."""
     best = fitted(law, scenario, seeds, until_s)
     return Reached.of(rollout(scenario, best.controller, seeds, name=law).metrics(), best.parameters)
 

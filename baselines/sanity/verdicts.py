@@ -148,7 +148,7 @@ def _reach(one: Reached) -> tuple[float, float]:
 
 
 def _centre(scenario: Scenario, low: float, high: float) -> str:
-    """What brings voltages into the band: another source voltage where that is room for, else less load."""
+    """Remedy that brings voltages into the band: another source voltage if possible, else less load."""
     top, bottom = 1.0 + scenario.cost.band_pu, 1.0 - scenario.cost.band_pu
     taps = int((top - high) / TAP_PU + 1e-9) if low < bottom else -int((low - bottom) / TAP_PU + 1e-9)
     if taps and acting_relays(scenario) is None:

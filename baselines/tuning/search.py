@@ -65,7 +65,7 @@ def tune(
     Raises
     ------
     ValueError
-        If the law cannot be tuned (the message lists those that can), or there is no scenario or no episode. Also if a
+        If the law cannot be tuned (the message lists those that can), or scenarios or episodes are missing. Also if a
         droop has a limit cycle at all gains that were tried. A ``ControllerError`` if the law refuses a scenario or
         fails.
     """

@@ -69,7 +69,7 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
     Raises
     ------
     ValueError
-        If there are no parameters for this scenario; the message names the difference and the command that finds them.
+        If parameters for this scenario are missing; the message names the difference and the command that finds them.
     """
     file = OWN if path is None else Path(path)
     require_tuned(path)

@@ -57,7 +57,7 @@ class Run(Command):
     """Controllers, separated by commas: names (see dcgrid list), module:Class or file.py:Class (in quotes with
     arguments: 'file.py:Class(gain=0.5)'), folders of training runs, or policy files (.safetensors). The prefix guarded:
     keeps a policy near the tuned droop. A path must not contain a comma. Default: none, droop and the bundled policy
-    analytic; inverters instead of the policy if the scenario has none."""
+    analytic. If the scenario has no such policy: peak-shaving with storages, else inverters."""
     episodes: int = 8
     """Number of episodes per controller, with seeds --seed, --seed + 1 and so on."""
     seed: int = 0
@@ -154,13 +154,14 @@ def _check_options(cfg: Run) -> None:
 def controller_names(cfg: Run, scenario: Scenario) -> list[str]:
     """Return the names of the controllers that a command compares."""
     from dcgrid_env.baselines import find_controller
+    from dcgrid_env.baselines.laws.peak_shaving import has_storages
 
     if cfg.controllers is not None:
         return split_names(cfg.controllers)
     try:
         find_controller(POLICY, scenario)
     except ValueError:  # no policy was trained for the scenario
-        return ["none", "droop", "inverters"]
+        return ["none", "droop", "peak-shaving" if has_storages(scenario) else "inverters"]
     return ["none", "droop", POLICY]
 
 

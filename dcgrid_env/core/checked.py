@@ -47,11 +47,19 @@ class FieldError(ValueError):
 
     def said(self, name: str) -> str:
         """The message under another name of the field."""
-        return f"{name} {self.remedy}" if self.value is ... else f"{name} is {self.value!r}; {self.remedy}"
+        return f"{name} {self.remedy}" if self.value is ... else f"{name} is {_shown(self.value)}; {self.remedy}"
 
     def within(self, owner: str, field: str) -> FieldError:
         """The error of a value that is itself in a field of ``owner``."""
         return FieldError(owner, f"{field}.{self.name}", self.value, self.remedy)
+
+
+def _shown(value: Any) -> str:
+    """Return a value as text, one too long for Python to write included."""
+    try:
+        return repr(value)
+    except ValueError:
+        return f"a number of more than {sys.get_int_max_str_digits()} digits"
 
 
 class UnknownFieldError(FieldError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -13,8 +12,8 @@ from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remem
 from dcgrid_env.engine.exogenous import episode, trace_pool
 from dcgrid_env.engine.exogenous.episode import EpisodeOptions
 from dcgrid_env.engine.physics import dynamics
-from dcgrid_env.engine.physics.grid_pass import GridPass, fits
-from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.loads import drawn as with_loads
+from dcgrid_env.engine.physics.state import GridStep, State
 from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, voltage_figures
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
 from dcgrid_env.scenario.scenario import Scenario
@@ -101,18 +100,14 @@ class Simulation:
         """Advance every environment by one step of joint actions (row, n_action) in [-1, 1]."""
         now = self.now
         step = now.step + 1
-        s, in_one_pass = self.scenario, fits(self.scenario)
-        outside, noise = episode.exogenous(s, now.episode, step, now.noise, now.p_ref_next_kw, not in_one_pass)
-        state, solution = dynamics.step(s, now.state, action, outside)
-        if isinstance(solution, GridPass):
-            noise = solution.noise
+        outside = episode.exogenous(self.scenario, now.episode, step, now.noise, now.p_ref_next_kw)
+        state, grid = dynamics.step(self.scenario, now.state, action, outside)
         measured = (*now.measured[1:], self._measure(now.episode, step, state))
         p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
         j_before = now.transition.j_so_far
-        transition = self._transition(now.episode, step, state, solution, measured, p_ref_next, j_before)
-        self._now = Snapshot(
-            self.scenario, now.seeds, now.numbers, now.episode, step, noise, p_ref_next, state, measured, transition
-        )
+        transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
+        same = self.scenario, now.seeds, now.numbers, now.episode
+        self._now = Snapshot(*same, step, grid.noise, p_ref_next, state, measured, transition)
         return transition
 
     def _begin(
@@ -135,11 +130,11 @@ class Simulation:
         step = np.zeros(len(seed), np.int64)
         quiet = np.zeros((len(seed), self.scenario.feeder.n_bus))
         p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))
-        outside, noise = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
-        state, solution = dynamics.initial_state(self.scenario, outside)
+        outside, noise = with_loads(self.scenario, episode.exogenous(self.scenario, drawn, step, quiet, p_ref))
+        state, grid = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * remembered(self.scenario)
         zeros = np.zeros(len(seed))
-        transition = self._transition(drawn, step, state, solution, measured, p_ref_next, zeros)
+        transition = self._transition(drawn, step, state, grid, measured, p_ref_next, zeros)
         free = transition.costs._make(0.0 * term for term in transition.costs)  # t = 0 is not charged
         paid = np.zeros_like(transition.reward)
         transition = transition._replace(costs=free, cost_j=zeros, j_so_far=zeros, reward=paid)
@@ -157,16 +152,16 @@ class Simulation:
         drawn: episode.Episode,
         step: np.ndarray,
         state: State,
-        solution: Any,
+        grid: GridStep,
         measured: tuple[np.ndarray, ...],
         p_ref_next: np.ndarray,
         j_before: np.ndarray,
     ) -> Transition:
-        s = self.scenario
+        s, solution = self.scenario, grid.solution
         coming = episode.given_next(s, drawn, step, p_ref_next)
         last = step >= s.horizon
         solved = all_true(solution.converged)
-        figures = solution.figures if solved and isinstance(solution, GridPass) else _figures(s, state)
+        figures = grid.figures if solved and grid.figures else _figures(s, state)
         costs = reward.team_costs(s, state, solution, last, figures)
         costs = costs if solved else reward.charged(s, costs, step, solution.converged)
         cost_j = reward.total(costs)

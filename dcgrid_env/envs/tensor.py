@@ -144,17 +144,17 @@ class TensorEnv:
         self.step_number += 1
         s, due = self._on, self._due
         try:
-            self.state, solution = dynamics.step(s, self.state, action, self._exogenous())
+            self.state, grid = dynamics.step(s, self.state, action, self._exogenous())
         except PowerFlowError:
             self.step_number -= 1
             self._check_finite(action)
             raise
         self._measured = (*self._measured[1:], self._measure())
-        costs = reward.team_costs(s, self.state, solution, float(self.over))
-        if not all_true(solution.converged):
+        costs = reward.team_costs(s, self.state, grid.solution, float(self.over))
+        if not all_true(grid.solution.converged):
             xp = namespace(due)
-            costs = reward.charged(s, costs, xp.full_like(due, self.step_number), solution.converged)
-            self._due = due * xp.astype(solution.converged, due.dtype)
+            costs = reward.charged(s, costs, xp.full_like(due, self.step_number), grid.solution.converged)
+            self._due = due * xp.astype(grid.solution.converged, due.dtype)
         if not all_true(due > 0.0):
             costs = costs._make(term * due for term in costs)
         return TensorStep(self._observe(), reward.total(costs), costs, self.state)

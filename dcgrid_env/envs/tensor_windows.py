@@ -65,9 +65,9 @@ class TensorWindows:
         s, horizon = self.scenario, self.scenario.horizon
         step = self._starts + self.step_number
         at = (self._index(np.minimum(step, horizon)), self._index(self._episodes))
-        self.state, solution = dynamics.step(s, self.state, action, self._exogenous(at))
+        self.state, grid = dynamics.step(s, self.state, action, self._exogenous(at))
         last, live = (as_like(mask.astype(np.float64), self.like) for mask in (step == horizon, step <= horizon))
-        return reward.total(reward.team_costs(s, self.state, solution, last)) * live
+        return reward.total(reward.team_costs(s, self.state, grid.solution, last)) * live
 
     def _exogenous(self, at: tuple[Array, Array]) -> Exogenous:
         o = Outside(*(None if field is None else field[at] for field in self._outside))

@@ -32,7 +32,7 @@ def buses_as_text(values: Any) -> Any:
         return values
     try:
         return tuple(map(bus_text, values))
-    except FeederError:
+    except (FeederError, TypeError):  # what is no bus; an array without a dimension
         return values
 
 

@@ -22,6 +22,8 @@ from dcgrid_env.scenario.scenario import Scenario
 _SMALL: dict[str, Any] = {"fontsize": 8, "frameon": False}
 _NAMED = 10
 """Agents named in a legend at most; with more, colours repeat."""
+_WITHIN = 5
+"""Agents whose legend is drawn among the curves at most; that of more is to the right of them."""
 AGENT_LABELS = {
     "on_grid_pct": "connected (%)",
     "f_mhz": "GPU clock (MHz)",
@@ -125,15 +127,24 @@ def agent_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
                     ax.plot(t, values, label=names[i], **look)
 
         def finish(across: np.ndarray, runs: list[Series]) -> None:
-            peak = max(float(agent[name].max()) for run in runs for agent in figures[id(run)] if name in agent)
+            peak = _shown_peak(across)
             top = {"f_mhz": scenario.datacenters.f_max_mhz, "on_grid_pct": 100.0, "stored_pct": 100.0}.get(name, peak)
             across[0].set_ylim(-0.02 * max(top, 1.0), 1.05 * max(top, 1.0))
-            if 0 < len(shown) <= _NAMED:
-                across[0].legend(loc="best", ncols=min(len(shown), 5), **_SMALL)
+            if 0 < len(shown) <= _WITHIN:
+                across[0].legend(loc="best", ncols=len(shown), **_SMALL)
+            elif len(shown) <= _NAMED:
+                across[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), labelspacing=0.2, **_SMALL)
 
         return Row(AGENT_LABELS[name], 1.8, draw, finish)
 
     return [row(name) for name in AGENT_LABELS if changes(name)]
+
+
+def _shown_peak(across: np.ndarray) -> float:
+    """Return the largest value of the curves of a row in the time that is shown."""
+    first, last = across[0].get_xlim()
+    curves = [line.get_xydata() for ax in across for line in ax.get_lines()]
+    return max(float(xy[(xy[:, 0] >= first) & (xy[:, 0] <= last), 1].max(initial=0.0)) for xy in curves)
 
 
 def _agent_names(scenario: Scenario) -> list[str]:

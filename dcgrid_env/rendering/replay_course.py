@@ -26,7 +26,7 @@ class Shown(NamedTuple):
 
 SHOWN = {
     "p_kw": Shown("power drawn", "kW", 1),
-    "p_ref_kw": Shown("power asked for", "kW", 1),
+    "p_ref_kw": Shown("demand", "kW", 1),
     "q_kvar": Shown("reactive power injected", "kvar", 1),
     "f_mhz": Shown("GPU clock", "MHz", 0),
     "backlog_kws": Shown("backlog", "kW s", 0),

@@ -23,6 +23,7 @@ from dcgrid_env.rendering.feeder_map import VOLTAGE_CMAP, voltage_norm
 from dcgrid_env.rendering.map_panel import time_unit
 from dcgrid_env.rendering.replay_course import SHOWN, course
 from dcgrid_env.rendering.replay_map import feeder_map
+from dcgrid_env.rendering.replay_terms import TERMS
 from dcgrid_env.scenario.scenario import Scenario
 
 MOST_RUNS = 4
@@ -30,7 +31,7 @@ MOST_RUNS = 4
 MOST_VALUES = 1_500_000
 """Voltages that a page holds at most, over all its episodes: beyond it would be larger than 6 MB."""
 _ASSETS = "dcgrid_env.rendering.replay_assets"
-_SCRIPTS = ("course.js", "feeder_map.js", "curves.js", "page.js")
+_SCRIPTS = ("course.js", "tip.js", "feeder_map.js", "curves.js", "page.js")
 _COLOURS = 11
 """Colours of the voltages' scale that the page is given; it mixes those between."""
 
@@ -83,6 +84,7 @@ def replay(history: Series | Sequence[Series] | Mapping[str, Series], title: str
         "colours": _colours(),
         "range_pu": [norm.vmin, norm.vmax],
         "shown": {name: list(figure) for name, figure in SHOWN.items()},
+        "terms": TERMS,
         "map": feeder_map(first),
         "runs": [{"name": name} | course(run) for name, run in runs.items()],
     }

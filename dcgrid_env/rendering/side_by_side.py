@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +27,9 @@ CAPTION = (
     "limits (dashed), waiting work and the scenario's other terms."
 )
 
+_LETTERS_AN_INCH = 14.0
+"""Letters of the caption in an inch of the figure's width at most."""
+
 
 class Event(NamedTuple):
     """A kind of event that the figure marks."""
@@ -37,6 +41,7 @@ class Event(NamedTuple):
 
 SAG = Event("sag", "v", "#E69F00")
 TRIP = Event("trip", "x", "#D00000")
+TAP_CHANGE = Event("tap change", "|", "#4D4D4D")
 
 
 def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figure:
@@ -44,8 +49,9 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
 
     Columns are controllers. The first rows show voltages, then power over the whole feeder, then figures of the agents.
     All columns share the axes of a row. Rows in which nothing changes are left out. Marks at the lower edge of the
-    voltages show sags and trips. An episode in steps below 1 s is shown for the ``ZOOM_S`` around the
-    largest change of demand. Episodes of more than ``MOST_STEPS`` are drawn by ``long_figure``.
+    voltages show sags, trips and tap changes, and the caption counts them. An episode in steps below 1 s is shown for
+    the ``ZOOM_S`` around the largest change of demand. Episodes of more than ``MOST_STEPS`` are drawn by
+    ``long_figure``.
 
     Parameters
     ----------
@@ -70,6 +76,8 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
     figure = Figure(figsize=(width, 0.6 + sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(rows), len(series), sharex=True, sharey="row", squeeze=False, height_ratios=heights)
+    first, last = shown_s(scenario, runs)
+    axes[0, 0].set_xlim(first, last)
     for column, (name, run) in zip(axes.T, series.items(), strict=True):
         t = np.arange(len(run.v_pu)) * scenario.dt_s
         for ax, row in zip(column, rows, strict=True):
@@ -81,17 +89,15 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
     for row, across in zip(rows, axes, strict=True):
         across[0].set_ylabel(row.label)
         row.finish(across, runs)
-    first, last = shown_s(scenario, runs)
-    _mark(axes[0], [_events(scenario, run, seed) for run in runs])
-    axes[0, 0].set_xlim(first, last)
+    events = {name: _events(scenario, run, seed) for name, run in series.items()}
+    _mark(axes[0], list(events.values()))
     shown = "" if last - first >= scenario.horizon * scenario.dt_s else f", {first:g} to {last:g} s"
     cut = "\n" if len(series) == 1 else " "
     figure.suptitle(
         f"{scenario.name}, {scenario.split} split, seed {seed}{shown}:{cut}the same episode under each controller"
     )
-    figure.supxlabel(
-        CAPTION if len(series) > 1 else CAPTION.replace("better. ", "better.\n"), fontsize=8.5, color="#444444"
-    )
+    caption = "\n".join(fill(line, int(_LETTERS_AN_INCH * width)) for line in [CAPTION, *_counts(events)])
+    figure.supxlabel(caption, fontsize=8.5, color="#444444")
     return figure
 
 
@@ -107,14 +113,27 @@ def shown_s(scenario: Scenario, runs: list[Series]) -> tuple[float, float]:
 
 
 def _events(scenario: Scenario, run: Series, seed: int) -> dict[Event, np.ndarray]:
-    """Return the times of each kind of event, s."""
+    """Return the time of each event by its kind, s; simultaneous events repeat it."""
+    steps = np.arange(1, len(run.v_pu))
     on_grid: Any = [agent["on_grid_pct"] for agent in agent_figures(run) if "on_grid_pct" in agent]
     tripped = (np.diff(on_grid, axis=1) < 0.0) & (np.array(on_grid)[:, :-1] > 0.0) if on_grid else np.zeros((1, 0))
+    trips = np.flatnonzero(tripped.T) // len(tripped) + 1
     sags = forecast(scenario, seed).sags
+    phases = run.three_phase
+    taps = steps[:0] if phases is None else steps.repeat(phases.equipment.regulators.moved[1:].sum(axis=1).astype(int))
     return {
         SAG: np.zeros(0) if sags is None else sags[:, 0],
-        TRIP: (np.flatnonzero(tripped.any(axis=0)) + 1) * scenario.dt_s,
+        TRIP: trips * scenario.dt_s,
+        TAP_CHANGE: taps * scenario.dt_s,
     }
+
+
+def _counts(events: dict[str, dict[Event, np.ndarray]]) -> list[str]:
+    """Return the caption's line on the number of events under each controller, if there are any."""
+    kinds = [kind for kind in (SAG, TRIP, TAP_CHANGE) if any(len(of_run[kind]) for of_run in events.values())]
+    by_kind = [f"{kind.label}s {', '.join(str(len(of_run[kind])) for of_run in events.values())}" for kind in kinds]
+    where = f" ({', '.join(events)})" if len(events) > 1 else ""
+    return [f"Events in the episode{where}: {'; '.join(by_kind)}."] if kinds else []
 
 
 def _mark(across: np.ndarray, events: list[dict[Event, np.ndarray]]) -> None:
@@ -123,9 +142,10 @@ def _mark(across: np.ndarray, events: list[dict[Event, np.ndarray]]) -> None:
     for i, kind in enumerate(kinds):
         height = 0.04 + 0.07 * i
         for ax, of_run in zip(across, events, strict=True):
+            times = np.unique(of_run[kind])
             ax.plot(
-                of_run[kind], np.full(len(of_run[kind]), height), kind.marker, color=kind.colour, markersize=6,
-                transform=ax.get_xaxis_transform(),
+                times, np.full(len(times), height), kind.marker, color=kind.colour, markersize=6,
+                markeredgewidth=1.0, transform=ax.get_xaxis_transform(),
             )  # fmt: skip
         across[-1].annotate(
             kind.label, (1.01, height), xycoords="axes fraction", va="center", fontsize=8, color=kind.colour

@@ -134,11 +134,9 @@ def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_
                 )
             if field not in _fields(kind):
                 raise UnknownFieldError(path, field, ..., _fields(kind))
-        if (
-            kind is DataCenters
-            and "count" not in changes
-            and isinstance(changes.get("buses"), list | tuple | np.ndarray)
-        ):
+        buses = changes.get("buses")
+        listed = isinstance(buses, list | tuple) or (isinstance(buses, np.ndarray) and buses.ndim == 1)
+        if kind is DataCenters and "count" not in changes and listed:
             changes["count"] = len(changes["buses"])
         if start is not None and isinstance(changes.get("weights"), Mapping):
             changes["weights"] = changed_weights(start.weights, changes["weights"])

@@ -175,7 +175,8 @@ class Scenario(PickledByFields):
 
     def difference(self, other: Scenario) -> str | None:
         """Return the path of the first field in which two scenarios differ, or None."""
-        alone = len(self.devices) == len(other.devices) == len(GROUPS)
+        kinds = [device.kind for device in self.devices]
+        alone = len(kinds) == len(GROUPS) and kinds == [device.kind for device in other.devices]
         parts = (*PARTS, *(GROUPS if alone else ()))
         paths = [name for name in self.__dataclass_fields__ if name not in PARTS and not (alone and name == "devices")]
         paths += (f"{part}.{field.name}" for part in parts for field in dataclasses.fields(getattr(self, part)))

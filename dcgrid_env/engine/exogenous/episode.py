@@ -12,10 +12,9 @@ from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work
 from dcgrid_env.engine.exogenous.drawn_events import drawn_faults, drawn_sags, sags_in_interval
-from dcgrid_env.engine.exogenous.load_noise import base_legs, drawn_loads, load_noise
 from dcgrid_env.engine.exogenous.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
 from dcgrid_env.engine.physics import connections
-from dcgrid_env.engine.physics.dynamics import step_kernels
+from dcgrid_env.engine.physics.loads import drawn
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario
@@ -215,9 +214,8 @@ def exogenous(
     step: np.ndarray,
     noise: np.ndarray,
     p_ref: np.ndarray,
-    draw_loads: bool = True,
-) -> tuple[Exogenous, np.ndarray]:
-    """What comes from outside in the interval that ends at each row's ``step``, and the load noise behind it.
+) -> Exogenous:
+    """What comes from outside in the interval that ends at each row's ``step``; its loads are still to be drawn.
 
     Parameters
     ----------
@@ -229,17 +227,9 @@ def exogenous(
         The AR(1) process one step earlier, (row, n_bus); anything of that shape at step 0.
     p_ref
         The data centres' p_ref at ``step``, kW, (row, n_site): see :func:`p_ref_kw`.
-    draw_loads
-        False for a step that ``grid_pass`` takes, which draws the loads itself: they are ``Exogenous.to_draw`` then,
-        and the noise is the one given.
     """
     hour = episode.begin_h + step * (scenario.dt_s / 3600.0) if scenario.follows_day else None
     share = episode.still if hour is None else load_share(hour)
-    if not draw_loads:
-        to_draw = LoadsToDraw(episode.key, step, noise, share, *load_noise(scenario))
-        z, p, q = noise, None, None
-    else:
-        to_draw, (z, p, q) = None, drawn_loads(scenario, episode.key, step, noise, share)
     schedule = scenario.schedule
     rated_kva = scenario.scheduled_kva
     if schedule is None:
@@ -248,25 +238,23 @@ def exogenous(
         injection = sun_rows(scenario).take(episode.sun + step)[:, None] * rated_kva
         if hour is not None and schedule == SUN:
             injection *= sun_share(hour)[:, None]
-    feeder = scenario.feeder
-    three_phase = isinstance(feeder, ThreePhaseFeeder)
-    if three_phase:
-        p, q = step_kernels().leg_loads(p, *base_legs(feeder))
+    three_phase = isinstance(scenario.feeder, ThreePhaseFeeder)
     available = capacitor_on = None
     if three_phase and not scenario.background.capacitors:
         capacitor_on = np.zeros((len(step), len(scenario.capacitor_connected)))
     if scenario.faults:
         agents, capacitors = np.split(lost(scenario, episode.fault, step), [scenario.n_agents], axis=1)
         available = 1.0 - agents
+        capacitor_on = 1.0 - capacitors
         if three_phase:
-            capacitor_on = float(scenario.background.capacitors) * (1.0 - capacitors)
-        else:
-            q += capacitors * feeder.capacitor_kvar
+            capacitor_on *= float(scenario.background.capacitors)
     placed, compute = episode.placed, compute_share(scenario, episode, step)
     legs = placed.legs if three_phase else None
     sags = sags_in_interval(scenario, episode.sag, step)
-    nodes = placed.nodes
-    return Exogenous(p, q, p_ref, injection, nodes, compute, available, legs, capacitor_on, sags, None, to_draw), z
+    to_draw = LoadsToDraw(episode.key, step, noise, share)
+    return Exogenous(
+        None, None, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on, sags, None, to_draw
+    )
 
 
 def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:
@@ -274,5 +262,6 @@ def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, E
     noise = np.zeros((len(episode.key), scenario.feeder.n_bus))
     for k in range(scenario.horizon + 1):
         step = np.full(len(episode.key), k)
-        outside, noise = exogenous(scenario, episode, step, noise, p_ref_kw(scenario, episode, step))
+        p_ref = p_ref_kw(scenario, episode, step)
+        outside, noise = drawn(scenario, exogenous(scenario, episode, step, noise, p_ref))
         yield step, outside

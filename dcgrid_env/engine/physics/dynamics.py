@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -16,10 +16,9 @@ from dcgrid_env.engine.physics import equipment as feeder_equipment
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.disconnection import connected_share, leaving, supply
 from dcgrid_env.engine.physics.parameters import Parameters, parameters
-from dcgrid_env.engine.physics.state import Equipment, Exogenous, State, ThreePhaseState, over_arrays
+from dcgrid_env.engine.physics.state import Equipment, Exogenous, GridStep, State, ThreePhaseState, over_arrays
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import (
-    AnySolution,
     Control,
     Solver,
     branch_loading,
@@ -32,10 +31,10 @@ from dcgrid_env.scenario.costs.utility_limits import remembered_draws
 from dcgrid_env.scenario.scenario import Scenario
 
 
-def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnySolution]:
+def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, GridStep]:
     """Solve t = 0 with every channel at its initial setpoint: highest clocks, no reactive power.
 
-    The taps of regulators that are controlled have settled.
+    The loads of ``exogenous`` are drawn. The taps of regulators that are controlled have settled.
     """
     xp = namespace(exogenous.p_load_kw)
     params = parameters(scenario, exogenous.p_load_kw)
@@ -57,12 +56,12 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, AnyS
         at_agents = agents + scenario.source_voltage_pu
         phases = ThreePhaseState(v * xp.cos(angle), v * xp.sin(angle), at_agents, at_agents, zeros, None)
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
-    state, solution = _step(scenario, params, before, setpoints, agents, exogenous)
+    state, grid = _step(scenario, params, before, setpoints, agents, exogenous)
     draws = (state.p_kw,) * remembered_draws(scenario) or None
-    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws), solution
+    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws), grid
 
 
-def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, AnySolution]:
+def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, GridStep]:
     """Advance every environment by one interval.
 
     Parameters
@@ -76,12 +75,12 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
         ranges from a channel's lowest value to its highest. A reactive set point is a share of the limit at zero active
         power, and is limited to the converter's capacity at its active power.
     exogenous
-        Loads, p_ref and placement over the interval.
+        Loads, drawn or to be drawn, p_ref and placement over the interval.
 
     Returns
     -------
-    state, solution
-        State at the end and the power flow behind it. Where that has not converged the state keeps the last voltages.
+    state, grid
+        State at the end, and the power flow behind it. Where that has not converged the state keeps the last voltages.
     """
     params = parameters(scenario, action)
     setpoint = setpoints(action, params.middle, params.half_range, params.minus_one, params.one)
@@ -99,7 +98,7 @@ def _step(
     setpoints: Sequence[Any],
     q_setpoint_kvar: Array,
     exogenous: Exogenous,
-) -> tuple[State, AnySolution]:
+) -> tuple[State, GridStep]:
     xp = namespace(q_setpoint_kvar)
     may_leave = leaving(scenario)
     devices, draws = [], []
@@ -119,7 +118,8 @@ def _step(
     if exogenous.available is not None:
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
-    solution, equipment = _solved(scenario, params, state, devices, exogenous, p_agent, q_agent)
+    grid, equipment = _solved(scenario, params, state, devices, exogenous, p_agent, q_agent)
+    solution = grid.solution
     v, restart, phases = solution.v_pu, solution.restart, None
     if equipment is not None:
         phases = _by_phase(scenario, solution, exogenous.nodes, equipment)
@@ -147,7 +147,7 @@ def _step(
         three_phase=phases,
         p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
         loading=loading,
-    ), solution
+    ), grid
 
 
 def _solved(
@@ -158,10 +158,13 @@ def _solved(
     exogenous: Exogenous,
     p_kw: Array,
     q_kvar: Array,
-) -> tuple[Any, Equipment | None]:
+) -> tuple[GridStep, Equipment | None]:
     """The power flow under the agents' powers (row, n_agent), and the equipment of a three-phase feeder behind it."""
+    noise = None
     if exogenous.to_draw is not None:
-        return grid_pass().grid_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
+        if in_one_pass := _grid_pass(scenario):
+            return in_one_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
+        exogenous, noise = drawing().drawn(scenario, exogenous)
     solve, changing = _grid(scenario)
     legs = exogenous.nodes if exogenous.legs is None else exogenous.legs
     p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
@@ -170,7 +173,8 @@ def _solved(
     if state.three_phase is not None:
         equipment = _equipment(scenario, state.three_phase.equipment, devices, exogenous, p_net, q_net, control)
         control = _with_equipment(control, feeder_equipment.as_control(scenario, equipment, exogenous.capacitor_on))
-    return solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart), equipment
+    solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
+    return GridStep(solution, noise), equipment
 
 
 def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
@@ -257,17 +261,25 @@ def net_loads(p_load_kw: Array, q_load_kvar: Array, legs: Array, p_kw: Array, q_
     return p_net, add_at(q_load_kvar, legs, _to_nodes(-q_kvar, legs))
 
 
-@cache
-def grid_pass() -> Any:
-    """The compiled pass over the grid, imported on first use as ``step_kernels`` are."""
-    from dcgrid_env.engine.physics import grid_pass as compiled
+@cached_on_owner
+def _grid_pass(scenario: Scenario) -> Callable[..., GridStep] | None:
+    """The pass that draws loads and solves the grid at once, where it can; it brings the compiler with it."""
+    from dcgrid_env.engine.physics import grid_pass
 
-    return compiled
+    return grid_pass.grid_pass if grid_pass.fits(scenario) else None
+
+
+@cache
+def drawing() -> Any:
+    """How loads are drawn, imported on first use: it brings the compiler with it."""
+    from dcgrid_env.engine.physics import loads
+
+    return loads
 
 
 @cache
 def step_kernels() -> Any:
-    """The compiled kernels of a step, imported on first use: they bring the compiler with them."""
+    """The compiled kernels of a step, imported on first use as ``drawing`` is."""
     from dcgrid_env.engine.physics import step_kernels as kernels
 
     return kernels

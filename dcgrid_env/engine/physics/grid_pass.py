@@ -16,7 +16,8 @@ from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.random import load_step
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.core.units import S_BASE_KVA
-from dcgrid_env.engine.physics.state import LoadsToDraw
+from dcgrid_env.engine.physics.loads import load_noise
+from dcgrid_env.engine.physics.state import GridStep, LoadsToDraw
 from dcgrid_env.engine.physics.step_kernels import net_loads
 from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, fill_figures
 from dcgrid_env.grid import Feeder
@@ -33,18 +34,14 @@ TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA
 
 
 class GridPass(NamedTuple):
-    """What a pass leads to; the fields that ``Solution`` has mean the same."""
+    """The power flow of a pass; the fields mean the same as those of ``Solution``."""
 
     v_pu: np.ndarray
     restart: np.ndarray
     loss_kw: np.ndarray
     converged: np.ndarray
-    figures: VoltageFigures
-    noise: np.ndarray
-    """The load noise at the end of the interval, (row, n_bus)."""
 
 
-@cached_on_owner
 def fits(scenario: Scenario) -> bool:
     """Whether a pass does all that a step asks of the grid: plain DistFlow, and nothing that changes the grid."""
     feeder = scenario.feeder
@@ -54,7 +51,7 @@ def fits(scenario: Scenario) -> bool:
 
 def grid_pass(
     scenario: Scenario, drawing: LoadsToDraw, nodes: Any, p_kw: Any, q_kvar: Any, restart: np.ndarray
-) -> GridPass:
+) -> GridStep:
     """Draw the loads of an interval and solve the grid under the agents' powers, kW and kvar, (row, n_agent).
 
     ``nodes`` are those of ``Exogenous``; the power flow starts from ``restart``. PowerFlowError for a power that is
@@ -63,7 +60,8 @@ def grid_pass(
     n_row, n = drawing.noise.shape
     agents = (n_row, p_kw.shape[1])
     own = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (n_row, n - 1)))
-    given = (*_fixed(scenario), *drawing, nodes, *own)
+    drawing_and_loads = (*drawing, *load_noise(scenario))
+    given = (*_fixed(scenario), *drawing_and_loads, nodes, *own)
     over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
     per_row, converged = np.empty((7, n_row)), np.empty(n_row, np.bool_)
     out = (over_buses, after, per_row, converged)
@@ -73,10 +71,10 @@ def grid_pass(
         failed = over_rows(lambda first, last: _many_rows(first, last, *given, *out), n_row)
     if failed and not np.isfinite(p_kw + q_kvar).all():
         loads = np.empty((3, n_row, n))
-        load_step(*drawing, *loads)
+        load_step(*drawing_and_loads, *loads)
         raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *own[:2]))
     figures = VoltageFigures(per_row[0], per_row[1], per_row[2], per_row[3])
-    return GridPass(over_buses[1], after, per_row[4], converged, figures, over_buses[0])
+    return GridStep(GridPass(over_buses[1], after, per_row[4], converged), over_buses[0], figures)
 
 
 @cached_on_owner

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.capacitor_bank.capacitor_control import BankState
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState
 
+if TYPE_CHECKING:
+    from dcgrid_env.engine.physics.voltage_figures import VoltageFigures
+
 
 class LoadsToDraw(NamedTuple):
-    """Other loads of a balanced feeder before they are drawn: what ``core.random.load_step`` draws them from."""
+    """What the other loads of an interval are drawn from: see ``loads.drawn``."""
 
     key: Any
     """(row,) uint64."""
@@ -22,12 +25,6 @@ class LoadsToDraw(NamedTuple):
     """The AR(1) process one step earlier, (row, n_bus)."""
     share: Any
     """Share of the peak at the environment's time of day, (row,)."""
-    rho: float
-    sigma: float
-    p_base_kw: Any
-    """Base loads, and reactive power that no noise is on, (n_bus,)."""
-    q_base_kvar: Any
-    q_fixed_kvar: Any
 
 
 class Exogenous(NamedTuple):
@@ -51,14 +48,25 @@ class Exogenous(NamedTuple):
     legs: Array | None = None
     """Legs of each agent, flat positions row * n_leg + leg, int, (row, n_agent, k); None: the nodes."""
     capacitor_on: Array | None = None
-    """1 for a capacitor bank of a three-phase feeder that can be on and 0 for one that is lost or disconnected,
-    (row, n_capacitor); None where all can."""
+    """1 for a capacitor bank that can be on and 0 for one that is lost or disconnected, (row, n_capacitor); None where
+    all can. (row, n_bus) on a balanced feeder, and None once ``q_load_kvar`` has them."""
     sags: Array | None = None
     """Sags that begin in the interval, (row, n_sag, 3), see ``connection.Supply``; None where a scenario has none."""
     trip_widths: TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
     to_draw: LoadsToDraw | None = None
-    """Parameters of the loads if ``grid_pass`` draws them; the loads are then None."""
+    """For loads that are not drawn yet, and None."""
+
+
+class GridStep(NamedTuple):
+    """What the grid did over an interval."""
+
+    solution: Any
+    """The power flow at its end."""
+    noise: Any = None
+    """The load noise at its end, (row, n_bus); None where the loads were drawn before."""
+    figures: VoltageFigures | None = None
+    """Figures of the solution's voltages, where the solver has them."""
 
 
 class Equipment(NamedTuple):

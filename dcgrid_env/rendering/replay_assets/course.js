@@ -2,9 +2,13 @@
 // What the page holds, unpacked: the data, and the figures of a bus in words.
 
 async function unzipped(id) {
-  const bytes = Uint8Array.from(atob(document.getElementById(id).textContent.trim()), (c) => c.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return new Response(stream).text();
+  try {
+    const bytes = Uint8Array.from(atob(document.getElementById(id).textContent.trim()), (c) => c.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return await new Response(stream).text();
+  } catch {
+    throw new Error("the data in this file are damaged");
+  }
 }
 
 function unpacked(packed) {
@@ -18,6 +22,8 @@ function unpacked(packed) {
   return values;
 }
 
+const sumOf = (curves) => curves[0].map((_, k) => curves.reduce((sum, one) => sum + one[k], 0));
+
 function unpackAll(data) {
   for (const run of data.runs) {
     run.j = unpacked(run.j);
@@ -25,6 +31,8 @@ function unpackAll(data) {
     run.agents = run.agents.map((own) =>
       Object.fromEntries(Object.entries(own).map(([name, values]) => [name, unpacked(values)])));
     for (const name of ["tap", "on"]) run[name] = (run[name] || []).map(unpacked);
+    const sites = run.agents.filter((_, i) => data.map.agents[i].site);
+    for (const name of ["p_kw", "p_ref_kw"]) run[name] = sites.length ? sumOf(sites.map((own) => own[name])) : null;
     run.unbalance_pct = run.unbalance_pct ? unpacked(run.unbalance_pct) : null;
   }
   data.last = Math.max(...data.runs.map((run) => run.steps)) - 1;

@@ -1,5 +1,5 @@
 "use strict";
-// Curves of the selected bus over the episode, all controllers on the same axes.
+// Curves of the feeder and of the selected bus over the episode, all controllers on the same axes.
 
 const RUN_COLOURS = ["#0072b2", "#d55e00", "#009e73", "#000000"];
 const RUN_DASHES = ["solid", "dash", "dot", "dashdot"];
@@ -7,14 +7,17 @@ const STEPS_HELD = ["p_kw", "p_ref_kw", "q_kvar", "f_mhz", "on_grid_pct"]; // ov
 const ROW_PX = 168;
 
 class Curves {
-  constructor(holder, data, seek) {
-    Object.assign(this, { holder, data, seek, bus: 0, step: 0 });
+  constructor(holder, names, data, seek) {
+    Object.assign(this, { holder, names, data, seek, bus: 0, step: 0 });
     new ResizeObserver(() => this.draw()).observe(holder);
   }
 
   // What is drawn for the selected bus: a name with its unit, and its curves by run.
   panels() {
     const { data, bus } = this, list = [{ name: "cost so far, J", decimals: 3, of: (run) => [run.j] }];
+    if (data.runs[0].p_kw) {
+      list.push({ name: "all data centres (kW), pale: demand", decimals: 1, held: true, of: (run) => [run.p_kw], asked: data.runs[0].p_ref_kw });
+    }
     for (const node of data.nodesOf[bus]) {
       const phase = data.threePhase ? ` ${"abc"[data.map.nodes.phase[node]]}` : "";
       list.push({ name: `voltage${phase} (p.u.)`, decimals: 4, of: (run) => [run.v[node]], band: true });
@@ -26,7 +29,7 @@ class Curves {
         const [label, unit, decimals] = data.shown[name];
         const asked = name === "p_kw" && there.p_ref_kw;
         list.push({
-          name: `${data.map.agents[i].id}: ${label} (${unit})` + (asked ? ", pale: asked for" : ""), decimals,
+          name: `${data.map.agents[i].id}: ${label} (${unit})` + (asked ? ", pale: demand" : ""), decimals,
           held: STEPS_HELD.includes(name), of: (run) => [run.agents[i][name]], asked: asked || null,
         });
       }
@@ -49,9 +52,10 @@ class Curves {
     const t = Array.from({ length: data.last + 1 }, (_, k) => k * data.time[0]);
     const layout = {
       width, height, margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, hovermode: "x", dragmode: false,
-      annotations: [], shapes: [], paper_bgcolor: "#fff", plot_bgcolor: "#fff", font: { size: 11 },
+      shapes: [], paper_bgcolor: "#fff", plot_bgcolor: "#fff", font: { size: 11 },
     };
     const traces = [];
+    this.names.replaceChildren();
     panels.forEach((panel, i) => {
       const id = i ? i + 1 : "", column = i % columns, row = Math.floor(i / columns);
       const left = (column * width) / columns + 48, right = ((column + 1) * width) / columns - 12;
@@ -61,10 +65,7 @@ class Curves {
       layout[`yaxis${id}`] = { ...axis, domain: [1 - bottom / height, 1 - top / height], anchor: `x${id}`, rangemode: panel.held ? "tozero" : "normal" };
       if (panel.band) layout[`yaxis${id}`].tickformat = ".2f";
       if (row === rows - 1 || i + columns >= panels.length) layout[`xaxis${id}`].ticksuffix = ` ${data.time[1]}`;
-      layout.annotations.push({
-        text: panel.name.replaceAll("<", "&lt;"), xref: "paper", yref: "paper", x: (left - 40) / width, y: 1 - (top - 4) / height,
-        xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12, color: "#222" },
-      });
+      withTerms(element(this.names, "span", "", { style: `left:${left - 40}px;top:${top - 22}px` }), panel.name, data.terms);
       layout.shapes.push({ type: "line", xref: `x${id}`, yref: `y${id} domain`, y0: 0, y1: 1, line: { color: "#111", width: 1.2 } });
       traces.push(...this.lines(panel, t, { xaxis: `x${id}`, yaxis: `y${id}` }));
     });

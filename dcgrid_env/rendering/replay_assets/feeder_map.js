@@ -158,8 +158,13 @@ class FeederMap {
     this.holder.on("plotly_afterplot", () => this.paint());
     this.paint();
     this.holder.on("plotly_click", (event) => this.select(event.points[0].pointNumber));
-    this.holder.on("plotly_hover", (event) => showTip(event.event, this.data, this.run, event.points[0].pointNumber));
+    this.holder.on("plotly_hover", (event) => this.describe(event.event, event.points[0].pointNumber));
     this.holder.on("plotly_unhover", hideTip);
+  }
+
+  describe(pointer, bus) {
+    const words = [`bus ${this.data.map.buses.id[bus]}`, ...busWords(this.data, this.run, bus, this.step)];
+    showTip(words.join("\n"), pointer.clientX + 14, pointer.clientY + 14);
   }
 
   show(step, bus) {
@@ -195,21 +200,4 @@ function colourScale(data) {
     const i = Math.min(rgb.length - 2, Math.floor(place)), part = place - i;
     return `rgb(${rgb[i].map((own, c) => Math.round(own + part * (rgb[i + 1][c] - own))).join(",")})`;
   };
-}
-
-function showTip(event, data, run, bus) {
-  let tip = document.getElementById("tip");
-  if (!tip) {
-    tip = document.body.appendChild(document.createElement("div"));
-    tip.id = "tip";
-  }
-  tip.hidden = false;
-  tip.textContent = [`bus ${data.map.buses.id[bus]}`, ...busWords(data, run, bus, replayState.step)].join("\n");
-  tip.style.left = Math.max(4, Math.min(event.clientX + 14, window.innerWidth - tip.offsetWidth - 6)) + "px";
-  tip.style.top = Math.max(4, Math.min(event.clientY + 14, window.innerHeight - tip.offsetHeight - 6)) + "px";
-}
-
-function hideTip() {
-  const tip = document.getElementById("tip");
-  if (tip) tip.hidden = true;
 }

@@ -2,14 +2,6 @@
 // The page: its controls, its keys, and what is shown at a step.
 
 const replayState = { step: 0, bus: 0, playing: false };
-const byId = (id) => document.getElementById(id);
-
-function element(parent, tag, text = "", attributes = {}) {
-  const made = parent.appendChild(document.createElement(tag));
-  made.textContent = text;
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-}
 
 function busName(data, bus) {
   const here = data.agentsAt(bus).map((i) => data.map.agents[i].id);
@@ -24,7 +16,9 @@ function runCard(data, run, r) {
   heading.innerHTML = `<svg width="34" height="8" aria-hidden="true"><line x1="0" y1="4" x2="34" y2="4" stroke="${RUN_COLOURS[r]}"
     stroke-width="3" stroke-dasharray="${["", "9 4", "3 3", "9 3 3 3"][r]}"/></svg>`;
   element(heading, "span", run.name);
-  const cost = element(heading, "span", "", { class: "j" });
+  const j = element(heading, "span", "", { class: "j" });
+  withTerms(j, "J ", data.terms);
+  const cost = element(j, "span");
   const trips = run.agents.some((one) => one.on_grid_pct);
   const state = element(card, "p", "", { class: trips ? "state long" : "state" });
   const map = element(card, "div", "", { class: "map", role: "img", "aria-label": `map of the feeder under ${run.name}` });
@@ -64,7 +58,7 @@ function drawLegend(data) {
   const kinds = new Set(data.map.agents.filter((one) => !one.equipment).map((one) => one.kind));
   const stores = data.runs[0].agents.some((one) => one.stored_pct), trips = data.runs.some((run) => run.agents.some((one) => one.on_grid_pct));
   const entries = [
-    ["M-6 5 L6 5 L0 -6 Z", "above the band"], ["M-6 -5 L6 -5 L0 6 Z", "below the band"],
+    ["M-6 5 L6 5 L0 -6 Z", "violation above the band"], ["M-6 -5 L6 -5 L0 6 Z", "violation below the band"],
   ].map(([d, text]) => [mark(`<path d="${d}" fill="#ccc" stroke="#222" stroke-width="2"/>`), text]);
   entries.push([mark('<rect x="-7" y="-7" width="14" height="14" fill="none" stroke="#333" stroke-width="1.6"/>'), "substation"]);
   if (data.threePhase) entries.push([mark('<g fill="#ccc" stroke="#222"><circle cy="-4" r="3"/><circle cx="4" cy="3" r="3"/><circle cx="-4" cy="3" r="3"/></g>'), "phases: a top, b right, c left"]);
@@ -76,8 +70,12 @@ function drawLegend(data) {
   if (stores) entries.push([mark(ring(STORED, 8)), "outer ring: stored energy"]);
   if (trips) entries.push([mark('<path d="M-6 -6 L6 6 M6 -6 L-6 6" stroke="#000" stroke-width="3.5"/>'), "off the grid"]);
   legend.innerHTML = `<svg id="scale" viewBox="0 0 240 32" role="img" aria-label="voltage from blue, low, to red, high; black lines are the limits">
-    <defs><linearGradient id="g">${stops}</linearGradient></defs><rect x="10" y="2" width="220" height="12" fill="url(#g)" stroke="#555"/>${marks}${ticks}</svg>
-    <span>voltage (p.u.)</span>` + entries.map(([sign, text]) => `<span>${sign}${text}</span>`).join("");
+    <defs><linearGradient id="g">${stops}</linearGradient></defs><rect x="10" y="2" width="220" height="12" fill="url(#g)" stroke="#555"/>${marks}${ticks}</svg>`;
+  for (const [sign, text] of [["", "voltage (p.u.)"], ...entries]) {
+    const entry = element(legend, "span");
+    entry.innerHTML = sign;
+    withTerms(element(entry, "span"), text, data.terms);
+  }
 }
 
 function fitMaps(data) {
@@ -89,7 +87,7 @@ function fitMaps(data) {
 }
 
 async function openReplay() {
-  if (typeof DecompressionStream === "undefined") throw new Error("this browser is too old to unpack the page; it needs one from 2023 or later");
+  if (typeof DecompressionStream === "undefined") throw new Error("this browser is older than 2023");
   const library = document.createElement("script");
   library.textContent = await unzipped("plotly");
   document.head.appendChild(library);
@@ -107,8 +105,8 @@ async function openReplay() {
   const usual = rates.find((rate) => data.last / rate <= 30) || 50;
   for (const rate of rates) element(speed, "option", `${rate * data.dt_s}\u00d7`, { value: rate });
   speed.value = usual;
-  const maps = cards.map((card) => new FeederMap(card.map, data, card.run, select));
-  const curves = new Curves(byId("curves"), data, (step) => go(step));
+  const maps = cards.map((card) => new FeederMap(card.map, data, card.run, choose));
+  const curves = new Curves(byId("curves"), byId("names"), data, (step) => go(step));
 
   function show() {
     const { step, bus } = replayState;
@@ -119,7 +117,7 @@ async function openReplay() {
     time.setAttribute("aria-valuetext", `${t} ${unit}`);
     cards.forEach(({ run, cost, state, reading }, r) => {
       const k = stepOf(run, step);
-      cost.textContent = `J so far ${figure(run.j[k], 3)} of ${figure(run.j[run.steps - 1], 3)}`;
+      cost.textContent = `so far ${figure(run.j[k], 3)} of ${figure(run.j[run.steps - 1], 3)}`;
       state.textContent = summary(data, run, step);
       reading.textContent = [`bus ${data.map.buses.id[bus]}: ${busWords(data, run, bus, step)[0]}`, ...busWords(data, run, bus, step).slice(1)].join(" \u00b7 ");
       maps[r].show(step, bus);
@@ -138,6 +136,11 @@ async function openReplay() {
     byId("selected-title").textContent = `${busName(data, bus)[0].toUpperCase()}${busName(data, bus).slice(1)} over the episode`;
     curves.select(bus);
     show();
+  }
+
+  function choose(bus) {
+    byId("hint").hidden = true;
+    select(bus);
   }
 
   function play(on) {
@@ -170,8 +173,9 @@ async function openReplay() {
   byId("back").addEventListener("click", () => pausedAt(replayState.step - 1));
   byId("forward").addEventListener("click", () => pausedAt(replayState.step + 1));
   time.addEventListener("input", () => pausedAt(Number(time.value)));
-  chooser.addEventListener("change", () => select(Number(chooser.value)));
+  chooser.addEventListener("change", () => choose(Number(chooser.value)));
   document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") hideTip();
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
     const by = event.shiftKey ? 10 : 1, { step } = replayState;
     const moves = { ArrowLeft: step - by, ArrowRight: step + by, Home: 0, End: data.last };
@@ -181,11 +185,13 @@ async function openReplay() {
     event.preventDefault();
   });
   window.addEventListener("resize", () => fitMaps(data));
+  window.addEventListener("scroll", hideTip);
   select(replayState.bus);
   byId("message").hidden = true;
+  document.body.classList.remove("loading");
 }
 
 openReplay().catch((error) => {
-  byId("message").textContent = `The replay could not be opened: ${error.message}`;
+  byId("message").textContent = `The replay could not be opened: ${error.message}. Try another browser, or write the file again.`;
   throw error;
 });

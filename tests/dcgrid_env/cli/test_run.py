@@ -11,6 +11,7 @@ import dcgrid_env
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.baselines import CONTROLLERS, Droop
 from dcgrid_env.cli.main import main
+from dcgrid_env.cli.run import Run, controller_names
 from helpers.forms import each_preset
 
 
@@ -35,6 +36,13 @@ def test_run_writes_a_table_a_figure_and_records(scenario, tmp_path, capsys):
         assert all(math.isfinite(v) for v in numbers.values())
         assert record["J"] == pytest.approx(sum(v for k, v in record.items() if k.startswith("cost_")))
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_the_default_controllers_use_a_storage():
+    scenario = make_scenario("ieee33-weak-ups", split="test")
+    assert controller_names(Run(), scenario) == ["none", "droop", "analytic"]
+    assert controller_names(Run(), scenario.replace(name="my-storages")) == ["none", "droop", "peak-shaving"]
+    assert controller_names(Run(), make_scenario("toy6").replace(name="my-feeder")) == ["none", "droop", "inverters"]
 
 
 def test_the_same_command_gives_the_same_records(tmp_path):

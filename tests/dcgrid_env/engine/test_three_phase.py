@@ -14,6 +14,7 @@ from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.record.episode_record import Recorder
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.powerflow import Control, nema_unbalance, sensitivity, solver_for, three_phase_nodes, unbalance_factor
+from helpers.intervals import interval
 from helpers.three_phase import SCENARIOS, ieee13, ieee123
 
 
@@ -33,7 +34,7 @@ def test_loads_and_devices_enter_the_power_flow_where_they_stand(name):
     scenario = SCENARIOS[name]()
     feeder, (simulation, transitions) = scenario.feeder, play(SCENARIOS[name](), steps=2)
     now, state = simulation.now, transitions[-1].state
-    outside, _ = episode.exogenous(scenario, now.episode, now.step, now.noise, now.p_ref_next_kw)
+    outside, _ = interval(scenario, now.episode, now.step, now.noise, now.p_ref_next_kw)
     p, q = outside.p_load_kw.copy(), outside.q_load_kvar.copy()
     for env_index in range(len(p)):
         for agent, bus in enumerate(now.episode.buses[env_index]):

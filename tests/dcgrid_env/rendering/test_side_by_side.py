@@ -53,6 +53,23 @@ def test_sags_and_trips_are_marked_at_their_times():
     assert "connected (%)" in labels(figure)
 
 
+def test_tap_changes_are_marked_and_counted_as_in_the_metrics():
+    scenario = make_scenario("ride-through", horizon=60)
+    runs, figure = figure_of(scenario, "none", "droop")
+    for ax, run in zip(figure.axes, runs.values(), strict=False):
+        (ticks,) = [line for line in ax.get_lines() if line.get_marker() == "|"]
+        taps = run.three_phase.equipment.regulators.tap
+        changed = np.flatnonzero(np.diff(taps, axis=0).any(axis=1)) + 1
+        np.testing.assert_array_equal(ticks.get_xdata(), changed)
+    metrics = [run.metrics() for run in runs.values()]
+    trips = ", ".join(f"{own['ups_trips'] + own['inverter_trips']:.0f}" for own in metrics)
+    changes = ", ".join(f"{own['tap_moves']:.0f}" for own in metrics)
+    sags = len(sag_times(scenario, 0))
+    caption = figure.get_supxlabel()
+    assert f"(none, droop): sags {sags}, {sags}; trips {trips}; tap changes {changes}." in caption
+    assert "tap change" in [text.get_text() for text in figure.findobj(Text)]
+
+
 @pytest.mark.parametrize(("dt_s", "shown"), [(0.1, 10.0), (1.0, 300.0)])
 def test_of_an_episode_in_short_steps_ten_seconds_are_shown(dt_s, shown):
     """The largest change of the power drawn lies within them, so burnt power and ramps can be seen."""
@@ -63,8 +80,14 @@ def test_of_an_episode_in_short_steps_ten_seconds_are_shown(dt_s, shown):
     largest = np.abs(np.diff(runs["smoothing"].p_kw.sum(axis=1))).argmax() * dt_s
     assert first <= largest <= last
     assert "burnt power (kW)" in labels(figure)
+    (axes,) = [ax for ax in figure.axes if ax.get_ylabel() == "backlog (kW s)"]
+    steps = slice(round(first / dt_s), round(last / dt_s) + 1)
+    assert axes.get_ylim()[1] == pytest.approx(1.05 * max(runs["smoothing"].backlog_kws[steps].max(), 1.0))
 
 
 def test_the_caption_says_what_j_is():
     figure = figure_of(make_scenario("toy6", horizon=4), "none")[1]
-    assert any("J: mean cost per step, lower is better" in text.get_text() for text in figure.findobj(Text))
+    (caption,) = [text for text in figure.findobj(Text) if text.get_text() == figure.get_supxlabel()]
+    assert 0.0 < caption.get_window_extent().x0 < caption.get_window_extent().x1 < figure.bbox.x1
+    assert "J: mean cost per step, lower is better" in figure.get_supxlabel()
+    assert "Events" not in figure.get_supxlabel()

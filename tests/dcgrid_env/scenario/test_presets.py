@@ -29,6 +29,7 @@ from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import virginia_2024
 from dcgrid_env.engine.family_simulation import simulation as simulation_of
 from dcgrid_env.engine.simulation import Simulation
+from helpers.intervals import interval
 
 WEAK, ENDS = (7, 14, 20, 30), (18, 33, 25, 22)
 I33 = (3, 7, 14, 20, 24, 30)
@@ -235,9 +236,9 @@ def test_ieee33_weak_loses_the_band_at_peak_and_reactive_power_alone_cannot_keep
     s = make_scenario("ieee33-weak", background={"load_sigma": 0.0})
     zero = np.zeros(1, np.uint64)
     drawn = episode.draw(s, zero, zero)
-    outside, _ = episode.exogenous(s, drawn, np.zeros(1, int), np.zeros((1, 33)), np.full((1, 3), 1000.0))
-    start, solution = dynamics.initial_state(s, outside)
-    assert solution.converged.all()
+    outside, _ = interval(s, drawn, np.zeros(1, int), np.zeros((1, 33)), np.full((1, 3), 1000.0))
+    start, grid = dynamics.initial_state(s, outside)
+    assert grid.solution.converged.all()
     lowest = {
         name: float(dynamics.step(s, start, np.array([[clock, q] * 3 + [q] * 4]), outside)[0].v_pu.min())
         for name, clock, q in (("nothing", 1.0, 0.0), ("reactive", 1.0, 1.0), ("both", -1.0, 1.0))

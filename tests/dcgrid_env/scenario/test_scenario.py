@@ -314,6 +314,24 @@ def test_a_clock_law_has_one_work_class_or_two():
         scenario_of_ones_own(datacenters={"clock_law": "fast"})
 
 
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"horizon": 10**5000}, "horizon is a number of more than 4300 digits; give a whole number"),
+        ({"cost": {"band_pu": 10**5000}}, "band_pu is a number of more than 4300 digits; give"),
+        ({"datacenters": {"buses": np.array("18")}}, "datacenters.buses is '18'; give both"),
+    ],
+)
+def test_values_that_python_cannot_write_or_measure_are_refused_by_name(overrides, message):
+    with pytest.raises(ScenarioError, match=message):
+        make_scenario("ieee33-weak", **overrides)
+
+
+def test_the_order_of_devices_is_a_difference():
+    s = make_scenario("ieee33-weak")
+    assert s.difference(s.replace(devices=s.devices[::-1])) == "devices"
+
+
 def test_clock_laws_are_told_apart():
     s = scenario_of_ones_own(datacenters={"clock_law": PrefillDecodeDvfs()})
     assert s.difference(scenario_of_ones_own(datacenters={"clock_law": PrefillDecodeDvfs()})) is None

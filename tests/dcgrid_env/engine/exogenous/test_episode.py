@@ -10,6 +10,7 @@ from dcgrid_env.engine.exogenous.trace_pool import sun_rows, trace_pool, window_
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.traces import SPLITS, PowerTrace, Site, Tenant, TraceError, generate_sites
 from helpers.forms import each_preset
+from helpers.intervals import interval
 
 
 def draw(scenario: Scenario, seeds: range | list[int], number: int = 0) -> episode.Episode:
@@ -63,13 +64,11 @@ def test_the_noise_of_an_episode_is_its_keys_alone():
     scenario = make_scenario("ieee33-weak")
     drawn, quiet = draw(scenario, [3, 4, 5]), np.zeros((3, 33))
     step = np.array([0, 4, 9])
-    outside, noise = episode.exogenous(scenario, drawn, step, quiet + 1.0, episode.p_ref_kw(scenario, drawn, step))
+    outside, noise = interval(scenario, drawn, step, quiet + 1.0)
     for env_index in range(3):
         alone = draw(scenario, [3 + env_index])
         at = step[env_index : env_index + 1]
-        single, single_noise = episode.exogenous(
-            scenario, alone, at, quiet[:1] + 1.0, episode.p_ref_kw(scenario, alone, at)
-        )
+        single, single_noise = interval(scenario, alone, at, quiet[:1] + 1.0)
         for a, b in zip(single[:4], outside[:4], strict=True):
             np.testing.assert_array_equal(a[0], b[env_index])
         np.testing.assert_array_equal(single_noise[0], noise[env_index])
@@ -79,10 +78,10 @@ def test_a_large_batch_spread_over_threads_draws_the_same_noise(monkeypatch):
     monkeypatch.setenv("DCGRID_NUM_THREADS", "2")
     scenario, n_env = make_scenario("ieee33-weak"), 301
     drawn, z, step = draw(scenario, range(n_env)), np.ones((n_env, 33)), np.arange(n_env) % 5
-    outside, noise = episode.exogenous(scenario, drawn, step, z, episode.p_ref_kw(scenario, drawn, step))
+    outside, noise = interval(scenario, drawn, step, z)
     for env_index in (0, 1, 149, 150, 151, 300):
         alone, at = draw(scenario, [env_index]), step[env_index : env_index + 1]
-        single, single_noise = episode.exogenous(scenario, alone, at, z[:1], episode.p_ref_kw(scenario, alone, at))
+        single, single_noise = interval(scenario, alone, at, z[:1])
         np.testing.assert_array_equal(single_noise[0], noise[env_index])
         np.testing.assert_array_equal(single.p_load_kw[0], outside.p_load_kw[env_index])
         np.testing.assert_array_equal(single.q_load_kvar[0], outside.q_load_kvar[env_index])
@@ -293,7 +292,7 @@ def test_load_noise_keeps_its_correlation_in_seconds_for_any_dt():
         course = []
         for step in range(5):
             at = np.full(n_env, step)
-            z = episode.exogenous(scenario, drawn, at, z, episode.p_ref_kw(scenario, drawn, at))[1]
+            z = interval(scenario, drawn, at, z)[1]
             course.append(z)
         found[dt_s] = np.corrcoef(np.ravel(course[1:]), np.ravel(course[:-1]))[0, 1]
     assert found == pytest.approx({1.0: 0.9, 0.1: 0.9**0.1, 5.0: 0.9**5}, abs=0.02)
@@ -308,7 +307,7 @@ def test_loads_are_the_feeders_own_times_the_noise_less_capacitors():
     for scenario in (on, off):
         drawn = draw(scenario, [7, 8])
         p_ref = episode.p_ref_kw(scenario, drawn, step)
-        outside[scenario], z = episode.exogenous(scenario, drawn, step, np.zeros((2, 123)), p_ref)
+        outside[scenario], z = interval(scenario, drawn, step, np.zeros((2, 123)), p_ref)
         np.testing.assert_allclose(outside[scenario].p_load_kw, feeder.p_load_kw * (1 + 0.05 * z), rtol=1e-13)
     base = feeder.q_load_kvar * (1 + 0.05 * z)
     np.testing.assert_allclose(outside[off].q_load_kvar, base, rtol=1e-13)
@@ -474,7 +473,7 @@ def test_without_a_schedule_inverters_inject_nothing():
     drawn = draw(scenario, range(20))
     assert not drawn.sun.any()
     step = np.full(20, 4)
-    outside, _ = episode.exogenous(scenario, drawn, step, np.zeros((20, 33)), episode.p_ref_kw(scenario, drawn, step))
+    outside, _ = interval(scenario, drawn, step, np.zeros((20, 33)))
     assert outside.p_inverter_kw.shape == (20, scenario.inverters.count)
     assert not outside.p_inverter_kw.any()
 

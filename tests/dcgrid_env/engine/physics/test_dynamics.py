@@ -14,6 +14,7 @@ from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.engine.physics import dynamics
 from dcgrid_env.engine.physics.state import Exogenous, State
 from helpers.forms import FORMS
+from helpers.intervals import interval
 from helpers.states import fields_of
 
 LAWS: dict[str, dict[str, Any]] = {
@@ -41,7 +42,7 @@ def outside(scenario: Scenario, n_env: int, steps: int, *, full: bool = False, s
                 rng.uniform(0.6, scenario.datacenters.boost_share, p_ref.shape)
                 * scenario.datacenters.parameters.p_rated_kw
             )
-        exogenous, noise = episode.exogenous(scenario, drawn, step, noise, p_ref)
+        exogenous, noise = interval(scenario, drawn, step, noise, p_ref)
         if full and exogenous.compute_share is not None:
             exogenous = exogenous._replace(compute_share=rng.uniform(0.0, 1.0, p_ref.shape))
         found.append(exogenous)
@@ -61,9 +62,11 @@ def as_torch(fields: Any) -> Any:
 
 
 def run(scenario: Scenario, given: list[Exogenous], actions: Any) -> list[tuple[State, Any]]:
-    course = [dynamics.initial_state(scenario, given[0])]
+    state, grid = dynamics.initial_state(scenario, given[0])
+    course = [(state, grid.solution)]
     for action, exogenous in zip(actions, given[1:], strict=True):
-        course.append(dynamics.step(scenario, course[-1][0], action, exogenous))
+        state, grid = dynamics.step(scenario, state, action, exogenous)
+        course.append((state, grid.solution))
     return course
 
 
@@ -121,9 +124,9 @@ def team_cost(scenario: Scenario, given: list[Exogenous], actions: Any, start: S
     """Sum over environments and steps of the team's cost, the last step's with what is left over."""
     state, cost = start, 0.0
     for k, (action, exogenous) in enumerate(zip(actions, given, strict=True)):
-        state, solution = dynamics.step(scenario, state, action, exogenous)
-        last = solution.converged & (k == len(given) - 1)
-        cost = cost + reward.total(reward.team_costs(scenario, state, solution, last)).sum()
+        state, grid = dynamics.step(scenario, state, action, exogenous)
+        last = grid.solution.converged & (k == len(given) - 1)
+        cost = cost + reward.total(reward.team_costs(scenario, state, grid.solution, last)).sum()
     return cost
 
 
@@ -373,7 +376,7 @@ def test_reactive_power_is_cut_after_the_active_power_is_known():
 def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, law):
     scenario = make_scenario(name, **LAWS[law])
     given = outside(scenario, 3, 0, full=True).steps[0]
-    state, solution = dynamics.initial_state(scenario, given if kind == "numpy" else as_torch(given))
+    state, grid = dynamics.initial_state(scenario, given if kind == "numpy" else as_torch(given))
     state = state.map(np.asarray)
     n_dc, n_bus = scenario.datacenters.count, scenario.feeder.n_bus
     assert np.all(state.f_mhz == scenario.datacenters.f_max_mhz)
@@ -388,7 +391,7 @@ def test_initial_state_is_at_the_top_clock_without_reactive_power(name, kind, la
     assert state.v_pu.shape == (3, n_bus)
     assert state.restart.shape == (3, n_bus - 1)
     assert state.p_kw.shape == state.q_kvar.shape == state.v_agent_pu.shape == (3, scenario.n_agents)
-    assert bool(solution.converged.all())
+    assert bool(grid.solution.converged.all())
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -471,9 +474,7 @@ def test_a_device_at_two_nodes_shares_its_power_and_sees_the_mean(kind):
     )
     state, _ = dynamics.initial_state(scenario, convert(first))
     action = np.array([[1.0, 0.5, -0.4], [1.0, -0.5, 1.0]])
-    state, solution = dynamics.step(
-        scenario, state, torch.tensor(action) if kind == "torch" else action, convert(second)
-    )
+    state, grid = dynamics.step(scenario, state, torch.tensor(action) if kind == "torch" else action, convert(second))
     state = state.map(np.asarray)
     np.testing.assert_allclose(state.p_kw, [[2000.0, -300.0], [1000.0, 0.0]])
     np.testing.assert_allclose(state.q_kvar, [[412.5, -400.0], [-412.5, 1000.0]])
@@ -485,7 +486,7 @@ def test_a_device_at_two_nodes_shares_its_power_and_sees_the_mean(kind):
     np.testing.assert_allclose(state.v_pu, distflow(scenario.feeder, p, q, 1.0).v_pu, atol=1e-8)
     seen = [[v[[4, 5]].mean(), v[[2, 3]].mean()] for v in state.v_pu]
     np.testing.assert_allclose(state.v_agent_pu, seen, rtol=1e-14)
-    assert bool(solution.converged.all())
+    assert bool(grid.solution.converged.all())
 
 
 @pytest.mark.parametrize("n_node", [1, 2, 3])
@@ -535,11 +536,11 @@ def test_collapse_keeps_the_last_voltages_and_spoils_no_other_environment(name, 
 def test_a_site_beyond_the_feeder_collapses_it_unless_it_is_throttled(power_flow):
     scenario = make_scenario("toy6", datacenters={"p_rated_kw": 100_000.0}, power_flow=power_flow)
     given = outside(scenario, 2, 1).steps
-    state, solution = dynamics.initial_state(scenario, given[0]._replace(p_ref_kw=np.array([[1000.0], [1000.0]])))
-    assert solution.converged.all()
+    state, grid = dynamics.initial_state(scenario, given[0]._replace(p_ref_kw=np.array([[1000.0], [1000.0]])))
+    assert grid.solution.converged.all()
     full = given[1]._replace(p_ref_kw=np.array([[100_000.0], [1000.0]]))
-    after, solution = dynamics.step(scenario, state, np.array([[1.0, 0.0, 0.0, 0.0]] * 2), full)
-    assert solution.converged.tolist() == [False, True]
+    after, grid = dynamics.step(scenario, state, np.array([[1.0, 0.0, 0.0, 0.0]] * 2), full)
+    assert grid.solution.converged.tolist() == [False, True]
     assert after.v_pu[0].tolist() == state.v_pu[0].tolist()
     assert np.isfinite(after.v_pu).all()
     assert after.p_kw[0, 0] == pytest.approx(100_000.0)
@@ -549,8 +550,8 @@ def test_collapse_at_the_reset_starts_from_the_substations_voltage():
     scenario = make_scenario("ieee33-weak")
     given = outside(scenario, 2, 0).steps[0]
     too_much = given._replace(p_load_kw=given.p_load_kw * np.array([[500.0], [1.0]]))
-    state, solution = dynamics.initial_state(scenario, too_much)
-    assert solution.converged.tolist() == [False, True]
+    state, grid = dynamics.initial_state(scenario, too_much)
+    assert grid.solution.converged.tolist() == [False, True]
     assert np.all(state.v_pu[0] == 1.05)
     assert all(np.isfinite(a).all() for a in fields_of(state).values())
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from dcgrid_env import PowerFlowError
-from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.engine.physics import dynamics, grid_pass
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.scenario.presets import make_scenario
+from helpers.intervals import interval
 
 
 def begun(n_env, scenario="ieee33-weak", **overrides):
@@ -26,13 +26,13 @@ def test_bits_of_the_parts(scenario, n_env):
     for _ in range(3):
         now, action = simulation.now, rng.uniform(-1.2, 1.2, (n_env, action_layout(simulation.scenario).n))
         given = s, now.episode, now.step + 1, now.noise, now.p_ref_next_kw
-        drawn, noise = episode.exogenous(*given)
-        state, solution = dynamics.step(s, now.state, action, drawn)
+        drawn, noise = interval(*given)
+        state, grid = dynamics.step(s, now.state, action, drawn)
         simulation.step(action)
         after = simulation.now
         assert after.noise.tobytes() == noise.tobytes()
         assert after.state.map(np.ndarray.tobytes) == state.map(np.ndarray.tobytes)
-        assert after.transition.loss_kw.tobytes() == solution.loss_kw.tobytes()
+        assert after.transition.loss_kw.tobytes() == grid.solution.loss_kw.tobytes()
         apart = voltage_figures(state.v_pu, 1, s.cost.band_pu)
         assert [a.tobytes() for a in after.transition.voltages] == [a.tobytes() for a in apart]
 

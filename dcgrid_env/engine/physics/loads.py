@@ -9,6 +9,8 @@ import numpy as np
 from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_rows
+from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw
+from dcgrid_env.engine.physics.step_kernels import leg_loads
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.scenario import Scenario
@@ -57,13 +59,27 @@ def _load_of(feeder: Any, scenario: Scenario) -> LoadNoise:
     return LoadNoise(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
 
 
-def drawn_loads(
-    scenario: Scenario, key: np.ndarray, step: np.ndarray, noise: np.ndarray, share: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw the load noise at ``step`` and the loads, kW and kvar, (row, n_bus) each, see ``core.random.load_step``.
+def drawn(scenario: Scenario, exogenous: Exogenous) -> tuple[Exogenous, np.ndarray]:
+    """Draw the loads of an interval; return the interval with them, and the load noise at its end, (row, n_bus)."""
+    feeder, to_draw = scenario.feeder, exogenous.to_draw
+    if to_draw is None:
+        raise ValueError("the loads of this interval are drawn already")
+    z, p, q = _process_and_loads(scenario, to_draw)
+    capacitor_on = exogenous.capacitor_on
+    if isinstance(feeder, ThreePhaseFeeder):
+        p, q = leg_loads(p, *base_legs(feeder))
+    elif capacitor_on is not None:
+        q += (1.0 - capacitor_on) * feeder.capacitor_kvar
+        capacitor_on = None
+    return exogenous._replace(p_load_kw=p, q_load_kvar=q, capacitor_on=capacitor_on, to_draw=None), z
+
+
+def _process_and_loads(scenario: Scenario, to_draw: LoadsToDraw) -> np.ndarray:
+    """Return the load noise and the loads, kW and kvar, (3, row, n_bus), see ``core.random.load_step``.
 
     On a three-phase feeder the second is the factor of each bus and the third 0.
     """
+    key, step, noise, share = to_draw
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     if isinstance(scenario.feeder, FeederBatch):
@@ -82,4 +98,4 @@ def drawn_loads(
             random.load_step(key, step, noise, share, *load, z, p, q)
         else:
             over_rows(part, len(step))
-    return z, p, q
+    return process_and_loads
