@@ -30,7 +30,6 @@ extensions = [
     "myst_nb",
     "notebooks",
     "sphinx.ext.autodoc",
-    "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "equations",
@@ -68,7 +67,6 @@ html_theme_options = {"navigation_with_keys": True}
 html_copy_source = False
 pygments_dark_style = "github-dark"
 
-autosummary_generate = False  # lists alone: extensions/api_pages.py makes the pages
 autodoc_default_options = {"inherited-members": "Env, ParallelEnv, VectorEnv, ABC, tuple, Exception, PickledByFields"}
 suppress_warnings = ["ref.python"]  # a word in the text of a type that is the name of several members
 autodoc_typehints_format = "short"

@@ -1,4 +1,4 @@
-"""What holds for every sample of a trace and every number a caller gives, and the error where it does not."""
+"""Checks of trace samples and of numbers from a caller, and their error."""
 
 import math
 from collections.abc import Sequence

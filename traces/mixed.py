@@ -1,4 +1,4 @@
-"""Generated power of sites of several kinds: inference, training, and both under one roof, in turn."""
+"""Generated power of sites of several kinds, in turn: inference, training, and both on one site."""
 
 from functools import partial
 

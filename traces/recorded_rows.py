@@ -1,4 +1,4 @@
-"""Rows of power from recordings, cut in time or given out whole."""
+"""Rows of power from recordings, cut in time or used whole."""
 
 from __future__ import annotations
 

@@ -86,6 +86,7 @@ RECORDINGS: dict[str, Recording] = {
         ),
     )
 }
+"""Published recordings by name."""
 
 
 def cache_folder() -> Path:

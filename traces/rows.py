@@ -15,8 +15,10 @@ from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.trace import RequestTimes
 
 SPLITS = ("train", "validation", "test")
+"""Splits of the same distribution."""
 OUT_OF_DISTRIBUTION = "ood"
 ALL_SPLITS = (*SPLITS, OUT_OF_DISTRIBUTION)
+"""``SPLITS`` and the split that is out of distribution."""
 
 
 class TraceRows(NamedTuple):

@@ -1,4 +1,4 @@
-"""Named sources of generated power, each with a shifted one, another GPU or service, to test out of distribution."""
+"""Named sources of generated power, each with a shifted variant for tests out of distribution."""
 
 from __future__ import annotations
 
@@ -130,3 +130,4 @@ TRACE_SOURCES: dict[str, TraceSource] = {
         ),
     )
 }
+"""Named sources of generated power."""

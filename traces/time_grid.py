@@ -1,4 +1,4 @@
-"""What all generators share: the 0.1 s grid, the random stream of a seed, and the idle draw of a site."""
+"""Shared values of all generators: the 0.1 s grid, the random stream of a seed, and the idle power of a site."""
 
 import dataclasses
 import math

@@ -22,6 +22,7 @@ FEEDERS: dict[str, str] = {
     "ieee34-3ph": "IEEE 34 node test feeder, three-phase unbalanced, 24.9 kV",
     "ieee123-3ph": "IEEE 123 node test feeder, three-phase unbalanced, 4.16 kV",
 }
+"""Bundled feeders by name, each with one line about it."""
 
 
 def _read(name: str) -> Feeder | ThreePhaseFeeder:

@@ -1,4 +1,4 @@
-"""A feeder of either kind, read from a folder."""
+"""Read a feeder of either kind from a folder."""
 
 from __future__ import annotations
 

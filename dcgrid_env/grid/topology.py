@@ -1,4 +1,4 @@
-"""Turn an undirected list of branches into a tree rooted at the substation, or say why it is none, and index it."""
+"""Convert a list of branches to an indexed tree rooted at the substation, or raise an error with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every power-flow method returns."""
+"""Result of every power-flow method."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figure of a run whose episode is too long for a line through every step: bands over some hundred intervals."""
+"""Figure of a long run: bands over a few hundred intervals instead of a line through every step."""
 
 from __future__ import annotations
 

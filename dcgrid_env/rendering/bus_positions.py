@@ -1,4 +1,4 @@
-"""Where the buses of a feeder go in its one-line diagram: published coordinates, or a tree without crossings."""
+"""Positions of buses in the one-line diagram: published coordinates, or a tree without crossings."""
 
 from __future__ import annotations
 

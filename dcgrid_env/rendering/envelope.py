@@ -1,4 +1,4 @@
-"""A long episode cut to what a picture can show: over each of some hundred intervals, how far its figures spread."""
+"""A long episode reduced for a figure: the range of each quantity over a few hundred intervals."""
 
 from __future__ import annotations
 

@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 AGENT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 VOLTAGE_CMAP = "RdBu_r"
 INK = "#333333"
+"""Colour of text and outlines."""
 _MARGIN_PT = 28.0
 _FEW_BUSES = 40
 """Feeders up to this size have their bus numbers written on the map."""

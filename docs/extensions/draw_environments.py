@@ -1,36 +1,34 @@
-"""Draw the pictures of presets: python docs/extensions/draw_environments.py FOLDER PRESET..
+"""Draw the pictures and animations of presets: python docs/extensions/draw_environments.py FOLDER PRESET..
 
-The pictures are the same as those of ``python -m docs.studies.picture``. Only the kernel that serves requests is
-compiled: an environment is used once here, and its 75 steps take less time than compilation.
+They are the same as those of ``python -m docs.studies.picture`` and ``python -m docs.studies.animation``.
 """
 
 import os
 import sys
-import warnings
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
 os.environ["MPLBACKEND"] = "agg"
-import numba
-
-from dcgrid_env.traces import generate_site
-
-generate_site(60.0, seed=0)  # compiles the kernel that serves requests, millions of them, before the switch
-numba.config.DISABLE_JIT = True  # type: ignore[attr-defined]
 sys.path.insert(0, str(Path(__file__).parents[2]))
-from docs.studies.picture import draw as draw_picture  # noqa: E402  behind the switch, and from the repository
+from headroom import best_policy
+
+from docs.studies.animation import animate
+from docs.studies.picture import draw as draw_picture
+from docs.studies.picture import shown_scenario
 
 SLOW = ("ieee123-3ph-day", "ieee123-3ph", "bursty", "ride-through")
 """Presets that are slow to draw; they start first and the others run in parallel."""
 
 
 def draw(folder: str, preset: str) -> None:
-    """Draw one picture, whole or not at all."""
-    warnings.simplefilter("ignore")  # random numbers wrap around, of which NumPy warns where the compiler does not
-    path = Path(folder, f"{preset}.png")
-    part = path.with_suffix(".part.png")
-    draw_picture(str(part), preset, "droop-tuned")
+    """Draw the picture, the animation and its last frame; the animation is complete or missing, and comes last."""
+    path = Path(folder, f"{preset}.gif")
+    part = path.with_suffix(".part")
+    draw_picture(str(path.with_suffix(".png")), preset, "droop-tuned")
+    policy = best_policy(preset)[0]
+    whole = animate(part, shown_scenario(preset), {"none": "no control", policy: policy})
+    whole.save(path.with_name(f"{preset}-whole.png"), optimize=True)
     part.replace(path)
 
 

@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 from families import FAMILIES, Family, family_of
-from headroom import headroom
+from headroom import best_policy, headroom
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
 from dcgrid_env import IDS, PRESETS, Scenario, field_names, make_scenario, scenario_hash
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from docs.studies.picture import STEPS, shown_scenario
 
-STEPS = 75
-"""Steps after which ``docs.studies.picture`` draws, of an episode that is longer."""
 FOLDER = "environments"
 SUFFIX = ".myst"
 """Suffix of generated pages; the checks of ``.md`` files skip them."""
@@ -67,6 +66,7 @@ def page(preset: str) -> str:
     parts = [
         f"# {preset}",
         f"{sentence(PRESETS[preset])}.",
+        animation(preset, scenario.horizon),
         f"![{preset} under the tuned droop: the voltages of the feeder and the episode's time series]({picture})",
         f"*`python -m docs.studies.picture {preset}.png {preset} droop-tuned`: "
         f"test split, seed 0, after {steps} steps.*",
@@ -94,6 +94,24 @@ def page(preset: str) -> str:
         read_on(family, preset),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def animation(preset: str, horizon: int) -> str:
+    """The animation, its last frame for readers who prefer reduced motion, and a caption."""
+    policy, steps = best_policy(preset)[0], shown_scenario(preset).horizon
+    about = f"An episode of {preset} without control and under the policy {policy}: voltages and power of data centres"
+    pictures = [
+        f":::{{image}} pictures/{preset}{name}\n:class: {look}\n:alt: {about}\n:::"
+        for name, look in ((".gif", "moving"), ("-whole.png", "still"))
+    ]
+    part = "" if steps == horizon else f" Only the first {steps} of {horizon} steps are shown."
+    caption = (
+        f"*The same episode (test split, seed 0) without control (orange) and under the bundled policy `{policy}` "
+        "(blue). Above: the lowest voltage (thick) and the highest voltage (thin); the red areas are outside the "
+        f"limits. Below: the total power of the data centres.{part} "
+        f"`python -m docs.studies.animation {preset}.gif {preset} {policy}` draws it.*"
+    )
+    return "\n\n".join([*pictures, caption])
 
 
 def sentence(about: str) -> str:
@@ -234,12 +252,11 @@ def gallery() -> str:
         "for hindsight.",
     ]
     for family in FAMILIES:
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for preset in family.presets:
             found = {row.what.strip("`"): row for row in headroom(preset).rows}
-            best = next((row for name, row in found.items() if name.startswith(f"{preset}-")), None)
+            best = found[best_policy(preset)[0]]
             top = found.get("hindsight") or found["best known"]
-            shown = (best.saved, best.score.split()[0]) if best else ("", "none ships")
             rows.append(
                 (
                     f"[{preset}]({preset}{SUFFIX})",
@@ -248,7 +265,8 @@ def gallery() -> str:
                     found["droop-tuned"].j,
                     top.j,
                     top.saved,
-                    *shown,
+                    best.saved,
+                    best.score.split()[0],
                 )
             )
         head = (
@@ -261,12 +279,12 @@ def gallery() -> str:
 
 
 def draw(docs: Path, folder: Path) -> None:
-    """Draw the missing pictures in a separate process."""
-    missing = [name for name in PRESETS if not (folder / f"{name}.png").exists()]
+    """Draw the missing pictures and animations in a separate process."""
+    missing = [name for name in PRESETS if not (folder / f"{name}.gif").exists()]
     if not missing:
         return
     folder.mkdir(parents=True, exist_ok=True)
-    LOG.info("drawing %d pictures of environments", len(missing))
+    LOG.info("drawing %d pictures and animations of environments", len(missing))
     subprocess.run(
         [sys.executable, str(docs / "extensions" / "draw_environments.py"), str(folder), *missing], check=True
     )

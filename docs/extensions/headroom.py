@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
-from dcgrid_env.agents import Card
+from dcgrid_env.agents.policy.card import Card, Scored
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines.benchmark.summary import BestKnownCost
 from dcgrid_env.baselines.score import REFERENCE, STATIC, saved_pct
@@ -61,11 +61,8 @@ def headroom(preset: str) -> Headroom:
         line(f"`{name}`", meaning, figures[name].means["J"], droop, shown(figures[name].score))
         for name, meaning in about.items()
     ]
-    if card := best_card(preset):
-        scored = card.scored
-        assert scored is not None
-        name = f"`{preset}-{card.algorithm}`"
-        rows.append(line(name, "the best policy that ships, trained", scored.J, droop, shown(scored.score)))
+    name, scored = best_policy(preset)
+    rows.append(line(f"`{name}`", "the best policy that ships, trained", scored.J, droop, shown(scored.score)))
     known, j = hindsight(preset)
     meaning = "the best that is known of each episode, no bound" if known else "perfect foresight of the episode"
     rows.append(line("best known" if known else "hindsight", meaning, j, droop, "1"))
@@ -106,8 +103,8 @@ def saved(j: float, j_droop: float) -> str:
     return f"{saved_pct(j, j_droop):.1f}"
 
 
-def best_card(preset: str) -> Card | None:
-    """Card of the policy that ships with a preset and has the highest score; None where none ships."""
-    cards = [Card.load(path) for path in sorted(FOLDER.glob("*.json"))]
-    own = [card for card in cards if card.scored is not None and card.scored.scenario == preset]
-    return max(own, key=lambda card: card.scored.score[0] if card.scored else -1e9, default=None)
+def best_policy(preset: str) -> tuple[str, Scored]:
+    """Name and results of the bundled policy with the highest score on a preset."""
+    scored = {path.stem: Card.load(path).scored for path in sorted(FOLDER.glob("*.json"))}
+    results = {name: result for name, result in scored.items() if result is not None and result.scenario == preset}
+    return max(results.items(), key=lambda item: item[1].score[0])

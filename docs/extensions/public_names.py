@@ -13,7 +13,35 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
-PACKAGES = ("dcgrid_env", "dcgrid_env.baselines", "dcgrid_env.agents", "dcgrid_env.traces", "dcgrid_env.rendering")
+PACKAGES = (
+    "dcgrid_env",
+    "dcgrid_env.baselines",
+    "dcgrid_env.agents",
+    "dcgrid_env.traces",
+    "dcgrid_env.rendering",
+    "dcgrid_env.grid.formats.matpower",
+    "dcgrid_env.grid.formats.opendss",
+    "dcgrid_env.grid.formats.pandapower",
+    "dcgrid_env.grid.formats.power_grid_model",
+)
+FROM_THEIR_MODULE: tuple[str, ...] = (
+    "dcgrid_env.agents.policy.law_interface.FEATURES",
+    "dcgrid_env.agents.policy.law_interface.OUTPUTS",
+    "dcgrid_env.baselines.hosting_capacity.capacity_study.Study",
+    "dcgrid_env.baselines.hosting_capacity.hosting.Capacities",
+    "dcgrid_env.baselines.hosting_capacity.hosting.hosting_capacity",
+    "dcgrid_env.baselines.model_based.hindsight.Hindsight",
+    "dcgrid_env.baselines.model_based.hindsight.hindsight",
+    "dcgrid_env.baselines.offline_data.joint_episodes.JointEpisode",
+    "dcgrid_env.baselines.offline_data.joint_episodes.joint_episodes",
+    "dcgrid_env.baselines.recorded_actions.replayed",
+    "dcgrid_env.baselines.sanity.scenario_check.ScenarioCheck",
+    "dcgrid_env.baselines.sanity.scenario_check.check_scenario",
+    "dcgrid_env.baselines.score.Score",
+    "dcgrid_env.baselines.score.saved_pct",
+    "dcgrid_env.baselines.score.score",
+)
+"""Public names that users import from their module, as the guides do, because no package has them."""
 API = "api/"
 """Folder of the API's pages, on which a type of an annotation that is not public is plain text."""
 
@@ -43,7 +71,7 @@ def text_of_data(origin: str, name: str) -> list[str]:
 @cache
 def public_by_origin() -> dict[str, str]:
     """The name that users import by the full name where something is defined."""
-    found: dict[str, str] = {}
+    found: dict[str, str] = {name: name for name in FROM_THEIR_MODULE}
     for package in reversed(PACKAGES):  # a name that two packages give out is the first one's
         found |= {f"{origin}.{name}": f"{package}.{name}" for name, origin in origins(package).items()}
     return found

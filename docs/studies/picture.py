@@ -4,7 +4,7 @@ import sys
 
 import matplotlib.image
 
-from dcgrid_env import DcgridEnv, make_scenario
+from dcgrid_env import DcgridEnv, Scenario, make_scenario
 from dcgrid_env.baselines import make_controller
 
 STEPS = 75
@@ -12,11 +12,15 @@ LONGEST = 300
 """Steps of an episode that is drawn whole; of a longer one the first 150 make the axes."""
 
 
+def shown_scenario(preset: str) -> Scenario:
+    """Test split of a preset, with a shorter horizon if the episode is long."""
+    scenario = make_scenario(preset, split="test")
+    return scenario if scenario.horizon <= LONGEST else make_scenario(scenario, horizon=2 * STEPS)
+
+
 def draw(path: str, scenario: str = "ieee123", law: str = "droop") -> None:
     """Write the picture of a scenario's first test episode under a law after some steps."""
-    drawn = make_scenario(scenario, split="test")
-    if drawn.horizon > LONGEST:
-        drawn = make_scenario(drawn, horizon=2 * STEPS)
+    drawn = shown_scenario(scenario)
     env = DcgridEnv(drawn, render_mode="rgb_array")
     controller = make_controller(law, drawn)
     observation, _ = env.reset(seed=0)

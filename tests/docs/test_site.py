@@ -10,7 +10,8 @@ import sys
 
 import pytest
 
-from dcgrid_env import PRESETS
+from dcgrid_env import PRESETS, make_scenario
+from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.baselines.score import PUBLISHED_EPISODES
 from docs.studies.benchmark_data import METRICS_SHOWN, all_data
 from docs.studies.site_tables import NONE, sortable
@@ -46,13 +47,29 @@ def test_headroom_is_that_of_the_benchmark_and_the_cards():
         rows = {row.what.strip("`"): row for row in headroom["headroom"](preset).rows}
         best = rows.get("hindsight") or rows["best known"]
         assert float(best.j) < float(rows["droop-tuned"].j) < float(rows["none"].j)
-        (card,) = [headroom["best_card"](preset)]
-        assert card.scored.episodes >= PUBLISHED_EPISODES
-        assert rows[f"{preset}-{card.algorithm}"].j == f"{card.scored.J:.4f}"
+        policy, scored = headroom["best_policy"](preset)
+        assert scored.episodes >= PUBLISHED_EPISODES
+        assert policy in SHIPPED
+        assert scored.scenario == preset
+        assert rows[policy].j == f"{scored.J:.4f}"
     weak = headroom["headroom"]("ieee33-weak")
     assert (weak.page, weak.episodes, weak.rows[2].what) == ("benchmark", 100, "`constant-q-tuned`")
     with pytest.raises(ValueError, match=r"no file of docs/benchmarks contains preset 'new'"):
         headroom["headroom"]("new")
+
+
+def test_every_page_of_an_environment_has_an_animation_of_its_best_policy():
+    pytest.importorskip("sphinx")
+    pages = runpy.run_path(str(EXTENSIONS / "environment_pages.py"))
+    style = (ROOT / "docs" / "static" / "site.css").read_text(encoding="utf-8")
+    for preset in PRESETS:
+        text = pages["animation"](preset, make_scenario(preset).horizon)
+        policy = pages["best_policy"](preset)[0]
+        assert f":::{{image}} pictures/{preset}.gif\n:class: moving\n" in text
+        assert f":::{{image}} pictures/{preset}-whole.png\n:class: still\n" in text
+        assert f"`python -m docs.studies.animation {preset}.gif {preset} {policy}`" in text
+        assert ("Only the first 150 of 1440 steps" in text) == (preset == "ieee123-3ph-day")
+    assert "@media (prefers-reduced-motion: reduce) { img.moving { display: none; }" in style
 
 
 @pytest.mark.parametrize("page", sorted(all_data()))

@@ -1,4 +1,4 @@
-"""Power logs of `nvidia-smi --query-gpu=timestamp,power.draw[,index,...] --format=csv -l N`, as people have them."""
+"""Power logs of ``nvidia-smi --query-gpu=timestamp,power.draw[,index,...] --format=csv -l N``."""
 
 import os
 from array import array

@@ -1,4 +1,4 @@
-"""When requests arrive: Poisson, gamma and two-state laws, one the special case of the next, and a cycle over the day.
+"""Arrival laws of requests: Poisson, gamma and two-state laws, each a special case of the next, and a daily cycle.
 
 The rate lambda(t) switches between a calm and a busy value, after exponential times unless they are said to be more
 regular, and follows the hour of the day.

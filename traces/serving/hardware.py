@@ -1,4 +1,4 @@
-"""GPUs and language models, and how fast and at what power one serves the other.
+"""GPUs and language models, and the speed and power of each combination.
 
 A replica is the smallest power of two of GPUs whose memory holds the weights with a fifth to spare. Its speeds follow a
 roofline with two efficiencies:
@@ -78,6 +78,7 @@ GPUS: dict[str, Gpu] = {
         Gpu("H200", 700.0, 141.0, 4800.0, 989.0, 210.0, 1980.0, 0.10, 0.20, 0.43, 1.00),
     )
 }
+"""Types of GPU by name."""
 
 # Cache: layers x key-value heads x head size x 2 x 2 bytes; DeepSeek's is compressed to 512 + 64 numbers a layer.
 MODELS: dict[str, Model] = {
@@ -90,6 +91,7 @@ MODELS: dict[str, Model] = {
         Model("deepseek-v3", 671.0, 37.0, 1.0, 61 * 576 * 2.0),
     )
 }
+"""Language models by name."""
 
 
 @dataclass(frozen=True)

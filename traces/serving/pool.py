@@ -1,4 +1,4 @@
-"""A serving model: requests in, power and waiting times out.
+"""A serving model, which computes power and waiting times from requests.
 
 A pool of equal replicas serves requests by continuous batching (`kernel`), at speeds and power of `hardware`.
 Nothing is lost: a request is waiting, in a batch, or answered. Power above idle, as a share of the GPUs' rated power:

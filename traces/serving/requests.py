@@ -1,4 +1,4 @@
-"""Requests to a language model: when each arrives, how much it brings and how much it gets back."""
+"""Requests to a language model: arrival times, context tokens and generated tokens."""
 
 from __future__ import annotations
 

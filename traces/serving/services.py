@@ -115,6 +115,7 @@ SERVICES: dict[str, Service] = {
         ),
     )
 }
+"""Services by name."""
 
 
 def find_service(service: str | Service) -> Service:

@@ -1,4 +1,4 @@
-"""A data centre of many GPUs: services of language models and training under one roof, over the hours of a day.
+"""A data centre of many GPUs: services of language models and training on one site, over the hours of a day.
 
 Each service has its share of the GPUs, a model on them and a load. The load is the mean arrival rate over the rate that
 full batches sustain; with small batches the replicas are busy for much more of the time. Sites can share their users:

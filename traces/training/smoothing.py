@@ -1,4 +1,4 @@
-"""Power smoothing in newer GPUs: a floor under the draw, limited ramps, and a time for which the floor outlasts a job.
+"""Power smoothing in newer GPUs: a power floor, limited ramps, and a time for which the floor outlasts a job.
 
     target_k = max(draw_k, floor) while the job runs and for the hysteresis time after, else draw_k
     drawn_k  = target_k within [drawn_{k-1} - down dt, drawn_{k-1} + up dt]

@@ -1,4 +1,4 @@
-"""What an agent observes: local figures only, unless the scenario widens the scope.
+"""Observations of an agent: local fields only, unless the scenario widens the scope.
 
 ``FIELDS`` are those of the grid, one record each. Then come the fields of an agent's device (``Device.fields``),
 voltages among them in bands and without noise or delay. Two scopes add fields at the end: `neighbours` v_deviation, p

@@ -1,4 +1,4 @@
-"""The perfect forecast of an episode: all that will come from outside, known at its beginning."""
+"""The perfect forecast of an episode: all external inputs, known at its beginning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The relays of regulators: for how long and within what volts they leave the taps, and where they would have them."""
+"""Relays of the regulators that act during an episode: delays, voltage bands and the taps that they aim for."""
 
 from __future__ import annotations
 

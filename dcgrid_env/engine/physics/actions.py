@@ -1,4 +1,4 @@
-"""The joint action: which entry is which agent's which channel, and checks of the actions that come in.
+"""The joint action: positions of the channels of each agent, and checks of actions.
 
 Values beyond [-1, 1] are cut by the physics.
 """

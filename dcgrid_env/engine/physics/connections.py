@@ -1,4 +1,4 @@
-"""Which nodes and legs an agent at a bus is connected to, and how far its voltage moves with its own power."""
+"""Nodes and legs that an agent at a bus is connected to, and the sensitivity of its voltage to power."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What becomes of each element that another program's grid holds: taken, of no account, lost, or in the way."""
+"""Report on an import: whether each element of another program's grid was taken, left out or refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A radial feeder out of a MATPOWER case file (version 2), which is never executed."""
+"""Read a radial feeder from a MATPOWER case file (version 2), which is never executed."""
 
 from __future__ import annotations
 

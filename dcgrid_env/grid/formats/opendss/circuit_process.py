@@ -1,4 +1,4 @@
-"""OpenDSS circuits, read in a child process: OpenDSS crashes on some files, and some take all time and memory.
+"""Read OpenDSS circuits in a child process, because some files crash OpenDSS or need too much time or memory.
 
 The child imports this package, reads the circuit and writes tables as JSON; none of its failures is the caller's.
 """

@@ -1,4 +1,4 @@
-"""A three-phase grid out of an OpenDSS master file, with what became of each element and OpenDSS's own voltages."""
+"""Read a three-phase grid from an OpenDSS master file, with a report on each element and OpenDSS's voltages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A radial feeder out of a power-grid-model JSON file."""
+"""Read a radial feeder from a power-grid-model JSON file."""
 
 from __future__ import annotations
 
