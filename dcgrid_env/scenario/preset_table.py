@@ -38,7 +38,7 @@ TABLE = (
     Preset(
         "ieee33-weak",
         "dcgrid/IEEE33Weak-v0",
-        "33 buses of high r/x, 3 data centres of 1 MW at the ends; the clock must help",
+        "33 buses of high r/x, 3 data centres of 1 MW at the ends; reactive power alone is not enough",
         balanced.ieee33_weak,
     ),
     Preset(

@@ -39,7 +39,7 @@ CHARGED = {
     "voltage": r"mean over buses of $\lvert V - 1 \rvert$",
     "violation": r"mean over buses of $\max(\lvert V - 1 \rvert - 0.05, 0)$",
     "backlog": "queued work of all sites, s at their rated power",
-    "effort": "mean over agents of the share of the reactive rating in use",
+    "effort": "mean over agents of abs(q) as a share of the apparent-power rating",
     "leftover": "work left at the episode's end, s at the rated power; charged once, over T",
     "switching": "mean number of taps and switchings over the equipment",
     "ramp_excess": "mean over sites of what a ramp exceeds the utility's limit by",
@@ -223,10 +223,11 @@ def cost(scenario: Scenario) -> str:
     rows = [
         (f"`cost_{name}`", f"{weight:g}", CHARGED.get(name, name.replace("_", " "))) for name, weight in weights.items()
     ]
-    return (
-        "The cost of a step is the sum of these terms, each multiplied by its weight. J is the mean cost per step. "
-        "[The model](../model.md#cost) has the formula.\n\n" + table(("in `info`", "weight", "of"), rows)
+    about = (
+        "The cost of a step is the sum of these terms, each multiplied by its weight. J is the mean cost per step plus "
+        "the charge for leftover work. [The model](../model.md#cost) has the formula."
     )
+    return f"{about}\n\n" + table(("in `info`", "weight", "of"), rows)
 
 
 def read_on(family: Family, preset: str) -> str:
@@ -247,7 +248,7 @@ def gallery() -> str:
     parts = [
         "# All environments",
         "Each preset is available as a Gymnasium id, a PettingZoo environment, a vectorised environment and a tensor "
-        "environment. J is the mean cost per step on the test episodes, lower is better. The headroom is the share "
+        "environment. J is the mean cost of the test episodes, lower is better. The headroom is the share "
         "of the tuned droop's J that perfect foresight (hindsight) saves. The score is 0 for the tuned droop and 1 "
         "for hindsight.",
     ]

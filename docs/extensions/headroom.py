@@ -5,10 +5,12 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
+from dcgrid_env import make_scenario
 from dcgrid_env.agents.policy.card import Card, Scored
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines.benchmark.summary import BestKnownCost
 from dcgrid_env.baselines.score import REFERENCE, STATIC, saved_pct
+from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 from docs.studies.benchmark_data import BenchmarkData, Row, all_data
 
 
@@ -54,19 +56,26 @@ def headroom(preset: str) -> Headroom:
     static = max((name for name in STATIC if name in figures), key=lambda name: figures[name].score.value)
     about = {
         "none": "no control: top clock, no reactive power",
-        REFERENCE: "the paper's law, gains tuned on validation",
-        static: "the best constant: it measures nothing",
+        REFERENCE: f"the paper's law, gains tuned on validation: {gains(preset)}",
+        static: "best constant set points, no measurements",
     }
     rows = [
         line(f"`{name}`", meaning, figures[name].means["J"], droop, shown(figures[name].score))
         for name, meaning in about.items()
     ]
     name, scored = best_policy(preset)
-    rows.append(line(f"`{name}`", "the best policy that ships, trained", scored.J, droop, shown(scored.score)))
+    rows.append(line(f"`{name}`", "the best bundled policy", scored.J, droop, shown(scored.score)))
     known, j = hindsight(preset)
-    meaning = "the best that is known of each episode, no bound" if known else "perfect foresight of the episode"
+    meaning = "the lowest cost found by search, not a bound" if known else "perfect foresight of the episode"
     rows.append(line("best known" if known else "hindsight", meaning, j, droop, "1"))
     return Headroom(page, data.scenarios[preset].episodes, tuple(rows))
+
+
+def gains(preset: str) -> str:
+    """Return the gains of the tuned droop."""
+    tuned = tuned_parameters("droop", make_scenario(preset)).parameters
+    k_p, k_q, alpha = (tuned[name] for name in ("k_p_mw_per_pu", "k_q_mvar_per_pu_s", "alpha_per_s"))
+    return f"k_p {k_p:.4g} MW/p.u., k_q {k_q:.4g} Mvar/(p.u. s), alpha {alpha:.4g} /s"
 
 
 def line(what: str, meaning: str, j: float, j_droop: float, score: str) -> Line:

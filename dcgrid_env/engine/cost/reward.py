@@ -1,6 +1,6 @@
 """The cost of a step: one definition for reward, tuning, hindsight and score.
 
-    c_t = 100 mean|V-1| + 1000 mean max(|V-1| - 0.05, 0) + 0.3 sum(backlog)/sum(p_rated) + 0.02 mean|q|/q_rating
+    c_t = 100 mean|V-1| + 1000 mean max(|V-1| - 0.05, 0) + 0.3 sum(backlog)/sum(p_rated) + 0.02 mean(|q|/s_rated)
     J   = (1/T) sum_t c_t + 9 (1/T) sum(backlog_T)/sum(p_rated)
 
 Means are over the nodes other than the substation's, and over agents. reward_t is minus its share of J times T. All
