@@ -1,4 +1,4 @@
-"""Route to the strongest bus: sites whose voltage will be low give work away, and those whose will be high take it.
+"""Route to the strongest bus: sites whose voltage will be low pass work to sites whose voltage will be high.
 
     V'_i = V_i - h R_ii (p_ref_i - p_i)                  voltage to come if every site kept its own work, h from 0 to 1
     r_i  = clip(g (V'_i - mean V'), -1, 1)               below 0 given away, above 0 taken; the mean is over the sites

@@ -1,4 +1,4 @@
-"""PettingZoo environment: every data-centre bus and every inverter bus is an agent."""
+"""PettingZoo environment: every data centre, inverter or other device is an agent."""
 
 from __future__ import annotations
 

@@ -227,7 +227,7 @@ def cost(scenario: Scenario) -> str:
         "The cost of a step is the sum of these terms, each multiplied by its weight. J is the mean cost per step plus "
         "the charge for leftover work. [The model](../model.md#cost) has the formula."
     )
-    return f"{about}\n\n" + table(("in `info`", "weight", "of"), rows)
+    return f"{about}\n\n" + table(("in `info`", "weight", "quantity"), rows)
 
 
 def read_on(family: Family, preset: str) -> str:

@@ -59,7 +59,7 @@ FAMILIES = (
         ("scenarios", "feeder-model"),
     ),
     Family(
-        "Jumping loads, weather, faults and wrong models",
+        "Fast-changing loads, weather, faults and wrong models",
         "The same feeders with harder workloads, disturbances and measurements.",
         {
             "bursty": (

@@ -56,7 +56,7 @@ def headroom(preset: str) -> Headroom:
     static = max((name for name in STATIC if name in figures), key=lambda name: figures[name].score.value)
     about = {
         "none": "no control: top clock, no reactive power",
-        REFERENCE: f"the paper's law, gains tuned on validation: {gains(preset)}",
+        REFERENCE: f"the droop law of Chen and Zhang, gains tuned on validation: {gains(preset)}",
         static: "best constant set points, no measurements",
     }
     rows = [
