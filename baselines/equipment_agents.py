@@ -53,10 +53,10 @@ class EquipmentAgents:
     def _joint(self, joint: np.ndarray, of_others: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         if self._seen is None:
             return of_others(joint)
-        own = of_others(joint[..., self._seen])
-        actions = np.empty((*own.shape[:-1], len(self._rest)), own.dtype)
+        of_policy = of_others(joint[..., self._seen])
+        actions = np.empty((*of_policy.shape[:-1], len(self._rest)), of_policy.dtype)
         actions[...] = self._rest
-        actions[..., self._others_at] = own
+        actions[..., self._others_at] = of_policy
         if self._regulators is not None:
             actions[..., self._regulators.action_at] = self._regulators.actions(joint)
         return actions

@@ -89,7 +89,7 @@ class LawInterface:
     def figures(self, joint: Any, past: Past) -> tuple[Step, Mapping[str, Any]]:
         """Return the law's step for a joint observation and each network's inputs, (row, n_agent of its kind, n)."""
         fields = self.columns.of(joint)
-        step = self.law(self.columns.own(fields), past)
+        step = self.law(self.columns.physical(fields), past)
         return step, self._seen(fields, step)
 
     def _seen(self, fields: Mapping[str, Any], step: Step) -> Mapping[str, Any]:

@@ -91,7 +91,7 @@ class LawStep:
         self._known = known
         self._price = VoltagePrice.of(s)
         self.known = Commissioned(*map(array, known))
-        self.own = array(known.by_own * site.q_scale_kvar[:, None])
+        self.by_q = array(known.by_own * site.q_scale_kvar[:, None])
         """What each agent's whole reactive power does to every voltage once the others have answered it, p.u.,
         (placement, n_agent, node)."""
         self._scale, self._effort = array(site.share_of_kvar), array(site.effort)
@@ -194,8 +194,8 @@ class LawStep:
         """``chosen`` with its derivative."""
         limit = self._like(self.site.limit_kvar(p_kw)) / self._scale
         slope, curve = self._slopes(v + (chosen - share)[..., None] * by_all, inverse)
-        rise = (slope * self.own).sum(-1) + self.known.hold * (chosen - rest)
-        steep = (curve * self.own * by_all).sum(-1) + self.known.hold
+        rise = (slope * self.by_q).sum(-1) + self.known.hold * (chosen - rest)
+        steep = (curve * self.by_q * by_all).sum(-1) + self.known.hold
         inside = (abs(chosen) < 0.999 * limit) & (abs(chosen) > 0.0)
         return _implicit(chosen, rise, steep, inside)
 
@@ -235,7 +235,7 @@ class Columns:
         """Fields by name, as observed, of the agents that have them."""
         return {name: joint[:, columns] for name, columns in self._at.items()}
 
-    def own(self, fields: Mapping[str, Any]) -> Own:
+    def physical(self, fields: Mapping[str, Any]) -> Own:
         """Fields in physical units."""
         return Own(
             1.0 + self.band_pu * fields["v_deviation"],

@@ -195,11 +195,11 @@ def _names_at_the_side(
     share = (y - low) / (high - low)
     order = np.argsort(share, kind="stable")
     places = _apart(share[order], min(line, 1.0 / max(len(order) - 1, 1)))
-    for at, i in zip(places, order.tolist(), strict=True):
+    for height, i in zip(places, order.tolist(), strict=True):
         ax.annotate(
             str(names[i]),
             xy=(x[i], y[i]),
-            xytext=(1.06, at),
+            xytext=(1.06, height),
             textcoords="axes fraction",
             fontsize=8,
             color=colours[i],

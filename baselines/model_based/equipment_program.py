@@ -70,16 +70,16 @@ class EquipmentProgram(Trajectory):
         """Optimum, to a share of it, and the actions (T, n_action) behind it; the next program is around them."""
         s = self.scenario
         n_dc, n_u, steps = s.datacenters.count, self.n_further, s.horizon
-        at, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
+        v_pu, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
         k = dense.shape[-1]
         one, shift = sparse.identity(steps), sparse.eye(steps, k=-1)
         of_d = np.arange(k) < n_dc
         served = sparse.kron(one, sparse.diags(np.where(of_d, -1.0 / s.dt_s, 1.0)))
         served += sparse.kron(shift, sparse.diags(np.where(of_d, 1.0 / s.dt_s, 0.0)))  # d_t - a_t from b_t, b_{t-1}
         quantities = sparse.csr_array(served)
-        at = at + (dense[..., :n_dc] @ self.arrived_kw[..., None])[..., 0]
-        c, constant = self._linear_costs(at, dense, quantities)
-        h, bounds = self._of_voltages(at)
+        v_pu = v_pu + (dense[..., :n_dc] @ self.arrived_kw[..., None])[..., 0]
+        c, constant = self._linear_costs(v_pu, dense, quantities)
+        h, bounds = self._of_voltages(v_pu)
         other, h_other, k_other = self._of_steps(quantities, k)
         rows = Rows(dense, quantities, (1.0, 1.0, -1.0), other, 2 * k - 1)
         h, limits = np.concatenate((h, h_other)), np.concatenate((bounds, k_other))
@@ -134,19 +134,19 @@ class EquipmentProgram(Trajectory):
         s, linear = self.scenario, self._linear(v_pu)
         values = v_pu.reshape(-1, s.horizon, v_pu.shape[-1])
         by_u = np.moveaxis(values[len(values) - self.n_further :] - values[0], 0, -1) / self._spans()[:, None]
-        at = linear.at_zero - (by_u @ self.position[:, : self.n_further, None])[..., 0]
-        return at, np.ascontiguousarray(np.concatenate((linear.by_d, linear.by_q, by_u), axis=-1))
+        v_at_zero = linear.at_zero - (by_u @ self.position[:, : self.n_further, None])[..., 0]
+        return v_at_zero, np.ascontiguousarray(np.concatenate((linear.by_d, linear.by_q, by_u), axis=-1))
 
-    def _linear_costs(self, at: np.ndarray, dense: np.ndarray, quantities: Any) -> tuple[np.ndarray, float]:
+    def _linear_costs(self, v_pu: np.ndarray, dense: np.ndarray, quantities: Any) -> tuple[np.ndarray, float]:
         """Of |x| = 2 max(x, 0) - x the last part, with x the deviation, and what is no hinge, and the constant."""
         s, w, n_dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.count
-        price = w.voltage / at.size
+        price = w.voltage / v_pu.size
         c = (quantities.T @ (-price * dense.sum(axis=1)).ravel()).reshape(s.horizon, -1)
         backlog = np.full(s.horizon, w.backlog)
         backlog[-1] += w.leftover
         c[:, :n_dc] += backlog[:, None] / (s.datacenters.parameters.p_rated_kw.sum() or 1.0) / s.horizon
         c[:, n_dc : n_dc + self.n] += self._effort()
-        constant = price * float((1.0 - at).sum())
+        constant = price * float((1.0 - v_pu).sum())
         if self.n_further:
             c[-1, n_dc + self.n :] += self._switching()
             return c.ravel(), constant - self._switching() * float(self.rest.sum())
@@ -161,12 +161,12 @@ class EquipmentProgram(Trajectory):
         """Price of a tap or a switching."""
         return self.scenario.cost.weights.switching / len(self.rest) / self.scenario.horizon
 
-    def _of_voltages(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _of_voltages(self, v_pu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Prices and limits of the voltages' hinges: above 1 p.u., above the band, below it."""
         w, band = self.scenario.cost.weights, self.scenario.cost.band_pu
-        beyond = np.inf if self.keep_band else max(w.violation / at.size, 1e-12)
-        h = np.repeat([max(2.0 * w.voltage / at.size, 1e-12), beyond, beyond], at.size)
-        return h, np.concatenate(((1.0 - at).ravel(), (1.0 + band - at).ravel(), (at - 1.0 + band).ravel()))
+        beyond = np.inf if self.keep_band else max(w.violation / v_pu.size, 1e-12)
+        h = np.repeat([max(2.0 * w.voltage / v_pu.size, 1e-12), beyond, beyond], v_pu.size)
+        return h, np.concatenate(((1.0 - v_pu).ravel(), (1.0 + band - v_pu).ravel(), (v_pu - 1.0 + band).ravel()))
 
     def _of_steps(self, quantities: Any, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
         """The other rows, with their prices and limits: of backlogs, work, reactive power, positions and moves."""

@@ -95,12 +95,12 @@ class StorageRows:
         if not len(reactive):
             return parts
         picked = sparse.csr_array(np.eye(self.count)[reactive])
-        own = sparse.kron(sparse.identity(self.steps), picked, format="csr")
+        selected = sparse.kron(sparse.identity(self.steps), picked, format="csr")
         behind = sparse.csr_array(np.eye(self.count, self.n_agents, k=self.n_agents - self.count)[reactive])
         of_g = sparse.kron(sparse.identity(self.steps), behind, format="csr")
         room = np.tile(self.s_rated_kva[reactive], self.steps)
         for theta in tangents:
-            active = np.cos(theta) * own
+            active = np.cos(theta) * selected
             parts.append(({"c": active, "x": active, "g": np.sin(theta) * of_g}, room))
         return parts
 

@@ -101,12 +101,12 @@ class WorkRows:
         if self.service is None:
             return []
         one = sparse.identity(self.steps * self.n, format="csr")
-        none = np.zeros(self.steps * self.n)
+        zero = np.zeros(self.steps * self.n)
         parts: list[Part] = []
         share, slack = self.service.interactive_share, self.service.slack(self.dt_s)
         queues: tuple[dict[str, Any], ...] = ({"b": share * one}, {"b": (1.0 - share) * one})
         if self.sizes["h"]:
-            parts += [({"i": one, "d": -in_d}, none), ({"h": one, "b": -one}, none)]
+            parts += [({"i": one, "d": -in_d}, zero), ({"h": one, "b": -one}, zero)]
             queues = ({"h": one}, {"b": one, "h": -one})
         for name, queue, of_kind, steps in zip("lk", queues, (share, 1.0 - share), slack, strict=True):
             recent = of_kind * self.dt_s * self._last(steps)

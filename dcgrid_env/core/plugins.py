@@ -51,12 +51,12 @@ class Registry(Mapping[str, Entry]):
         Word for the objects that the entries make, for messages.
     made
         Type of the objects that the entries make, or several types.
-    own
+    bundled
         Entries of this package, which need no installed metadata.
     """
 
-    def __init__(self, group: str, kind: str, made: type | tuple[type, ...], own: Mapping[str, Entry]):
-        self.group, self.kind, self._own = group, kind, own
+    def __init__(self, group: str, kind: str, made: type | tuple[type, ...], bundled: Mapping[str, Entry]):
+        self.group, self.kind, self._bundled = group, kind, bundled
         self._made = made if isinstance(made, tuple) else (made,)
         self._entries: dict[str, Entry] = {}
         self._origins: dict[str, str] = {}
@@ -65,15 +65,15 @@ class Registry(Mapping[str, Entry]):
         self._is_installed = False
 
     def __getitem__(self, name: str) -> Entry:
-        while name not in self._own and name not in self._entries:
+        while name not in self._bundled and name not in self._entries:
             if not self._load_next():
                 raise KeyError(name)
-        return self._own[name] if name in self._own else self._entries[name]
+        return self._bundled[name] if name in self._bundled else self._entries[name]
 
     def __iter__(self) -> Iterator[str]:
         while self._load_next():
             pass
-        return iter([*self._own, *self._entries])
+        return iter([*self._bundled, *self._entries])
 
     def __len__(self) -> int:
         return len(list(iter(self)))
@@ -128,8 +128,8 @@ class Registry(Mapping[str, Entry]):
             self._refuse(point, f"is left out: {_described(error)}; mend or uninstall it")
             return True
         taken = []
-        for name, entry in handed_over.items() if handed_over is not self._own else ():
-            if (known := self._own.get(name) or self._entries.get(name)) is not None:
+        for name, entry in handed_over.items() if handed_over is not self._bundled else ():
+            if (known := self._bundled.get(name) or self._entries.get(name)) is not None:
                 if known[1] is not entry[1]:
                     taken.append(name)
                 continue

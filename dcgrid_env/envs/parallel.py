@@ -122,7 +122,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         layout = action_layout(s)
         low, high = layout.bounds
         self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {
-            a: spaces.Box(low[at], high[at], dtype=np.float32) for a, at in layout.slices.items()
+            a: spaces.Box(low[entries], high[entries], dtype=np.float32) for a, entries in layout.slices.items()
         }
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
@@ -198,8 +198,8 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         of_devices = zip(
             s.devices, observation.device_fields(s), params.devices, now.state.devices, coming, strict=True
         )
-        for device, fields, own, its_state, given in of_devices:
-            raw = device.observe(own, its_state, given)
+        for device, fields, device_params, its_state, given in of_devices:
+            raw = device.observe(device_params, its_state, given)
             parts += [figure[0] / field.share_of for field, figure in zip(fields, raw, strict=True)]
         parts.append(now.step / s.horizon)
         return np.clip(np.concatenate(parts), -STATE_BOUND, STATE_BOUND).astype(np.float32)

@@ -185,9 +185,10 @@ class TensorEnv:
         xp = namespace(action)
         where = xp.nonzero(~xp.isfinite(action))
         if len(where[0]):
-            env_index, at = (int(i[0]) for i in where)
+            env_index, entry = (int(i[0]) for i in where)
             raise ValueError(
-                f"the action of environment {env_index} is {action[env_index, at].item()} at {at}; give finite numbers"
+                f"the action of environment {env_index} is {action[env_index, entry].item()} at {entry}; "
+                "give finite numbers"
             )
 
     def _now(self, field: Array | None, ahead: int = 0) -> Array | None:

@@ -52,11 +52,11 @@ def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple
         fixed += ((among, where, bus, phases) for bus, phases in zip(device.buses, phases_of(device), strict=True))
     taken: set[tuple[str, int]] = set()
     for among, where, bus, phases in fixed:
-        at = _position(name, feeder, where, bus, phases)
-        if (among, at) in taken:
+        bus_index = _position(name, feeder, where, bus, phases)
+        if (among, bus_index) in taken:
             of_kind = f"{among} " if among else ""
             raise ScenarioError(f"scenario {name!r}: more than one {of_kind}device at bus {bus!r}; give each its own")
-        taken.add((among, at))
+        taken.add((among, bus_index))
     free = _least_free(feeder, devices) if isinstance(feeder, RandomFeeders) else len(free_load_buses(feeder, devices))
     if drawn > free:
         where = path_of(next(device for device in devices if device.buses is None))
@@ -88,15 +88,15 @@ def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: Any
             f"scenario {name!r}: {where}.buses has {bus!r}, no number or text; give buses of the feeder"
         )
     try:
-        at = feeder.index(bus)
+        bus_index = feeder.index(bus)
     except FeederError as error:
         raise ScenarioError(f"scenario {name!r}: {error}") from None
     try:
-        feeder.nodes_at(at, phases)
+        feeder.nodes_at(bus_index, phases)
     except FeederError as error:
         raise ScenarioError(f"scenario {name!r}: {where}.phases has {phases!r}, but {error}") from None
-    if at == 0:
+    if bus_index == 0:
         raise ScenarioError(
             f"scenario {name!r}: a device at the substation {bus!r}, where the source is; choose another bus"
         )
-    return at
+    return bus_index

@@ -116,8 +116,8 @@ def measured_banks(settings: BankSettings, solution: Any, state: BankState) -> B
 
 def initial_banks(on: Array) -> BankState:
     """The state at t = 0 of banks that are on or off, (row, n_capacitor), before anything is measured."""
-    none = 0.0 * on
-    return BankState(on, none + 1.0, none, none, none, none, none)
+    zero = 0.0 * on
+    return BankState(on, zero + 1.0, zero, zero, zero, zero, zero)
 
 
 def control_banks(
@@ -127,7 +127,7 @@ def control_banks(
 
     ``controlled`` is 1 for a bank whose control acts and 0 for one that stays, (n_capacitor,); None where all act.
     """
-    xp, none = namespace(state.on), 0.0 * state.on
+    xp, zero = namespace(state.on), 0.0 * state.on
     if control.measures == "voltage":
         too_low, too_high = state.v_pu < control.on_below_pu, state.v_pu > control.off_above_pu
     else:
@@ -135,14 +135,14 @@ def control_banks(
     beyond = (too_low & (state.on < 0.5)) | (too_high & (state.on > 0.5))
     if controlled is not None:
         beyond = beyond & (controlled > 0.0)
-    waited = xp.where(beyond, state.beyond_s + dt_s, none)
+    waited = xp.where(beyond, state.beyond_s + dt_s, zero)
     due = beyond & (waited >= control.delay_s - _SAME_TIME_S)
     on = xp.where(due, 1.0 - state.on, state.on)
-    switched = xp.where(due, none + 1.0, none)
-    since = xp.where(due, none, state.since_s + dt_s)
+    switched = xp.where(due, zero + 1.0, zero)
+    since = xp.where(due, zero, state.since_s + dt_s)
     return state._replace(
         on=on,
-        beyond_s=xp.where(due, none, waited),
+        beyond_s=xp.where(due, zero, waited),
         since_s=since,
         switched=switched,
         switchings=state.switchings + switched,

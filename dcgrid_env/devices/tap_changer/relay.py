@@ -75,13 +75,13 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
 def _feeds(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
     """Return 1 where the row regulator is the column regulator or is between it and the source in its sensed phase."""
     regulator, feeds = feeder.branches.regulator, np.zeros((len(node), len(node)))
-    for column, at in enumerate(node):
-        while at >= 0:
-            bus = feeder.node_bus[at]
-            row = regulator[bus, at - feeder.first_node[bus]]
+    for column, upstream in enumerate(node):
+        while upstream >= 0:
+            bus = feeder.node_bus[upstream]
+            row = regulator[bus, upstream - feeder.first_node[bus]]
             if row >= 0:
                 feeds[row, column] = 1.0
-            at = feeder.node_parent[at]
+            upstream = feeder.node_parent[upstream]
     return feeds
 
 

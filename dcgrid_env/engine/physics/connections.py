@@ -94,7 +94,12 @@ def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) 
     for begin in range(0, len(wanted), _ROWS_AT_ONCE):
         source_nodes = wanted[begin : begin + _ROWS_AT_ONCE]
         slopes = linearise(
-            feeder, feeder.p_load_kw, feeder.q_load_kvar, scenario.source_voltage_pu, control, at=source_nodes.tolist()
+            feeder,
+            feeder.p_load_kw,
+            feeder.q_load_kvar,
+            scenario.source_voltage_pu,
+            control,
+            nodes=source_nodes.tolist(),
         )
         pair, seen = np.nonzero(np.isin(own_nodes, source_nodes))
         row = np.searchsorted(source_nodes, own_nodes[pair, seen])

@@ -38,9 +38,9 @@ def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice
 def connected_share(scenario: Scenario, states: Sequence[Any], like: Array, cuts: Sequence[slice]) -> Array:
     """Share of each agent's power that is on the grid, (row, n_agent), 1 for those that cannot leave."""
     one = 0.0 * like + 1.0
-    own = leaving(scenario)
+    with_ride_through = leaving(scenario)
     parts = [
-        scenario.devices[i].connected(states[i]) if i in own else one[..., cut]  # pyright: ignore
+        scenario.devices[i].connected(states[i]) if i in with_ride_through else one[..., cut]  # pyright: ignore
         for i, cut in enumerate(cuts)
     ]
     return namespace(like).concat(parts, axis=-1)

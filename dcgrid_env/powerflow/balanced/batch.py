@@ -22,10 +22,10 @@ def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
     """Constants of a feeder for the kernels, see ``distflow_kernels``."""
     order, parent = feeder.depth_first.order.copy(), feeder.depth_first.parent.copy()  # writable, as kernels want them
     z = (np.concatenate(([0.0], z_pu[order[1:] - 1])).astype(dtype) for z_pu in (feeder.r_pu, feeder.x_pu))
-    none = np.empty(0, dtype)
+    empty = np.empty(0, dtype)
     shunts, ratio = feeder.shunts_pu, feeder.voltage_ratio
-    g, b = (none, none) if shunts is None else (shunt_pu[order].astype(dtype) for shunt_pu in shunts)
-    return order, parent, *z, g, b, none if ratio is None else ratio[order].astype(dtype)
+    g, b = (empty, empty) if shunts is None else (shunt_pu[order].astype(dtype) for shunt_pu in shunts)
+    return order, parent, *z, g, b, empty if ratio is None else ratio[order].astype(dtype)
 
 
 def solve_rows(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, *rest: Any) -> Solution:

@@ -29,8 +29,8 @@ def lindistflow_of_members(
 def _of_members(solve: Any, feeder: FeederBatch, p_kw: Any, q_kvar: Any, v0_pu: Any, control: Any, start: Any) -> Any:
     whole: list[Any] | None = None
     for member, rows in feeder.members:
-        own = None if control is None else Control(*(None if field is None else field[rows] for field in control))
-        solved = solve(member, p_kw[rows], q_kvar[rows], v0_pu, own, None if start is None else start[rows])
+        changed = None if control is None else Control(*(None if field is None else field[rows] for field in control))
+        solved = solve(member, p_kw[rows], q_kvar[rows], v0_pu, changed, None if start is None else start[rows])
         if whole is None:
             whole = [np.empty((len(p_kw), *values.shape[1:]), values.dtype) for values in solved]
         for values, part in zip(whole, solved, strict=True):

@@ -83,13 +83,13 @@ def _forms(feeder: ThreePhaseFeeder, xp: Any, dtype: Any, device: Any) -> _Forms
     shunt, resistance = np.zeros((n, n), np.complex128), np.zeros((n, n))
     tapped = np.zeros((feeder.n_regulator, n))
     for i in range(feeder.n_bus):
-        at = slice(feeder.first_node[i], feeder.first_node[i + 1])
-        size = at.stop - at.start
-        shunt[at, at] = 1j * feeder.branches.shunt[i, :size, :size]
-        resistance[at, at] = feeder.branches.b[i, :size, :size].real if i else 0.0
+        nodes = slice(feeder.first_node[i], feeder.first_node[i + 1])
+        size = nodes.stop - nodes.start
+        shunt[nodes, nodes] = 1j * feeder.branches.shunt[i, :size, :size]
+        resistance[nodes, nodes] = feeder.branches.b[i, :size, :size].real if i else 0.0
         for k, row in enumerate(feeder.branches.regulator[i, :size]):
             if row >= 0:
-                tapped[row, at.start + k] = 1.0
+                tapped[row, nodes.start + k] = 1.0
     position = np.argsort(np.concatenate([z.nodes for z in zones_of(feeder)]))
     order, law = np.argsort(plan.leg_order.astype(int)), plan.leg_law
     return _Forms(
@@ -153,11 +153,11 @@ def _drawn(f: _Forms, given: tuple[Any, ...], v: Array) -> Array:
 def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tuple[Array, Array]:
     """Voltages, and currents of the branches to each node, that follow from what is drawn at each node."""
     xp, ratio, n_zone = namespace(given[0]), given[3], len(f.zones)
-    own, entering = [drawn] * n_zone, [drawn] * n_zone
+    within, entering = [drawn] * n_zone, [drawn] * n_zone
     for k in range(n_zone - 1, -1, -1):
         zone = f.zones[k]
-        own[k] = drawn[..., zone.nodes]
-        entering[k] = own[k] @ zone.enter.T
+        within[k] = drawn[..., zone.nodes]
+        entering[k] = within[k] @ zone.enter.T
         if k:
             sent = entering[k] @ zone.a
             sent = sent if zone.regulator is None else sent * ratio[..., zone.regulator]
@@ -171,8 +171,8 @@ def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tup
             head = r * (head - r * drop)
         else:
             head = ideal - drop
-        found.append(head @ zone.enter - own[k] @ zone.z.T)
-    currents = [own[k] @ zone.through for k, zone in enumerate(f.zones)]
+        found.append(head @ zone.enter - within[k] @ zone.z.T)
+    currents = [within[k] @ zone.through for k, zone in enumerate(f.zones)]
     return xp.concat(found, axis=-1)[..., f.order], xp.concat(currents, axis=-1)[..., f.order]
 
 

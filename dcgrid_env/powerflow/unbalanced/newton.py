@@ -83,7 +83,7 @@ class Equations:
         factors = splu(self._matrix())
         return factors.solve(self._right), factors
 
-    def at(self, x: FloatArray, share: float) -> tuple[FloatArray, csc_matrix]:
+    def evaluate(self, x: FloatArray, share: float) -> tuple[FloatArray, csc_matrix]:
         """By how much the equations miss at ``x`` under a share of all loads and devices, and their derivative."""
         n = self.n
         v = np.append(x[:n] + 1j * x[2 * n : 3 * n], 0.0)
@@ -172,7 +172,7 @@ def _newton(equations: Equations, x: FloatArray, share: float, sign: float) -> F
     """Solve for a share of the load from ``x``; None where the changes do not shrink or the sign is another."""
     n, before = equations.n, np.inf
     for _ in range(MOST):
-        missing, slope = equations.at(x, share)
+        missing, slope = equations.evaluate(x, share)
         try:
             factors = splu(slope)
         except RuntimeError:  # exactly singular, or not finite
@@ -219,20 +219,20 @@ def places(feeder: ThreePhaseFeeder) -> Places:
 
 def _linear(feeder: ThreePhaseFeeder, ratio: Any, state: Any) -> tuple[Any, Any, Any]:
     """Complex entries of what is linear in V and I, with their rows and columns."""
-    plan, n, at = plan_of(feeder), feeder.n_node, places(feeder)
+    plan, n, place = plan_of(feeder), feeder.n_node, places(feeder)
     tap = tap_of_nodes(feeder, ratio)
-    a = plan.a[at.bus, at.entry] * tap[at.row]
-    b = (plan.z_re + 1j * plan.z_im)[at.bus, at.entry] * tap[at.row] * tap[at.column]
-    fed, nodes = at.bus > 0, np.arange(2 * n)
+    a = plan.a[place.bus, place.entry] * tap[place.row]
+    b = (plan.z_re + 1j * plan.z_im)[place.bus, place.entry] * tap[place.row] * tap[place.column]
+    fed, nodes = place.bus > 0, np.arange(2 * n)
     i, j = np.concatenate((plan.capacitor_ends, plan.core_ends)).astype(np.intp).T
     banks = 1j * plan.capacitor_b * state[plan.capacitor_row.astype(np.intp)]
     y = np.concatenate((banks, plan.core_g + 1j * plan.core_b))
     parts = (
         (np.ones(2 * n), nodes, nodes),
-        (-a[fed], at.row[fed], at.above[fed]),
-        (b, at.row, at.column + n),
-        (-a[fed], at.above[fed] + n, at.row[fed] + n),
-        (-1j * plan.shunt[at.bus, at.entry], at.row + n, at.column),
+        (-a[fed], place.row[fed], place.above[fed]),
+        (b, place.row, place.column + n),
+        (-a[fed], place.above[fed] + n, place.row[fed] + n),
+        (-1j * plan.shunt[place.bus, place.entry], place.row + n, place.column),
         *((sign * y[there], to[there] + n, by[there]) for sign, to, by in ((-1, i, i), (1, i, j), (1, j, i), (-1, j, j))
           for there in ((to < n) & (by < n),)),
     )  # fmt: skip

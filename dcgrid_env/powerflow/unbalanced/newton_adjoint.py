@@ -39,9 +39,9 @@ def derivative(
     to_i = (of_amperes[:n] + 1j * of_amperes[n:]) * plan.ampere
     to_v[:3] += (of_p + 1j * of_q) * i[:3]
     to_i[:3] += (of_p - 1j * of_q) * v[:3]
-    at, tap, grounded = places(feeder), tap_of_nodes(feeder, ratio), np.append(v, 0.0)
-    resistance = np.where(at.bus > 0, plan.z_re[at.bus, at.entry], 0.0) * tap[at.row] * tap[at.column]
-    np.add.at(to_i, at.row, 2.0 * of_loss * resistance * i[at.column])
+    place, tap, grounded = places(feeder), tap_of_nodes(feeder, ratio), np.append(v, 0.0)
+    resistance = np.where(place.bus > 0, plan.z_re[place.bus, place.entry], 0.0) * tap[place.row] * tap[place.column]
+    np.add.at(to_i, place.row, 2.0 * of_loss * resistance * i[place.column])
     in_cores, cores = np.zeros(n + 1, np.complex128), plan.core_ends.astype(np.intp)
     lost = 2.0 * of_loss * plan.core_g * (grounded[cores[:, 0]] - grounded[cores[:, 1]])
     np.add.at(in_cores, cores[:, 0], lost)
@@ -49,7 +49,7 @@ def derivative(
     to_v += in_cores[:n]
 
     equations = Equations(feeder, *inputs)
-    slope = equations.at(np.concatenate((v.real, i.real, v.imag, i.imag)), 1.0)[1]
+    slope = equations.evaluate(np.concatenate((v.real, i.real, v.imag, i.imag)), 1.0)[1]
     try:
         factors = splu(slope)
     except RuntimeError:  # exactly singular

@@ -116,15 +116,15 @@ def _check_range(feeder: ThreePhaseFeeder, kind: str, field: str, values: Array,
     good = (figures_ >= low) & (figures_ <= high)
     if good.all():
         return
-    at = tuple(int(i[0]) for i in np.nonzero(~good))
-    value, table = figures_[at], getattr(feeder.network, kind)
+    index = tuple(int(i[0]) for i in np.nonzero(~good))
+    value, table = figures_[index], getattr(feeder.network, kind)
     limits = "it must be from 0 to 1"
     if kind == "regulator":
-        tap = (value - 1.0) / table.tap_step[at[-1]]
-        limits = f"tap {tap:g} is not from {table.tap_min[at[-1]]} to {table.tap_max[at[-1]]}"
+        tap = (value - 1.0) / table.tap_step[index[-1]]
+        limits = f"tap {tap:g} is not from {table.tap_min[index[-1]]} to {table.tap_max[index[-1]]}"
     raise PowerFlowError(
-        f"feeder {feeder.name!r}: {kind} {table.name[at[-1]]}: {field} is {value} in scenario {at[:-1]} of the batch; "
-        f"{limits}"
+        f"feeder {feeder.name!r}: {kind} {table.name[index[-1]]}: {field} is {value} in scenario {index[:-1]} of the "
+        f"batch; {limits}"
     )
 
 
@@ -152,8 +152,8 @@ def raise_leg_not_finite(feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any) -> No
         values = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
         where = np.nonzero(~np.isfinite(values))
         if len(where[0]):
-            at = tuple(int(i[0]) for i in where)
-            leg, n_load = at[-1], feeder.first_device_leg
+            index = tuple(int(i[0]) for i in where)
+            leg, n_load = index[-1], feeder.first_device_leg
             what = (
                 f"the device leg of phase {'abc'[feeder.node_phase[leg - n_load] - 1]}"
                 if leg >= n_load
@@ -161,5 +161,5 @@ def raise_leg_not_finite(feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any) -> No
             )
             raise PowerFlowError(
                 f"feeder {feeder.name!r}: {field} of {what} at bus {feeder.bus_ids[feeder.leg_bus[leg]]} is "
-                f"{values[at]} in scenario {at[:-1]} of the batch; give finite powers"
+                f"{values[index]} in scenario {index[:-1]} of the batch; give finite powers"
             )

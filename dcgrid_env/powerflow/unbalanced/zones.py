@@ -60,8 +60,8 @@ def _zone(feeder: ThreePhaseFeeder, buses: list[int]) -> Zone:
     for k in range(n - 1, size - 1, -1):  # what comes through a node's branch comes through its feeder's
         through[:, place[int(feeder.node_parent[nodes[k]])]] += through[:, k]
     for i in buses[1:]:
-        at = [place[node] for node in range(feeder.first_node[i], feeder.first_node[i + 1])]
-        below, m = through[:, at], len(at)
+        positions = [place[node] for node in range(feeder.first_node[i], feeder.first_node[i + 1])]
+        below, m = through[:, positions], len(positions)
         z += below @ feeder.branches.b[i, :m, :m] @ below.T
     tapped = feeder.branches.regulator[root, :size]
     return Zone(

@@ -51,8 +51,8 @@ class DssCircuit:
 
     def _all(self, kind: str) -> Iterator[tuple[str, bool]]:
         for full in self.engine.Circuit.AllElementNames():
-            own, _, name = full.partition(".")
-            if own.lower() == kind:
+            element_kind, _, name = full.partition(".")
+            if element_kind.lower() == kind:
                 self.engine.Circuit.SetActiveElement(full)
                 yield name, bool(self.engine.CktElement.Enabled())
 

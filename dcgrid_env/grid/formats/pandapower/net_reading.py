@@ -137,10 +137,10 @@ def _grid(called: str, net: Any, rows: ModelRows, bus_names: bool) -> BusBranchG
     """Buses with their base voltages and coordinates; those within pandapower's model come after its own."""
     index = net.bus.index.tolist()
     names = net.bus.name.tolist() if bus_names else index
-    own = named_buses(called, [str(name) if name is not None else "" for name in names])
+    named = named_buses(called, [str(name) if name is not None else "" for name in names])
     within = tuple(rows.within.values())
     base_kv = np.concatenate([net.bus.vn_kv.to_numpy(dtype=float), rows.model_bus[list(rows.within), 9].real])
-    grid = empty_grid(str(net.name or called), float(net.sn_mva), named_buses(called, own + within), base_kv)
+    grid = empty_grid(str(net.name or called), float(net.sn_mva), named_buses(called, named + within), base_kv)
     for i, bus in enumerate(index):
         grid.x[i], grid.y[i] = _place(net, bus, i)
     return grid

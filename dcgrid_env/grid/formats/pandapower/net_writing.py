@@ -46,14 +46,14 @@ def pandapower_net(feeder: BalancedFeeder) -> Any:
         for x, y in zip(grid.x.tolist(), grid.y.tolist(), strict=True)
     ]
     pp.create_ext_grid(net, index[0], vm_pu=grid.sources[0].v_pu)
-    at = np.array(index)
+    bus = np.array(index)
     loaded = (grid.p_kw != 0) | (grid.q_kvar != 0)
     if loaded.any():
-        pp.create_loads(net, at[loaded].tolist(), p_mw=grid.p_kw[loaded] / 1000.0, q_mvar=grid.q_kvar[loaded] / 1000.0)
+        pp.create_loads(net, bus[loaded].tolist(), p_mw=grid.p_kw[loaded] / 1000.0, q_mvar=grid.q_kvar[loaded] / 1000.0)
     shunted = (grid.shunt_kw != 0) | (grid.shunt_kvar != 0)
     if shunted.any():
         p_mw, q_mvar = grid.shunt_kw[shunted] / 1000.0, -grid.shunt_kvar[shunted] / 1000.0
-        pp.create_shunts(net, at[shunted].tolist(), q_mvar=q_mvar, p_mw=p_mw)
+        pp.create_shunts(net, bus[shunted].tolist(), q_mvar=q_mvar, p_mw=p_mw)
     _add_lines(net, grid, index, [b for b in grid.branches if b.kind == "line"])
     _add_transformers(net, feeder.name, grid, index, [b for b in grid.branches if b.kind != "line"])
     return net
