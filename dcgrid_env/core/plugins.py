@@ -105,7 +105,7 @@ class Registry(Mapping[str, Entry]):
         """Return the name and version of the other package that defines a name; None for this package's names."""
         return self._origins.get(name)
 
-    def unknown(self, name: Any) -> str:
+    def unknown(self, name: object) -> str:
         """Return the message for an unknown name: similar names, and entry points that failed to load."""
         listed = f"`dcgrid list {self.group.removeprefix('dcgrid.')}` lists all"
         said = [unknown(self.kind, name, filter(is_name, self), listed), *self._refused]
@@ -151,7 +151,7 @@ def is_name(entry: str) -> bool:
     return not (entry.startswith(".") or entry.endswith(":"))
 
 
-def _check(handed_over: Any) -> None:
+def _check(handed_over: object) -> None:
     """Raise TypeError unless an entry point returns entries by name."""
     if not isinstance(handed_over, Mapping):
         raise TypeError(f"it is of type {type(handed_over).__name__}, not a mapping of names")
