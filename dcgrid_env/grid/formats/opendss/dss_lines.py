@@ -80,12 +80,12 @@ def _length_m(circuit: DssCircuit) -> float:
     return rounded(circuit.figure("length") * _METRES.get(circuit.text("units").lower(), math.nan))
 
 
-def _columns(length_m: float, z: Any, b_us: Any, phases: str) -> dict[str, Any]:
+def _columns(length_m: float, z: NDArray[np.complexfloating], b_us: NDArray[Any], phases: str) -> dict[str, Any]:
     matrices = {"r_ohm": z.real, "x_ohm": z.imag, "b_us": b_us}
     return {"length_m": length_m, **{key: matrix_of(value, phases) for key, value in matrices.items()}}
 
 
-def matrix_of(values: Any, phases: str) -> Matrix:
+def matrix_of(values: NDArray[Any], phases: str) -> Matrix:
     """Figures over the phases that exist as three rows of three, symmetric and rounded to 12 digits."""
     least = _ROUNDING * float(np.abs(values).max())
     full = np.full((3, 3), _NO_PHASE)
@@ -99,7 +99,7 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}")
 
 
-def _as_switch(report: Report, kind: str, line: Joint, is_switch: bool, z: Any, b_us: Any) -> Joint:
+def _as_switch(report: Report, kind: str, line: Joint, is_switch: bool, z: np.ndarray, b_us: np.ndarray) -> Joint:
     """Make a switch of a line that is one, or that is open, and report what is lost."""
     one = z[0, 0]
     alike = np.allclose(z, one * np.eye(len(z)), rtol=0.0, atol=1e-9 * abs(one))

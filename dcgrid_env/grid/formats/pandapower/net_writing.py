@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dcgrid_env.core.files import write_text
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.bus_branch import BalancedFeeder, Branch, BusBranchGrid, described
+from dcgrid_env.grid.formats.pandapower.net_schema import PandapowerNet
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
 
@@ -25,7 +25,7 @@ def write_pandapower(feeder: BalancedFeeder, path: str | Path) -> None:
     write_text(Path(path), pandapower.to_json(pandapower_net(feeder)))
 
 
-def pandapower_net(feeder: BalancedFeeder) -> Any:
+def pandapower_net(feeder: BalancedFeeder) -> PandapowerNet:
     """Return a pandapower net of a feeder, at the base voltage of each bus.
 
     Indices are bus names if all of these are whole numbers of 0 or more. A branch without impedance becomes a closed
@@ -59,7 +59,7 @@ def pandapower_net(feeder: BalancedFeeder) -> Any:
     return net
 
 
-def _add_lines(net: Any, grid: BusBranchGrid, index: list[int], lines: list[Branch]) -> None:
+def _add_lines(net: PandapowerNet, grid: BusBranchGrid, index: list[int], lines: list[Branch]) -> None:
     import pandapower as pp
 
     for b in lines:
@@ -83,7 +83,9 @@ def _add_lines(net: Any, grid: BusBranchGrid, index: list[int], lines: list[Bran
     )
 
 
-def _add_transformers(net: Any, feeder: str, grid: BusBranchGrid, index: list[int], branches: list[Branch]) -> None:
+def _add_transformers(
+    net: PandapowerNet, feeder: str, grid: BusBranchGrid, index: list[int], branches: list[Branch]
+) -> None:
     import pandapower as pp
 
     without = [b.name for b in branches if b.z_pu == 0]
