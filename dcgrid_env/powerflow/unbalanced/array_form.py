@@ -7,6 +7,7 @@ last voltages, so they corrupt neither values nor derivatives.
 from __future__ import annotations
 
 from functools import partial
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +49,7 @@ class _Forms(NamedTuple):
 
 
 def sweep_arrays(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     """Solve as ``solve_batch`` does, with array operations alone.
 
@@ -67,7 +68,7 @@ def sweep_arrays(
 
 
 @cached_on_owner
-def _forms(feeder: ThreePhaseFeeder, xp: Any, dtype: Any, device: Any) -> _Forms:
+def _forms(feeder: ThreePhaseFeeder, xp: ModuleType, dtype: object, device: object) -> _Forms:
     plan, n = plan_of(feeder), feeder.n_node
     complex_dtype = xp.complex64 if dtype == xp.float32 else xp.complex128
     real = partial(_made, xp, dtype, device)
@@ -114,11 +115,11 @@ def _forms(feeder: ThreePhaseFeeder, xp: Any, dtype: Any, device: Any) -> _Forms
     )
 
 
-def _made(xp: Any, dtype: Any, device: Any, values: Any) -> Array:
+def _made(xp: ModuleType, dtype: object, device: object, values: Array) -> Array:
     return xp.asarray(np.array(values), dtype=dtype, device=device)
 
 
-def _incidence(ends: Any, n: int) -> Any:
+def _incidence(ends: np.ndarray, n: int) -> np.ndarray:
     matrix = np.zeros((len(ends), n + 1))
     rows = np.arange(len(ends))
     matrix[rows, ends[:, 0].astype(int)] = 1.0
@@ -176,7 +177,7 @@ def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tup
     return xp.concat(found, axis=-1)[..., f.order], xp.concat(currents, axis=-1)[..., f.order]
 
 
-def _error_sq(xp: Any, change: Array, before: Array, rounding: float) -> Array:
+def _error_sq(xp: ModuleType, change: Array, before: Array, rounding: float) -> Array:
     """Estimate what is left of the error: see ``sweep_rows.error_sq``."""
     ratio = xp.clip(xp.sqrt(change / before), 0.1, None)
     left = change * (ratio / xp.where(ratio < 1.0, 1.0 - ratio, xp.ones_like(ratio))) ** 2
@@ -184,7 +185,7 @@ def _error_sq(xp: Any, change: Array, before: Array, rounding: float) -> Array:
 
 
 def _sweeps(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     p_kw, _, source_pu, ratio, _ = given
     xp = namespace(p_kw)

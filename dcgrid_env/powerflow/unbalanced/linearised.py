@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.solution import PowerFlowError
@@ -37,8 +38,8 @@ class Linearised(NamedTuple):
 
 def linearise(
     feeder: ThreePhaseFeeder,
-    p_kw: Any,
-    q_kvar: Any,
+    p_kw: Array,
+    q_kvar: Array,
     source_voltage_pu: float | None = None,
     control: Control | None = None,
     nodes: Sequence[int] | None = None,

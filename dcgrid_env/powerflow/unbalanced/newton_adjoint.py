@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import splu
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.powerflow.solution import PowerFlowError
@@ -19,7 +20,7 @@ from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
 
 
 def derivative(
-    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], volts: Any, amperes: Any, weights: tuple[Any, ...]
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], volts: Array, amperes: Array, weights: tuple[Any, ...]
 ) -> tuple[Any, ...]:
     """Derivatives by p_kw, q_kvar, source_pu, ratio and state of one power flow.
 
@@ -67,7 +68,7 @@ def derivative(
     return d_p, d_q, d_source, d_ratio, d_state
 
 
-def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Any, mu_i: Any) -> tuple[Any, Any]:
+def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Array, mu_i: Array) -> tuple[Any, Any]:
     plan, n_load = plan_of(feeder), feeder.first_device_leg
     across, to = (a[equations.ends[:, 0]] - a[equations.ends[:, 1]] for a in (v, mu_i))
     both, squared = np.conj(to) * across, np.abs(across) ** 2
@@ -81,7 +82,9 @@ def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Any, mu_i: Any
     return found[0], found[1]
 
 
-def _by_ratios(feeder: ThreePhaseFeeder, ratio: Any, v: Any, i: Any, mu_v: Any, mu_i: Any, of_loss: Any) -> Any:
+def _by_ratios(
+    feeder: ThreePhaseFeeder, ratio: Array, v: Array, i: Array, mu_v: Array, mu_i: Array, of_loss: Array
+) -> Array:
     plan = plan_of(feeder)
     nodes = np.flatnonzero((plan.kind == REGULATOR)[feeder.node_bus])
     bus, above, row = feeder.node_bus[nodes], plan.up.astype(np.intp)[nodes], plan.regulator.astype(np.intp)[nodes]

@@ -7,7 +7,7 @@ matrix. Regulators and transformers separate zones. They are few, so a sweep is 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,21 +19,21 @@ from dcgrid_env.powerflow.unbalanced.plan import LINE, plan_of
 class Zone(NamedTuple):
     """One zone; matrices act on rows from the left, so the rows are the leading dimensions."""
 
-    nodes: Any
+    nodes: np.ndarray
     """Its nodes, those of its first bus first, (n,)."""
-    senders: Any
+    senders: np.ndarray
     """Nodes that feed those of its first bus, (size,); none for the source's zone."""
-    enter: Any
+    enter: np.ndarray
     """0/1: which nodes have the phase of each of its first bus's, (size, n)."""
-    z: Any
+    z: np.ndarray
     """Shared impedance of the paths of two nodes within the zone, p.u., (n, n)."""
-    through: Any
+    through: np.ndarray
     """0/1: 1 in row i and column j where the current of node i comes through the branch to node j, (n, n)."""
-    a: Any
+    a: np.ndarray
     """Ratio of the branch that feeds it, (size, size), of a regulator at neutral."""
-    b: Any
+    b: np.ndarray
     """Impedance of the branch that feeds it, (size, size)."""
-    regulator: Any
+    regulator: np.ndarray | None
     """Row of the regulator of each phase, (size,), or None."""
 
 
