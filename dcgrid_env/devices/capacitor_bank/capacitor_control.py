@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import lcm
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from dcgrid_env.core.arrays import Array, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 _SAME_TIME_S = 1e-6
 
@@ -102,7 +103,7 @@ def bank_settings(feeder: ThreePhaseFeeder) -> BankSettings:
     return BankSettings(positions, np.divide(base_kv * phases, rated, out=np.zeros_like(rated), where=rated > 0.0))
 
 
-def measured_banks(settings: BankSettings, solution: Any, state: BankState) -> BankState:
+def measured_banks(settings: BankSettings, solution: ThreePhaseSolution, state: BankState) -> BankState:
     """The state with what each bank measures of a ``ThreePhaseSolution``."""
     shape = (*state.on.shape, -1)
     if not state.on.shape[-1]:

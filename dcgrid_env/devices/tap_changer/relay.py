@@ -18,6 +18,7 @@ from dcgrid_env.core.arrays import Array, as_like, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 
 class RelaySettings(NamedTuple):
@@ -98,7 +99,7 @@ def settings_like(settings: Any, like: Array) -> Any:
     )
 
 
-def relay_volts(settings: RelaySettings, solution: Any) -> Array:
+def relay_volts(settings: RelaySettings, solution: ThreePhaseSolution) -> Array:
     """Relay volts of each regulator, (..., n_regulator), of a ``ThreePhaseSolution`` of its feeder."""
     return _relay_volts(settings, solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
 

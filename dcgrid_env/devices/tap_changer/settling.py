@@ -15,6 +15,7 @@ from dcgrid_env.core.arrays import Array, as_like, namespace
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction, relay_settings, relay_volts, settings_like
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import Control, solve_unbalanced
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 MOST_ROUNDS = 1000
 Move = Callable[[RelaySettings, Array], Array]
@@ -41,7 +42,7 @@ def settled_taps(
     feeder: ThreePhaseFeeder,
     p_kw: Array,
     q_kvar: Array,
-    source_voltage_pu: Any = None,
+    source_voltage_pu: Array | float | None = None,
     control: Control | None = None,
     tap: Array | None = None,
     *,
@@ -96,8 +97,8 @@ def _solve(
     control: Control | None,
     tap: Array,
     rows: Array,
-    start: Any,
-) -> Any:
+    start: Array | None,
+) -> ThreePhaseSolution:
     """The power flow of some rows at their taps."""
     n_row = p_kw.shape[0]
     shunt, capacitor = (None, None) if control is None else (control.shunt_kvar, control.capacitor_on)
