@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.devices.device import Device
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
@@ -76,12 +77,12 @@ def _least_free(feeders: RandomFeeders, devices: tuple[Any, ...]) -> int:
     return max(0, feeders.least_loaded - len({bus for device in devices for bus in device.buses or ()}))
 
 
-def path_of(device: Any) -> str:
+def path_of(device: Device) -> str:
     """Return the path prefix of a group of devices in paths of a scenario's fields."""
     return next((path for path, kind in GROUPS.items() if kind == device.kind), device.kind)
 
 
-def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: Any, phases: str | None) -> int:
+def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: object, phases: str | None) -> int:
     """Return the position of a device's bus; ScenarioError for one that is not allowed, or lacks these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
         raise ScenarioError(

@@ -43,7 +43,7 @@ class Step(NamedTuple):
         return self.state.v_pu[..., self.judged], self.state.v_last_pu[..., self.judged]
 
 
-def _one(_: Any) -> float:
+def _one(_: object) -> float:
     return 1.0
 
 

@@ -44,7 +44,7 @@ def loading_of_agents(state: Any, nodes: Array) -> Array:
     return loading.max(-1) if isinstance(loading, np.ndarray) else loading.amax(-1)
 
 
-def overload_figures(scenario: Any, loading: Any) -> dict[str, float]:
+def overload_figures(scenario: Any, loading: Array) -> dict[str, float]:
     """Metrics of the loading over the steps 1 .. T, (T + 1, n_node); none where it is None."""
     if loading is None:
         return {}
