@@ -21,7 +21,7 @@ from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.simulation import Transition
+    from dcgrid_env.engine.simulation import Snapshot, Transition
 
 
 STATE_BOUND = 1e4
@@ -107,7 +107,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         render_mode: str | None = None,
         max_cycles: int | None = None,
         info: InfoLevel = "full",
-        **overrides: Any,
+        **overrides: object,
     ):
         overrides = with_horizon(overrides, "max_cycles", max_cycles)
         self._setup(scenario, 1, render_mode, info, overrides, joint=False)
@@ -167,7 +167,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
             self._infos(transition),
         )
 
-    def restore(self, snapshot: Any) -> None:
+    def restore(self, snapshot: Snapshot) -> None:
         """Continue from a saved state."""
         super().restore(snapshot)
         self.agents = [] if self._simulation.now.over[0] else list(self.possible_agents)
@@ -222,7 +222,7 @@ def parallel_env(
     render_mode: str | None = None,
     max_cycles: int | None = None,
     info: InfoLevel = "full",
-    **overrides: Any,
+    **overrides: object,
 ) -> DcgridParallelEnv:
     """Make the multi-agent environment of a scenario, see :class:`DcgridParallelEnv`."""
     return DcgridParallelEnv(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
@@ -234,7 +234,7 @@ def env(
     render_mode: str | None = None,
     max_cycles: int | None = None,
     info: InfoLevel = "full",
-    **overrides: Any,
+    **overrides: object,
 ) -> AECEnv[str, Any, Any]:
     """Make the environment in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
     turns = parallel_env(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)

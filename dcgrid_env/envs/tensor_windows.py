@@ -8,7 +8,6 @@ gradient of a window by its initial state is the value of the final state of the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -79,5 +78,5 @@ class TensorWindows:
     def _as_like(self, values: np.ndarray) -> Array:
         return as_like(values, self.like) if values.dtype.kind == "f" else self._index(values)
 
-    def _index(self, positions: np.ndarray) -> Any:
+    def _index(self, positions: np.ndarray) -> Array:
         return namespace(self.like).asarray(np.ascontiguousarray(positions))

@@ -7,7 +7,7 @@ from typing import Any
 
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.devices.device import may_leave
+from dcgrid_env.devices.device import DeviceInput, may_leave
 from dcgrid_env.devices.ride_through.connection import Supply
 from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.scenario.scenario import Scenario
@@ -19,7 +19,7 @@ def leaving(scenario: Scenario) -> tuple[int, ...]:
     return tuple(i for i, device in enumerate(scenario.devices) if may_leave(device))
 
 
-def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, given: Any) -> Supply:
+def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, given: DeviceInput) -> Supply:
     """Return the supply of the group with the agents ``agents``: voltages of lowest and highest phase, and sags.
 
     Before t = 0 the voltage is the source's.

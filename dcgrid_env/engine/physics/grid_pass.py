@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.random import load_step
@@ -50,7 +51,7 @@ def fits(scenario: Scenario) -> bool:
 
 
 def grid_pass(
-    scenario: Scenario, drawing: LoadsToDraw, nodes: Any, p_kw: Any, q_kvar: Any, restart: np.ndarray
+    scenario: Scenario, drawing: LoadsToDraw, nodes: Array, p_kw: Array, q_kvar: Array, restart: np.ndarray
 ) -> GridStep:
     """Draw the loads of an interval and solve the grid under the agents' powers, kW and kvar, (row, n_agent).
 
@@ -80,7 +81,7 @@ def grid_pass(
 @cached_on_owner
 def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     """Return the constants of the scenario for a pass, in the form that the kernel takes."""
-    feeder: Any = scenario.feeder
+    feeder = scenario.feeder
     judged, source_pu, band_pu = (
         feeder.load_slice.start,
         float(scenario.source_voltage_pu),
