@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import BankControl, Scenario, acting_relays, action_layout, field_names, under_own_control
+from dcgrid_env.devices import Channel
 
 _TAP = "tap"
 
@@ -97,6 +98,6 @@ def at_rest(scenario: Scenario) -> np.ndarray:
     return np.concatenate([np.empty(0), *entries])
 
 
-def _at_rest(channel: Any) -> np.ndarray:
+def _at_rest(channel: Channel) -> np.ndarray:
     span = channel.highest - channel.lowest
     return np.where(span > 0, 2.0 * (channel.rest - channel.lowest) / np.where(span > 0, span, 1.0) - 1.0, 0.0)

@@ -48,7 +48,7 @@ class ScenarioSpec:
     where: str
     set: tuple[str, ...] = ()
 
-    def make(self, split: str, **chosen: Any) -> Scenario:
+    def make(self, split: str, **chosen: object) -> Scenario:
         """Make the scenario on a split; the same call returns the same object as long as a file has not changed.
 
         Parameters

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -258,7 +257,7 @@ def _figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def _plain(ax: Any) -> None:
+def _plain(ax: Axes) -> None:
     ax.grid(alpha=0.25, linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)

@@ -47,7 +47,7 @@ class Trial(NamedTuple):
         """Least margin of any environment to any limit."""
         return float(self.margins.min())
 
-    def of(self, env_indices: Any) -> Trial:
+    def of(self, env_indices: np.ndarray | slice) -> Trial:
         """Select some of the environments."""
         return Trial(*(part[env_indices] for part in self))
 

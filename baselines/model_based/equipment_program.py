@@ -24,6 +24,7 @@ from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout
 from dcgrid_env.baselines.model_based.episode_program import TANGENTS
 from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
+from dcgrid_env.devices import Device
 
 _SPAN = 0.1  # of a tap or a bank, by which the power flow is tried to find its slopes
 _NARROWEST = 1e-3  # kvar, kW s: no range is so narrow that it has no inside
@@ -110,7 +111,7 @@ class EquipmentProgram(Trajectory):
         return np.split(columns, np.cumsum([device.count for device in self.groups])[:-1], axis=-1)
 
     @staticmethod
-    def _of_kind(device: Any, taps: np.ndarray, on: np.ndarray) -> np.ndarray:
+    def _of_kind(device: Device, taps: np.ndarray, on: np.ndarray) -> np.ndarray:
         """Of all the feeder's taps and switches those of the kind that a group of equipment is."""
         return taps if device.kind == "tap_changer" else on
 
@@ -137,7 +138,9 @@ class EquipmentProgram(Trajectory):
         v_at_zero = linear.at_zero - (by_u @ self.position[:, : self.n_further, None])[..., 0]
         return v_at_zero, np.ascontiguousarray(np.concatenate((linear.by_d, linear.by_q, by_u), axis=-1))
 
-    def _linear_costs(self, v_pu: np.ndarray, dense: np.ndarray, quantities: Any) -> tuple[np.ndarray, float]:
+    def _linear_costs(
+        self, v_pu: np.ndarray, dense: np.ndarray, quantities: sparse.csr_array
+    ) -> tuple[np.ndarray, float]:
         """Of |x| = 2 max(x, 0) - x the last part, with x the deviation, and what is no hinge, and the constant."""
         s, w, n_dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.count
         price = w.voltage / v_pu.size
@@ -168,7 +171,7 @@ class EquipmentProgram(Trajectory):
         h = np.repeat([max(2.0 * w.voltage / v_pu.size, 1e-12), beyond, beyond], v_pu.size)
         return h, np.concatenate(((1.0 - v_pu).ravel(), (1.0 + band - v_pu).ravel(), (v_pu - 1.0 + band).ravel()))
 
-    def _of_steps(self, quantities: Any, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
+    def _of_steps(self, quantities: sparse.csr_array, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
         """The other rows, with their prices and limits: of backlogs, work, reactive power, positions and moves."""
         s, n_dc, n_u, steps = self.scenario, self.scenario.datacenters.count, self.n_further, self.scenario.horizon
         identity: Any = sparse.identity(steps * k, format="csr")
@@ -198,7 +201,7 @@ class EquipmentProgram(Trajectory):
             np.concatenate([limits for *_, limits in parts]),
         )
 
-    def _moves(self, identity: Any, u: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
+    def _moves(self, identity: sparse.csr_array, u: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
         """The rows of positions, within their range, and of their moves."""
         steps, n_u = self.scenario.horizon, self.n_further
         change = (sparse.identity(u.size) - sparse.eye(u.size, k=-n_u)) @ identity[u]
@@ -214,7 +217,9 @@ class EquipmentProgram(Trajectory):
             parts.append((-change, 2.0 * self._switching(), -before))
         return parts
 
-    def _capability(self, work: Any, q: Any, top_kw: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
+    def _capability(
+        self, work: sparse.csr_array, q: sparse.csr_array, top_kw: np.ndarray
+    ) -> list[tuple[Any, Any, np.ndarray]]:
         """The tangents of ``EpisodeProgram`` of the data centres' circles, those that power can come near."""
         n_dc, parts = self.scenario.datacenters.count, []
         s_rated_kva = np.maximum(self.s_rated_kva[:n_dc], self.base_kw + top_kw)
@@ -227,7 +232,7 @@ class EquipmentProgram(Trajectory):
         return parts
 
 
-def _most(device: Any, dt_s: float) -> np.ndarray:
+def _most(device: Device, dt_s: float) -> np.ndarray:
     """How far each piece of equipment of a group goes in a step."""
     if device.kind == "tap_changer":
         return dt_s / device.parameters.tap_delay_s

@@ -69,7 +69,7 @@ class StorageRows:
         throughput = np.tile(self.params.ageing_price / of_all, self.steps)
         return {"c": throughput, "x": throughput, "m": self.params.missing_price * 3600.0 / of_all}
 
-    def equalities(self, in_d: Any) -> list[Part]:
+    def equalities(self, in_d: sparse.csr_array) -> list[Part]:
         """The draw as charge less discharge, and the energy from step to step; ``in_d`` picks the draws among d."""
         if not self.count:
             return []

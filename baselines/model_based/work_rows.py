@@ -95,7 +95,7 @@ class WorkRows:
             parts.append((queue, share * self.dt_s * self.arrived_kw.ravel()))
         return parts
 
-    def limits(self, in_d: Any) -> list[Part]:
+    def limits(self, in_d: sparse.csr_array) -> list[Part]:
         """Interactive work is part of all, and what is queued beyond the steps in time is overdue; ``in_d`` picks the
         work served among d."""
         if self.service is None:
