@@ -17,7 +17,7 @@ such as the power of a storage, with rest value 0, or the reconnection of a site
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -141,7 +141,7 @@ class PolicyInterface:
         of_clock = ("p_ref_next", "backlog", "v_deviation")
         self._of_clock = {name: self._columns(name, self._clock_agents, array) for name in of_clock}
 
-    def _columns(self, field: str, agents: Array, array: Callable[[np.ndarray], Any]) -> Array:
+    def _columns(self, field: str, agents: Iterable[int], array: Callable[[np.ndarray], Any]) -> Array:
         """Return the positions of a field of these agents in the joint observation, (n,)."""
         names = field_names(self.scenario)
         positions = [self._starts[i] + names[self.scenario.agents[i]].index(field) for i in agents]
@@ -228,7 +228,7 @@ class PolicyInterface:
         actions = [outputs[kind].reshape(*joint.shape[:-1], -1) for kind in self.groups]
         return actions[0] if len(actions) == 1 else _joined(actions)
 
-    def _clock(self, joint: Array, backlog_per_s: float, more: Array = 0.0) -> Array:
+    def _clock(self, joint: Array, backlog_per_s: float, more: Array | float = 0.0) -> Array:
         """Return the clock that serves p_ref, a share of the backlog and ``more``, shares of the rating, (..., n_dc).
 
         Without p_ref in the observation, it is the maximum clock, reduced if ``more`` is negative.

@@ -22,7 +22,6 @@ from dcgrid_env.devices.capacitor_bank.capacitor_control import (
     initial_banks,
     measured_banks,
 )
-from dcgrid_env.devices.device import DeviceState
 from dcgrid_env.devices.tap_changer.relay import relay_settings, relay_volts, settings_like
 from dcgrid_env.devices.tap_changer.settling import settled_taps
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
@@ -118,7 +117,7 @@ def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None
     return Control(ratio, None, on if connected is None else on * connected)
 
 
-def _picked(group: _Group, state: DeviceState, commanded: Array, name: str) -> Array:
+def _picked(group: _Group, state: object, commanded: object, name: str) -> Array:
     """A figure of all pieces, that of the agents out of the state of their group."""
     both = (getattr(state, name), getattr(commanded, name))
     return take_last(namespace(both[0]).concat(both, axis=-1), group.pick)
