@@ -61,7 +61,7 @@ def search(
     on_trial: Callable[[Any], None] = lambda trial: None,
     batch: int = 1,
     place: Place = ONE_PROCESS,
-) -> optuna.Study:
+) -> Any:
     """Run trials until the search has the given number and return the optuna study.
 
     Parameters
