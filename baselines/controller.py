@@ -164,11 +164,11 @@ class LocalController:
 
     def _lay_out(self, agents: list[str]) -> None:
         """Find the positions of clocks and reactive set points in the joint action, and its initial value."""
-        at = {entry: i for i, entry in enumerate(action_layout(self.scenario).names)}
-        self._clock_at = [at[agent, _CLOCK] for agent in agents[: self.scenario.datacenters.count]]
-        self._reactive = [i for i, agent in enumerate(agents) if (agent, _Q) in at]
-        self._q_at = [at[agents[i], _Q] for i in self._reactive]
-        self._p_at = [at[agents[i], _P] for i in self._storages]
+        position = {entry: i for i, entry in enumerate(action_layout(self.scenario).names)}
+        self._clock_at = [position[agent, _CLOCK] for agent in agents[: self.scenario.datacenters.count]]
+        self._reactive = [i for i, agent in enumerate(agents) if (agent, _Q) in position]
+        self._q_at = [position[agents[i], _Q] for i in self._reactive]
+        self._p_at = [position[agents[i], _P] for i in self._storages]
         self._rest = at_rest(self.scenario)
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
@@ -191,18 +191,18 @@ class LocalController:
     def _local(self, joint: np.ndarray) -> Local:
         rated = self.scenario.datacenters.parameters.p_rated_kw
         wide = joint.astype(np.float64)
-        none = np.zeros((*wide.shape[:-1], 0))
+        empty = np.zeros((*wide.shape[:-1], 0))
         band = self.scenario.cost.band_pu or 1.0
         fields = {name: wide[..., columns] for name, columns in self._at.items()}
         return Local(
             v_pu=1.0 + band * fields["v_deviation"],
             p_kw=fields["p"] * self._p_scale,
             q_kvar=fields["q"] * self._q_scale,
-            p_ref_next_kw=fields.get("p_ref_next", none) * rated,
-            backlog_kws=fields.get("backlog", none) * rated,
+            p_ref_next_kw=fields.get("p_ref_next", empty) * rated,
+            backlog_kws=fields.get("backlog", empty) * rated,
             r_pu_per_mw=band * fields["r"],
             x_pu_per_mvar=band * fields["x"],
-            stored_kwh=self._energy_kwh * fields[_STORED] if _STORED in fields else none,
+            stored_kwh=self._energy_kwh * fields[_STORED] if _STORED in fields else empty,
         )
 
     def _joint(self, f_mhz: np.ndarray, q_kvar: np.ndarray, draw_kw: np.ndarray | None) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import BankControl, Scenario, acting_relays, action_layout, field_names, under_own_control
+from dcgrid_env.devices import Channel
 
 _TAP = "tap"
 
@@ -53,10 +54,10 @@ class EquipmentAgents:
     def _joint(self, joint: np.ndarray, of_others: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         if self._seen is None:
             return of_others(joint)
-        own = of_others(joint[..., self._seen])
-        actions = np.empty((*own.shape[:-1], len(self._rest)), own.dtype)
+        of_policy = of_others(joint[..., self._seen])
+        actions = np.empty((*of_policy.shape[:-1], len(self._rest)), of_policy.dtype)
         actions[...] = self._rest
-        actions[..., self._others_at] = own
+        actions[..., self._others_at] = of_policy
         if self._regulators is not None:
             actions[..., self._regulators.action_at] = self._regulators.actions(joint)
         return actions
@@ -97,6 +98,6 @@ def at_rest(scenario: Scenario) -> np.ndarray:
     return np.concatenate([np.empty(0), *entries])
 
 
-def _at_rest(channel: Any) -> np.ndarray:
+def _at_rest(channel: Channel) -> np.ndarray:
     span = channel.highest - channel.lowest
     return np.where(span > 0, 2.0 * (channel.rest - channel.lowest) / np.where(span > 0, span, 1.0) - 1.0, 0.0)

@@ -65,11 +65,11 @@ def hindsight_costs(scenario: Scenario, seeds: Sequence[int], hindsight: Publish
     if missing := hindsight.missing(seeds):
         n = len(hindsight.seeds)
         raise ValueError(f"no score: hindsight is published for {n} episodes, not for seed {missing[0]}")
-    own = hindsight.of(seeds)
-    if own.episode_hashes not in _checked.get(scenario, ()):
-        own.check_episodes(scenario, len(seeds))
-        _checked.setdefault(scenario, set()).add(own.episode_hashes)
-    return own.J
+    bundled = hindsight.of(seeds)
+    if bundled.episode_hashes not in _checked.get(scenario, ()):
+        bundled.check_episodes(scenario, len(seeds))
+        _checked.setdefault(scenario, set()).add(bundled.episode_hashes)
+    return bundled.J
 
 
 def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int], name: str | None = None) -> Evaluation:

@@ -144,7 +144,7 @@ def _damaged(path: Path, wrong: str) -> ValueError:
     return ValueError(f"{path} {wrong}; delete it, or choose another --out")
 
 
-def _wrong(episode: Any, fields: Mapping[str, type]) -> str | None:
+def _wrong(episode: object, fields: Mapping[str, type]) -> str | None:
     """Describe the first missing or invalid entry of an episode's record; None if it is complete."""
     if not isinstance(episode, dict):
         return "no record"

@@ -173,8 +173,8 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
     before, inner = split_prefix(spec)
     if before:
         return CONTROLLER_REGISTRY.make(before, find_controller(inner, scenario, tuned), scenario, tuned)
-    if (own := shared(CARRIED, {}).get(spec)) is not None:
-        return pickle.loads(own)
+    if (carried := shared(CARRIED, {}).get(spec)) is not None:
+        return pickle.loads(carried)
     require_known(spec)
     if parse(spec) is not None or controller_file(spec) is not None:
         return _own_controller(spec)

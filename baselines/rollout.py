@@ -41,10 +41,10 @@ class ControllerError(OwnCodeError):
 
     def __init__(self, name: str, during: str, cause: BaseException, refuses: str | None = None):
         plain = isinstance(cause, ActionError) or refuses is not None  # clear without the exception's type
-        at = place(cause)
+        location = place(cause)
         self.refuses, self.reason = refuses, one_line(cause) if plain else described(cause)
-        self.where, self.traced = f"{during}{at}", not plain
-        doing = f"fails in {self.where}" if refuses is None else f"cannot drive {refuses}{at}"
+        self.where, self.traced = f"{during}{location}", not plain
+        doing = f"fails in {self.where}" if refuses is None else f"cannot drive {refuses}{location}"
         super().__init__(f"controller {name!r} {doing}: {self.reason}")
 
 

@@ -48,7 +48,7 @@ class ScenarioSpec:
     where: str
     set: tuple[str, ...] = ()
 
-    def make(self, split: str, **chosen: Any) -> Scenario:
+    def make(self, split: str, **chosen: object) -> Scenario:
         """Make the scenario on a split; the same call returns the same object as long as a file has not changed.
 
         Parameters
@@ -152,8 +152,8 @@ def own_scenarios(wheres: Iterable[str]) -> dict[str, Scenario]:
 
 def _base(where: str) -> str | Scenario:
     """Return the name of a registered scenario, or load the user's scenario."""
-    if own := shared(CARRIED, {}).get(where):
-        return own
+    if carried := shared(CARRIED, {}).get(where):
+        return carried
     if where.endswith(".toml"):
         status = Path(where).stat() if Path(where).is_file() else None
         return _read(where, status and (status.st_mtime_ns, status.st_size))

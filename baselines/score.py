@@ -74,9 +74,9 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
         beat the droop on average, since the score is then undefined.
     """
     costs = {"j": j, "j_droop": j_droop, "j_hindsight": j_hindsight}
-    own, droop, best = (np.asarray(values, dtype=np.float64) for values in costs.values())
-    for name, values in zip(costs, (own, droop, best), strict=True):
-        if values.ndim != 1 or len(values) != len(own) or len(values) < 2:
+    achieved, droop, best = (np.asarray(values, dtype=np.float64) for values in costs.values())
+    for name, values in zip(costs, (achieved, droop, best), strict=True):
+        if values.ndim != 1 or len(values) != len(achieved) or len(values) < 2:
             raise ValueError(f"score: {name} has shape {values.shape}; give one cost for each of at least 2 episodes")
         if not np.isfinite(values).all():
             raise ValueError(f"score: {name} is {values[~np.isfinite(values)][0]} in an episode; leave out what failed")
@@ -85,12 +85,12 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
             f"score: hindsight costs {best.mean():g} on average and the droop {droop.mean():g}; there is nothing "
             "between them to score"
         )
-    gained = droop - own
+    gained = droop - achieved
     return Score(
         _ratio(gained, droop - best, seed),
         _ratio(100.0 * gained, droop, seed),
         _ratio(-gained, np.ones_like(gained), seed),
-        float(trim_mean(own, 0.25)),
+        float(trim_mean(achieved, 0.25)),
     )
 
 
@@ -127,8 +127,8 @@ def mean_over_seeds(seed_scores: Sequence[float], error: float, episodes: int) -
 
 def score_error(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike) -> float:
     """Compute the standard error of a score over episodes."""
-    own, droop, best = (np.asarray(values, dtype=np.float64) for values in (j, j_droop, j_hindsight))
-    return _error(droop - own, droop - best)
+    achieved, droop, best = (np.asarray(values, dtype=np.float64) for values in (j, j_droop, j_hindsight))
+    return _error(droop - achieved, droop - best)
 
 
 def _error(amount: np.ndarray, base: np.ndarray) -> float:

@@ -144,13 +144,13 @@ def _from_file(path: Path) -> ModuleType:
 
 def place(error: BaseException) -> str:
     """Describe where user code raised an error, ``, own.py line 12``; empty if the traceback has no user code."""
-    at = ""
+    location = ""
     for frame, line in traceback.walk_tb(error.__traceback__):
         file, module = Path(frame.f_code.co_filename), str(frame.f_globals.get("__name__", ""))
         ours = module == "dcgrid_env" or module.startswith("dcgrid_env.")
         if file.suffix == ".py" and not ours and not _is_installed(file):
-            at = f", {file.name} line {line}"
-    return at
+            location = f", {file.name} line {line}"
+    return location
 
 
 def _is_installed(file: Path) -> bool:

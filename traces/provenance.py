@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import Any
 
+from dcgrid_env.core.checked import Plain
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -35,11 +37,11 @@ class Provenance:
         return ", ".join(parts)
 
 
-def generated(generator: str, seed: int, duration_s: float, **params: Any) -> Provenance:
+def generated(generator: str, seed: int, duration_s: float, **params: object) -> Provenance:
     """Provenance of a generated trace; dataclasses among `params` are taken apart."""
     parameters = {"duration_s": float(duration_s)} | {name: _plain(value) for name, value in params.items()}
     return Provenance(f"generator {generator}", seed=int(seed), parameters=parameters)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Plain:
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ def grid_steps(duration_s: float) -> int:
     return max(1, math.ceil(duration_s / GRID_S - 1e-9))
 
 
-def check_range(params: Any, field: dataclasses.Field, limits: tuple[float, float]) -> None:
+def check_range(params: object, field: dataclasses.Field, limits: tuple[float, float]) -> None:
     """Check a field of a generator's parameters.
 
     A field whose default is a pair holds the range from which is drawn, any other a number.

@@ -41,7 +41,7 @@ class BatchedNoise(VectorizedActionNoise):
         """Return noise, (row, n_action)."""
         return self.std * np.random.standard_normal(self.shape).astype(np.float32)  # noqa: NPY002 (SB3 seeds this one)
 
-    def reset(self, indices: Any = None) -> None:
+    def reset(self, indices: object = None) -> None:
         """Do nothing, because the noise has no state."""
 
 

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.neural_network import PolicyError
-from dcgrid_env.core.checked import finite
+from dcgrid_env.core.checked import Plain, finite
 from dcgrid_env.core.files import write_json
 from dcgrid_env.traces import ALL_SPLITS
 
@@ -221,7 +221,7 @@ def _range_of(stored: Mapping[str, Any]) -> InputRange:
     return InputRange(**{name: _frozen(value) for name, value in stored.items()})
 
 
-def _frozen(value: Any) -> Any:
+def _frozen(value: object) -> Plain:
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -251,7 +251,7 @@ def _check_all(card: Scored | Card, kind: type, name: str, n: int | None = None)
         _check_one(name, value, kind)
 
 
-def _check_one(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
+def _check_one(name: str, value: object, kind: type | tuple[type, ...]) -> None:
     kinds = kind if isinstance(kind, tuple) else (kind,)
     allowed = (*kinds, int) if float in kinds else kinds
     expected = " or ".join("none" if k is type(None) else k.__name__ for k in kinds)

@@ -18,13 +18,14 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
+from dcgrid_env.core.arrays import Array
 
 MOST_STEPS = 1000
 """Longest history that there is."""
 
 
 def with_changes(
-    observation: Any, earlier: tuple[Any, ...] | None, columns: Any, steps: int
+    observation: Array, earlier: tuple[Any, ...] | None, columns: Array, steps: int
 ) -> tuple[Any, tuple[Any, ...]]:
     """Observation and the last changes of its columns, and what to remember for the next step; NumPy or torch.
 

@@ -17,7 +17,8 @@ such as the power of a storage, with rest value 0, or the reconnection of a site
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from dcgrid_env import Scenario, action_layout, field_names
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS, agent_groups, axes
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.baselines.equipment_agents import at_rest
+from dcgrid_env.core.arrays import Array
 
 KINDS = ("joint", "shared")
 """Kinds of policies: one network for all agents, or one for each kind of agent, named after the device kind."""
@@ -55,7 +57,7 @@ class Gains(NamedTuple):
         return cls(*figures)
 
 
-def cut(x: Any, low: float, high: float) -> Any:
+def cut(x: Array, low: float, high: float) -> Array:
     """Limit ``x`` elementwise."""
     return x.clip(low, high)
 
@@ -139,7 +141,7 @@ class PolicyInterface:
         of_clock = ("p_ref_next", "backlog", "v_deviation")
         self._of_clock = {name: self._columns(name, self._clock_agents, array) for name in of_clock}
 
-    def _columns(self, field: str, agents: Any, array: Callable[[np.ndarray], Any]) -> Any:
+    def _columns(self, field: str, agents: Iterable[int], array: Callable[[np.ndarray], Any]) -> Array:
         """Return the positions of a field of these agents in the joint observation, (n,)."""
         names = field_names(self.scenario)
         positions = [self._starts[i] + names[self.scenario.agents[i]].index(field) for i in agents]
@@ -184,7 +186,7 @@ class PolicyInterface:
         known = PLAIN_CHANNELS if self.kind == "shared" else self.plain_channels
         return {name: channels for name, channels in self.channels.items() if channels != known.get(name)}
 
-    def inputs(self, joint: Any) -> dict[str, Any]:
+    def inputs(self, joint: Array) -> dict[str, Any]:
         """Return the inputs of each network: (..., n) for a joint one, (..., n_agent, n) for a kind of agent."""
         if self._visible is not None:
             joint = joint * self._visible
@@ -198,14 +200,14 @@ class PolicyInterface:
             networks[kind] = _joined((observed, *of_group)) if plates else observed
         return networks
 
-    def _plates(self, joint: Any) -> tuple[Any, Any, Any]:
+    def _plates(self, joint: Array) -> tuple[Any, Any, Any]:
         """Return the three nameplate inputs, each (..., n_agent); see :class:`Policy`."""
         draw, reach = (joint[..., self._of_all[z]] * scale for z, scale in zip("rx", self._scales_mw, strict=True))
         by = reach if self._reactive is None else _chosen(self._reactive, reach, draw)
         needed = joint[..., self._of_all["v_deviation"]] / by.clip(SMALLEST_REACH, None)
         return draw, reach, needed.clip(-MOST_NEEDED, MOST_NEEDED)
 
-    def action(self, joint: Any, outputs: Mapping[str, Any]) -> Any:
+    def action(self, joint: Array, outputs: Mapping[str, Any]) -> Array:
         """Return the joint action, (..., n_action) in [-1, 1], for a joint observation and the network outputs."""
         out = outputs["joint"] if self.kind == "joint" else self._of_agents(joint, outputs)
         if self.outputs != "setpoint":
@@ -221,12 +223,12 @@ class PolicyInterface:
         out = self._clip(out, -1.0, 1.0)
         return out if self._at_rest is None else _chosen(self._at_rest, self._rest, out)
 
-    def _of_agents(self, joint: Any, outputs: Mapping[str, Any]) -> Any:
+    def _of_agents(self, joint: Array, outputs: Mapping[str, Any]) -> Array:
         """Arrange the outputs of the agents' networks in the order of the joint action, (..., n_action)."""
         actions = [outputs[kind].reshape(*joint.shape[:-1], -1) for kind in self.groups]
         return actions[0] if len(actions) == 1 else _joined(actions)
 
-    def _clock(self, joint: Any, backlog_per_s: float, more: Any = 0.0) -> Any:
+    def _clock(self, joint: Array, backlog_per_s: float, more: Array | float = 0.0) -> Array:
         """Return the clock that serves p_ref, a share of the backlog and ``more``, shares of the rating, (..., n_dc).
 
         Without p_ref in the observation, it is the maximum clock, reduced if ``more`` is negative.
@@ -256,14 +258,14 @@ def require_one_policy_fits(interfaces: Sequence[PolicyInterface]) -> None:
                 )
 
 
-def _joined(parts: Any) -> Any:
+def _joined(parts: Sequence[Array]) -> Array:
     return _namespace(parts[0]).concat(tuple(parts), axis=-1)
 
 
-def _chosen(condition: Any, one: Any, other: Any) -> Any:
+def _chosen(condition: Array, one: Array, other: Array) -> Array:
     return _namespace(other).where(condition, one, other)
 
 
-def _namespace(array: Any) -> Any:
+def _namespace(array: Array) -> ModuleType:
     """Return the module of an array, NumPy or torch; the functions used here have the same names in both."""
     return np if isinstance(array, np.ndarray) else array_namespace(array)

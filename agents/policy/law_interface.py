@@ -16,6 +16,7 @@ The array code runs with NumPy and torch, as in ``interface``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from dcgrid_env.agents.policy.agent_groups import agent_groups, axes
 from dcgrid_env.agents.policy.interface import cut
 from dcgrid_env.agents.policy.law_step import Columns, LawStep, Past, Step
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site
+from dcgrid_env.core.arrays import Array
 
 SERVED, REACTIVE = 0.3, 0.3
 """Bounds of the corrections, relative to dynamic rating and largest reactive power."""
@@ -86,10 +88,10 @@ class LawInterface:
         self._gain = array(np.clip(gain, -3.0, 3.0))
         self._drop, self._sum_own = array(_small(drop)), array(np.maximum(response.sum(-1), 1e-12))
 
-    def figures(self, joint: Any, past: Past) -> tuple[Step, Mapping[str, Any]]:
+    def figures(self, joint: Array, past: Past) -> tuple[Step, Mapping[str, Any]]:
         """Return the law's step for a joint observation and each network's inputs, (row, n_agent of its kind, n)."""
         fields = self.columns.of(joint)
-        step = self.law(self.columns.own(fields), past)
+        step = self.law(self.columns.physical(fields), past)
         return step, self._seen(fields, step)
 
     def _seen(self, fields: Mapping[str, Any], step: Step) -> Mapping[str, Any]:
@@ -117,7 +119,7 @@ class LawInterface:
             seen["inverter"] = every[:, n_dc:]
         return seen
 
-    def action(self, step: Step, outputs: Mapping[str, Any]) -> Any:
+    def action(self, step: Step, outputs: Mapping[str, Any]) -> Array:
         """Return the joint action, (row, n_action) in [-1, 1], with the networks' corrections of the law."""
         xp, parts = _namespace(step.share), []
         shift, pull = (
@@ -141,5 +143,5 @@ def _small(x: np.ndarray) -> np.ndarray:
     return np.log(np.maximum(x, 1e-4))
 
 
-def _namespace(array: Any) -> Any:
+def _namespace(array: Array) -> ModuleType:
     return np if isinstance(array, np.ndarray) else array_namespace(array)

@@ -11,6 +11,7 @@ where no limit stops t, and 0 where one does. So a policy is trained through the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from dcgrid_env.baselines.model_aided.average import Average
 from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
+from dcgrid_env.core.arrays import Array
 
 _LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
 """What the agents know by level of the sun."""
@@ -29,11 +31,11 @@ _LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
 class Own(NamedTuple):
     """What agents see at their own buses, in physical units, (row, n_agent) and of sites (row, n_dc)."""
 
-    v_pu: Any
-    p_kw: Any
-    q_kvar: Any
-    p_ref_next_kw: Any
-    backlog_kws: Any
+    v_pu: Array
+    p_kw: Array
+    q_kvar: Array
+    p_ref_next_kw: Array
+    backlog_kws: Array
 
 
 class Past:
@@ -51,31 +53,31 @@ class Past:
 class Step(NamedTuple):
     """The law's decisions and the figures that they are made from, (row, n_agent), of sites (row, n_dc)."""
 
-    v_pu: Any
+    v_pu: Array
     """Estimate of every voltage if no setpoint moves, at the draws decided on, (row, n_agent, node)."""
-    inverse_spread: Any
+    inverse_spread: Array
     """1 over its standard deviation, (row or 1, n_agent, node)."""
-    by_all: Any
+    by_all: Array
     """Rise of each voltage when all inject their whole limit more, (row or 1, n_agent, node)."""
-    surprise_pu: Any
+    surprise_pu: Array
     """Own voltage without the own part, less what is expected of it."""
-    share: Any
+    share: Array
     """Setpoint now, as a share of the largest reactive power."""
-    rest: Any
+    rest: Array
     """The static optimum u*, the same share."""
-    chosen: Any
+    chosen: Array
     """The law's new setpoint, the same share."""
-    slope: Any
+    slope: Array
     """Slope of the expected cost by the own setpoint."""
-    relief: Any
+    relief: Array
     """What the first kW less relieves the expected cost by, over the price of letting it wait."""
-    p_kw: Any
+    p_kw: Array
     """Draw if all work is served that is there."""
-    all_kw: Any
+    all_kw: Array
     """Dynamic power that serves all work that is there, up to the top clock."""
-    cut_kw: Any
+    cut_kw: Array
     """How much less the law serves."""
-    ceiling_kw: Any
+    ceiling_kw: Array
     """Dynamic power of the top clock."""
 
 
@@ -91,7 +93,7 @@ class LawStep:
         self._known = known
         self._price = VoltagePrice.of(s)
         self.known = Commissioned(*map(array, known))
-        self.own = array(known.by_own * site.q_scale_kvar[:, None])
+        self.by_q = array(known.by_own * site.q_scale_kvar[:, None])
         """What each agent's whole reactive power does to every voltage once the others have answered it, p.u.,
         (placement, n_agent, node)."""
         self._scale, self._effort = array(site.share_of_kvar), array(site.effort)
@@ -143,16 +145,16 @@ class LawStep:
             ceiling_kw,
         )  # fmt: skip
 
-    def clock(self, step: Step, served_kw: Any) -> Any:
+    def clock(self, step: Step, served_kw: Array) -> Array:
         """Clock that serves so much, in [-1, 1] where there is one, (row, n_dc)."""
         slowest = self.scenario.datacenters.f_min_mhz / self.scenario.datacenters.f_max_mhz
         return 2.0 * (served_kw / step.ceiling_kw - slowest) / ((1.0 - slowest) or 1.0) - 1.0
 
-    def _like(self, values: np.ndarray) -> Any:
+    def _like(self, values: np.ndarray) -> Array:
         return self._array(np.asarray(values))
 
     @property
-    def _pulled(self) -> Any:
+    def _pulled(self) -> Array:
         return self._like(np.asarray(self.site.scheduled, dtype=float))
 
     def _work(self, now: Own) -> tuple[Any, Any, Any]:
@@ -181,7 +183,7 @@ class LawStep:
             out.append(self._like(a + part * (b - a)))
         return out
 
-    def _cut(self, v: Any, inverse: Any, cut_kw: Any, inside: Any) -> Any:
+    def _cut(self, v: Array, inverse: Array, cut_kw: Array, inside: Array) -> Array:
         """``cut_kw`` with its derivative."""
         by_p, by_draw = self.known.by_p[:, : self._n_dc], self.known.by_draw[:, : self._n_dc]
         then = v + by_draw * cut_kw[..., None]
@@ -189,17 +191,17 @@ class LawStep:
         return _implicit(cut_kw, (slope * by_p).sum(-1), (curve * by_p * by_draw).sum(-1), inside)
 
     def _respond(
-        self, v: Any, inverse: Any, by_all: Any, share: Any, chosen: Any, rest: Any, p_kw: np.ndarray
-    ) -> Any:  # fmt: skip
+        self, v: Array, inverse: Array, by_all: Array, share: Array, chosen: Array, rest: Array, p_kw: np.ndarray
+    ) -> Array:  # fmt: skip
         """``chosen`` with its derivative."""
         limit = self._like(self.site.limit_kvar(p_kw)) / self._scale
         slope, curve = self._slopes(v + (chosen - share)[..., None] * by_all, inverse)
-        rise = (slope * self.own).sum(-1) + self.known.hold * (chosen - rest)
-        steep = (curve * self.own * by_all).sum(-1) + self.known.hold
+        rise = (slope * self.by_q).sum(-1) + self.known.hold * (chosen - rest)
+        steep = (curve * self.by_q * by_all).sum(-1) + self.known.hold
         inside = (abs(chosen) < 0.999 * limit) & (abs(chosen) > 0.0)
         return _implicit(chosen, rise, steep, inside)
 
-    def _slopes(self, v: Any, inverse: Any) -> tuple[Any, Any]:
+    def _slopes(self, v: Array, inverse: Array) -> tuple[Any, Any]:
         """Slope of the expected cost by each expected voltage, and its slope; see ``VoltagePrice``."""
         import torch
 
@@ -231,11 +233,11 @@ class Columns:
             array(np.asarray(scenario.datacenters.parameters.p_rated_kw)),
         )
 
-    def of(self, joint: Any) -> Mapping[str, Any]:
+    def of(self, joint: Array) -> Mapping[str, Any]:
         """Fields by name, as observed, of the agents that have them."""
         return {name: joint[:, columns] for name, columns in self._at.items()}
 
-    def own(self, fields: Mapping[str, Any]) -> Own:
+    def physical(self, fields: Mapping[str, Any]) -> Own:
         """Fields in physical units."""
         return Own(
             1.0 + self.band_pu * fields["v_deviation"],
@@ -246,25 +248,25 @@ class Columns:
         )
 
 
-def _implicit(found: Any, function: Any, steep: Any, inside: Any) -> Any:
+def _implicit(found: Array, function: Array, steep: Array, inside: Array) -> Array:
     """``found`` with the derivative of the implicit function where ``inside``, else none."""
     moved = (function - function.detach()) / steep.detach().clip(1e-9, None)
     return found - _namespace(found).where(inside, moved, 0.0 * moved)
 
 
-def _joined(parts: tuple[Any, ...], axis: int = -1) -> Any:
+def _joined(parts: tuple[Any, ...], axis: int = -1) -> Array:
     return _namespace(parts[0]).concat(parts, axis=axis)
 
 
-def _host(values: Any) -> Any:
+def _host(values: Array) -> Array:
     """NumPy's form of an array, float64."""
     return values if isinstance(values, np.ndarray) else values.detach().cpu().double().numpy()
 
 
-def _tracks(x: Any) -> bool:
+def _tracks(x: Array) -> bool:
     """Whether it is a tensor whose derivative is asked for."""
     return bool(getattr(x, "requires_grad", False))
 
 
-def _namespace(array: Any) -> Any:
+def _namespace(array: Array) -> ModuleType:
     return np if isinstance(array, np.ndarray) else array_namespace(array)

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.core.arrays import Array
 
 
 @runtime_checkable
 class Remembers(Protocol):
     """A network whose output also depends on what it saw before."""
 
-    def advance(self, observation: Any, memory: tuple[Any, ...] | None) -> tuple[Any, tuple[Any, ...]]:
+    def advance(self, observation: Array, memory: tuple[Any, ...] | None) -> tuple[Any, tuple[Any, ...]]:
         """Output, (..., n_out), for an observation (..., n_in), and what it remembers from now on.
 
         ``memory`` is the one that the last call returned, None at an episode's beginning.

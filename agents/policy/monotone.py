@@ -33,6 +33,7 @@ import numpy as np
 from array_api_compat import array_namespace
 
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError, figures
+from dcgrid_env.core.arrays import Array
 
 UNITS = 6
 """Number of tanh units in psi, in addition to the linear one."""
@@ -55,7 +56,7 @@ class Head(NamedTuple):
     """Whether the head has an offset: a clock has one; reactive power has none, because it would drift."""
 
 
-def head_output(z: Any, context: Any, widths: Any, slope: float, offset: bool) -> Any:
+def head_output(z: Array, context: Array, widths: Array, slope: float, offset: bool) -> Array:
     """Return a head's output for deviations ``z`` (...) and context outputs (..., WIDTH); NumPy or torch."""
     xp = np if isinstance(z, np.ndarray) else array_namespace(z)
     share = xp.exp(context[..., : UNITS + 2].clip(-15.0, 15.0))

@@ -178,7 +178,7 @@ class Network:
         return cls(layers, settings["activation"], settings["squash"], mean, std, settings["clip"], skip)
 
 
-def figures(name: str, value: Any, dimensions: int) -> np.ndarray:
+def figures(name: str, value: object, dimensions: int) -> np.ndarray:
     """An array of finite float32 with so many dimensions; PolicyError, which names it, for what is none."""
     try:
         with np.errstate(over="ignore"):  # infinite then, and refused as such

@@ -25,7 +25,12 @@ class AgentNetworks(BasePolicy):
     """
 
     def __init__(
-        self, *args: Any, networks: torch.nn.ModuleDict, seen: PolicyInterface, acting: PolicyInterface, **kwargs: Any
+        self,
+        *args: Any,
+        networks: torch.nn.ModuleDict,
+        seen: PolicyInterface,
+        acting: PolicyInterface,
+        **kwargs: Any,
     ):
         super().__init__(*args, **kwargs)
         self.networks, self.seen, self.acting = networks, seen, acting

@@ -18,9 +18,11 @@ import importlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from dcgrid_env.agents import Card
+from dcgrid_env.agents.training.config import Training
 from dcgrid_env.agents.training.search_spaces import SPACES, Range, within
 from dcgrid_env.agents.training.training_runs import train_all, words_of
 from dcgrid_env.agents.training.trial_training import STARTUP_TRIALS, read_trial, train_trial
@@ -28,6 +30,9 @@ from dcgrid_env.core.files import new_folder
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place
+
+if TYPE_CHECKING:
+    import optuna
 
 JOURNAL = "journal.log"
 """Name of the file to which each trial is added when it ends."""
@@ -39,7 +44,7 @@ NO_SETTINGS = (
 """Configuration fields that define the task, the output and the evaluation, but not how the algorithm learns."""
 
 
-def require_optuna() -> Any:
+def require_optuna() -> ModuleType:
     """Return the module optuna; raise ValueError with an installation hint if it is missing."""
     try:
         return importlib.import_module("optuna")
@@ -48,7 +53,7 @@ def require_optuna() -> Any:
 
 
 def search(
-    base: Any,
+    base: Training,
     trials: int,
     seed: int,
     folder: Path,
@@ -124,7 +129,7 @@ def search(
     return study
 
 
-def _journal(path: Path, algorithm: str) -> Any:
+def _journal(path: Path, algorithm: str) -> optuna.Study:
     """Return the search in a journal, or a new one; raise ValueError if the file is not a journal of this version."""
     optuna = require_optuna()
     try:
@@ -138,12 +143,12 @@ def _journal(path: Path, algorithm: str) -> Any:
     return study
 
 
-def ended(study: Any) -> list[Any]:
+def ended(study: optuna.Study) -> list[Any]:
     """Return completed and pruned trials in order, without interrupted ones."""
     return sorted((trial for trial in study.trials if trial.state.name in ("COMPLETE", "PRUNED")), key=number_of)
 
 
-def number_of(trial: Any) -> int:
+def number_of(trial: optuna.trial.FrozenTrial) -> int:
     """Return the position of a trial in the order of suggestions, which can differ from the order of completion."""
     return trial.user_attrs.get(NUMBER, -1)
 
@@ -166,7 +171,7 @@ def _suggestions(
     return found
 
 
-def _result(trial: Any, number: int, folder: Path) -> Any:
+def _result(trial: optuna.trial.FrozenTrial, number: int, folder: Path) -> Any:
     """Return a completed trial from the output folder of its training."""
     optuna, told = require_optuna(), read_trial(folder)
     costs = dict(enumerate(told.costs.values(), start=1))
@@ -180,19 +185,19 @@ def _result(trial: Any, number: int, folder: Path) -> Any:
     )  # fmt: skip
 
 
-def _suggest(trial: Any, name: str, space: Any) -> None:
+def _suggest(trial: optuna.trial.FrozenTrial, name: str, space: Any) -> None:
     if isinstance(space, Range):
         trial.suggest_float(name, space.low, space.high, log=space.log)
     else:
         trial.suggest_categorical(name, space.values)
 
 
-def seconds(study: Any) -> float:
+def seconds(study: optuna.Study) -> float:
     """Return the total time of all trials of a search, training and validation, s."""
     return sum(trial.user_attrs.get(SECONDS, 0.0) for trial in study.trials)
 
 
-def best_as_toml(study: Any, base: Any) -> str:
+def best_as_toml(study: optuna.Study, base: Training) -> str:
     """Return the best settings that differ from the defaults, in the format of agents/training/preset_settings.toml."""
     import tomli_w
 
@@ -206,6 +211,6 @@ def best_as_toml(study: Any, base: Any) -> str:
     return f"[{base.algorithm()}.{base.scenario}]\n{tomli_w.dumps(changed)}".rstrip()
 
 
-def _rounded(value: Any) -> Any:
+def _rounded(value: object) -> Any:
     """Round a number to three significant digits, the precision of a search."""
     return float(f"{value:.3g}") if isinstance(value, float) else value

@@ -217,11 +217,11 @@ class JointVecEnv(VecEnv):
         """Return an attribute of the batch, once for each requested row."""
         return [getattr(self.batch, attr_name)] * self._count(indices)
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+    def set_attr(self, attr_name: str, value: object, indices: Any = None) -> None:
         """AttributeError: the rows are one batch."""
         raise AttributeError(f"{attr_name} cannot be set: the rows are one batch; make another with it")
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+    def env_method(self, method_name: str, *args: object, indices: Any = None, **kwargs: object) -> list[Any]:
         """AttributeError: the rows are one batch."""
         raise AttributeError(f"{method_name} cannot be called for a row alone; call it on .batch")
 

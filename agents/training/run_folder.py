@@ -30,7 +30,7 @@ from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
-from dcgrid_env.agents.training.config import stored_config
+from dcgrid_env.agents.training.config import Training, stored_config
 from dcgrid_env.core.files import clear_parts, naming, new_folder, require_space, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
 
@@ -75,7 +75,7 @@ def watched(watcher: Callable[[Mapping[str, float]], None]) -> Iterator[None]:
 
 
 @contextmanager
-def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequence[Scenario] = ()) -> Iterator[Run]:
+def open_run(folder: Path, config: Training, resume: bool = False, scenarios: Sequence[Scenario] = ()) -> Iterator[Run]:
     """Open a training run in a folder and lock the folder.
 
     If the run fails or is interrupted before the first checkpoint or policy, its configuration is deleted.
@@ -116,7 +116,7 @@ def open_run(folder: Path, config: Any, resume: bool = False, scenarios: Sequenc
 class Run:
     """Read and write the folder of a training run; use :func:`open_run` to create it."""
 
-    def __init__(self, folder: Path, config: Any, resume: bool, scenarios: Sequence[Scenario]):
+    def __init__(self, folder: Path, config: Training, resume: bool, scenarios: Sequence[Scenario]):
         self.folder, self.scenarios, self.resume = folder, tuple(scenarios), resume
         self.checkpoint_path = folder / CHECKPOINT
         self.step = 0

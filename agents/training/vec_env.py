@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from dcgrid_env import IDS, Scenario, make_scenario
 
@@ -19,7 +19,7 @@ def sb3_vec_env(
     view: SB3View = "joint",
     *,
     render_mode: str | None = None,
-    **overrides: Any,
+    **overrides: object,
 ) -> JointVecEnv:
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -195,11 +194,11 @@ def _names_at_the_side(
     share = (y - low) / (high - low)
     order = np.argsort(share, kind="stable")
     places = _apart(share[order], min(line, 1.0 / max(len(order) - 1, 1)))
-    for at, i in zip(places, order.tolist(), strict=True):
+    for height, i in zip(places, order.tolist(), strict=True):
         ax.annotate(
             str(names[i]),
             xy=(x[i], y[i]),
-            xytext=(1.06, at),
+            xytext=(1.06, height),
             textcoords="axes fraction",
             fontsize=8,
             color=colours[i],
@@ -258,7 +257,7 @@ def _figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def _plain(ax: Any) -> None:
+def _plain(ax: Axes) -> None:
     ax.grid(alpha=0.25, linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)

@@ -66,11 +66,11 @@ def gather(
     for case in cases:
         name = case.scenario().name
         failed = {controller: text for (scenario, controller), text in failures.items() if scenario == name}
-        own = sorted((u for u in done if u.scenario == name and u.controller not in failed), key=lambda u: u.first)
-        records: dict[str, list[Mapping[str, Any]]] = {u.controller: [] for u in own}
-        voltages = {u.controller: np.zeros(len(V_EDGES_PU) - 1, dtype=np.int64) for u in own}
-        observes = {u.controller: done[u]["observes"] for u in own}
-        for unit in own:
+        units = sorted((u for u in done if u.scenario == name and u.controller not in failed), key=lambda u: u.first)
+        records: dict[str, list[Mapping[str, Any]]] = {u.controller: [] for u in units}
+        voltages = {u.controller: np.zeros(len(V_EDGES_PU) - 1, dtype=np.int64) for u in units}
+        observes = {u.controller: done[u]["observes"] for u in units}
+        for unit in units:
             records[unit.controller] += done[unit]["episodes"]
             first, counts = done[unit]["voltage"]["first_bin"], done[unit]["voltage"]["counts"]
             voltages[unit.controller][first : first + len(counts)] += counts

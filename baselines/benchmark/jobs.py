@@ -188,7 +188,7 @@ def _figures(recorder: Recorder, n_env: int) -> tuple[list[dict[str, float]], np
     return metrics, counts
 
 
-def _add(digest: Any, value: Any, places: dict[int, tuple[int, Any]]) -> None:
+def _add(digest: Any, value: object, places: dict[int, tuple[int, Any]]) -> None:
     """Feed a parameter by value; of code its name, of what has no value to read the type alone.
 
     ``places`` holds the place and the object of those fed before, by ``id``: one met again is fed as its place.
@@ -234,7 +234,7 @@ def _add_content(digest: Any, value: Any, places: dict[int, tuple[int, Any]]) ->
         _add(digest, item, places)
 
 
-def _attributes(value: Any) -> list[tuple[str, Any]]:
+def _attributes(value: object) -> list[tuple[str, Any]]:
     attributes = list(getattr(value, "__dict__", {}).items())
     for kind in type(value).__mro__:
         slots = vars(kind).get("__slots__", ())

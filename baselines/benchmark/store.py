@@ -60,13 +60,13 @@ class Store:
         record = _read(path)
         if record.pop("sha256", None) != _digest(record):
             raise ValueError(f"{path} is damaged (its sha256 is another); delete it, and it is computed anew")
-        own = record["unit"]
-        if own.get("scenario_hash") != unit.scenario_hash:
+        stored = record["unit"]
+        if stored.get("scenario_hash") != unit.scenario_hash:
             raise ValueError(
-                f"{path} is of another {unit.scenario}, of hash {own.get('scenario_hash')} and not "
+                f"{path} is of another {unit.scenario}, of hash {stored.get('scenario_hash')} and not "
                 f"{unit.scenario_hash}; give another --out, or delete {path.parents[1]}"
             )
-        return record if own == asdict(unit) else None
+        return record if stored == asdict(unit) else None
 
     def put(self, unit: Unit, record: dict[str, Any]) -> None:
         """Keep a finished unit."""

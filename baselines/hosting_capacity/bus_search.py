@@ -106,7 +106,7 @@ class BusSearch:
             trial = Trial.joined([before[1], trial])
         fails, whole = int(trial.outside.sum()) > self._allowed, len(request.samples) == len(self._every)
         self._guess, self._tries = None, self._tries + 1
-        at = trial.margins.min(axis=0)
+        margins = trial.margins.min(axis=0)
         if fails:
             self.beyond = trial
             if self._low >= request.size:  # feasible in the critical samples, but not in all
@@ -114,11 +114,11 @@ class BusSearch:
                 self._at_low_trial = None
             elif self._moved == 1:
                 self._at_low = 0.5 * self._at_low
-            self._high, self._at_high, self._moved = request.size, at, 1
+            self._high, self._at_high, self._moved = request.size, margins, 1
         else:
             if self._moved == -1 and self._at_high is not None:
                 self._at_high = 0.5 * self._at_high
-            self._low, self._at_low, self._moved = request.size, at, -1
+            self._low, self._at_low, self._moved = request.size, margins, -1
             self._at_low_trial = (request, trial)
             if whole:
                 self.size, self.at_size = request.size, trial

@@ -198,10 +198,10 @@ class Study:
         feeder = self.scenario.feeder
         if not buses:
             raise ValueError("buses is empty; name at least one, or leave it out for the load buses")
-        at = [feeder.index(bus) for bus in buses]
-        if 0 in at:
-            raise ValueError(f"buses has the substation {buses[at.index(0)]!r}, where the source is; choose another")
-        return np.array(list(dict.fromkeys(at)), dtype=np.int64)
+        found = [feeder.index(bus) for bus in buses]
+        if 0 in found:
+            raise ValueError(f"buses has the substation {buses[found.index(0)]!r}, where the source is; choose another")
+        return np.array(list(dict.fromkeys(found)), dtype=np.int64)
 
 
 def _finite(value: object) -> bool:

@@ -201,9 +201,9 @@ def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -
     for i, size in enumerate(sizes):
         by_size.setdefault(size, []).append(i)
     found: list[tuple[int, ...]] = [()] * len(buses)
-    for size, at in by_size.items():
-        asked = [(int(buses[i]), np.arange(site.study.samples)) for i in at]
-        for i, trial in zip(at, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
+    for size, bus_positions in by_size.items():
+        asked = [(int(buses[i]), np.arange(site.study.samples)) for i in bus_positions]
+        for i, trial in zip(bus_positions, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
             found[i] = tuple(worst_samples(trial).tolist())
     return found
 

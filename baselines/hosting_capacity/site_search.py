@@ -158,9 +158,9 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
 def _limit(scenario: Scenario, beyond: Trial) -> str:
     """Find the limit that a size breaks most, and its location."""
     row, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
-    at, feeder = int(beyond.at[row, kind]), scenario.feeder
+    node, feeder = int(beyond.nodes[row, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
     if kind == OVERLOAD:
-        return f"overload of {_branch_to(feeder, at)}"
-    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[at]}"
+        return f"overload of {_branch_to(feeder, node)}"
+    return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[node]}"

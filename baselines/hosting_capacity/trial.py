@@ -32,7 +32,7 @@ class Trial(NamedTuple):
     """Least margin to each of ``LIMITS`` over the seconds that count, negative beyond the limit, (row, limit). A
     voltage margin is a share of half the width of the voltage limits, a current margin a share of the current limit.
     All are ``COLLAPSED`` without a power-flow solution."""
-    at: np.ndarray
+    nodes: np.ndarray
     """Location of each margin as a position in ``node_ids``, of an overload the node that the branch feeds,
     (row, limit)."""
     outside: np.ndarray
@@ -47,7 +47,7 @@ class Trial(NamedTuple):
         """Least margin of any environment to any limit."""
         return float(self.margins.min())
 
-    def of(self, env_indices: Any) -> Trial:
+    def of(self, env_indices: np.ndarray | slice) -> Trial:
         """Select some of the environments."""
         return Trial(*(part[env_indices] for part in self))
 
@@ -105,7 +105,7 @@ def _run(
     seeds, options = site.reset_arguments(buses, samples)
     steps = transitions(scenario, controller, seeds, name, options)
     next(steps)
-    margins, at = np.full((n_env, len(LIMITS)), UNLIMITED), np.zeros((n_env, len(LIMITS)), np.int64)
+    margins, nodes = np.full((n_env, len(LIMITS)), UNLIMITED), np.zeros((n_env, len(LIMITS)), np.int64)
     outside, goes_on = np.zeros(n_env, np.int64), np.ones(n_env, bool)
     arrived, served = (np.zeros((n_env, study.horizon)) for _ in range(2))
     for k in range(study.horizon):
@@ -115,7 +115,7 @@ def _run(
             here, where = _distances(site, now)
             outside += (here < -_ROUNDING).any(axis=1)
             nearer = here < margins
-            margins, at = np.where(nearer, here, margins), np.where(nearer, where, at)
+            margins, nodes = np.where(nearer, here, margins), np.where(nearer, where, nodes)
         lost = goes_on & ~np.asarray(now.converged)
         if lost.any():
             goes_on &= ~lost
@@ -125,7 +125,7 @@ def _run(
     # What follows a power flow without a solution is another episode, and does not count.
     margins[~goes_on] = COLLAPSED
     outside[~goes_on] = study.horizon - study.settled
-    return Trial(margins, at, outside, arrived, served)
+    return Trial(margins, nodes, outside, arrived, served)
 
 
 def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -52,9 +52,9 @@ class PeakShaving(Droop):
 
     def draw(self, local: Local) -> np.ndarray:
         """See :class:`LocalController`."""
-        figures, at = self._figures, self._storages
-        apart = local.v_pu[..., at] - self.v_hold_pu
-        wanted = local.p_kw[..., at] + 1000.0 * self.gain * apart / np.maximum(local.r_pu_per_mw[..., at], 1e-6)
+        figures, slots = self._figures, self._storages
+        apart = local.v_pu[..., slots] - self.v_hold_pu
+        wanted = local.p_kw[..., slots] + 1000.0 * self.gain * apart / np.maximum(local.r_pu_per_mw[..., slots], 1e-6)
         hours = self.scenario.dt_s / 3600.0
         lacking = np.maximum(figures.returned_kwh - local.stored_kwh, 0.0)
         most = np.minimum(figures.p_rated_kw, lacking / (figures.charge_efficiency * hours))

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned
+from dcgrid_env.core.arrays import Array
 
 _LEAST = 0.1
 
@@ -35,7 +36,7 @@ class Average:
         self._mean: Any = None
         self._count = 0
 
-    def __call__(self, known: Commissioned, e_own: Any) -> Any:
+    def __call__(self, known: Commissioned, e_own: Array) -> Array:
         """The average, p.u., (m, n), with the newest E, (m, n), in it; ``known`` is of the arrays' kind."""
         self._count += 1
         if self._mean is None:

@@ -95,7 +95,7 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     rest_kvar, rest_at, mean_kw = rest_kvar[order], rest_at[order], draw.mean(axis=0)
     origin = rest_kvar.mean(axis=0)
     rest_all = by_sun(site, rest_kvar[None], rest_at[None], draw)
-    v = flow.at(rest_all)
+    v = flow.voltages(rest_all)
     by_q, by_p = by_q / v.mean(axis=0), by_p / v.mean(axis=0)
     v_rest, v = v, v - (rest_all - origin) @ by_q  # the latter at the origin, by the model
     by_draw = by_p.copy()
@@ -103,7 +103,7 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     own_by_q, own_by_draw = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
     newest = np.ones((1, len(buses)))
     if points.later is not None:
-        v_later = MomentFlow(site._replace(points=points.later), buses).at(rest_all)
+        v_later = MomentFlow(site._replace(points=points.later), buses).voltages(rest_all)
         change = (v_later - v_rest) @ flow.seen.T + (points.later.p_agent_kw - draw) * own_by_draw
         newest = weight_of_newest(s.sensing.noise_pu, change)[None]
     start = rest_kvar @ (by_q @ flow.seen.T)
@@ -111,8 +111,8 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     # A model that is said to be wrong tells too little of the optimum and of the others' answers.
     trusted = float(s.sensing.r_model_share == s.sensing.x_model_share == 1.0)
     hold = trusted * law.hold * s.cost.weights.voltage * (by_q * site.q_scale_kvar[:, None]).mean(axis=1)[None]
-    alike, waiting, none = np.full((1, len(buses)), law.alike), np.full((1, n_dc), site.waiting), np.empty(0)
-    fields: list[np.ndarray] = [*(field[None] for field in still), *[none] * 6, hold, newest, alike, waiting]
+    alike, waiting, empty = np.full((1, len(buses)), law.alike), np.full((1, n_dc), site.waiting), np.empty(0)
+    fields: list[np.ndarray] = [*(field[None] for field in still), *[empty] * 6, hold, newest, alike, waiting]
     known = Commissioned(*fields)
     moved = rest_all - origin
     held = v + moved @ by_q

@@ -39,10 +39,10 @@ def settled(
     """
     found = begin
     for _ in range(_ADJUSTMENTS):
-        at = [start]
+        iterates = [start]
         for _ in range(_STEPS):
-            at.append(respond(found, at[-1]))
-        steps = np.diff(at, axis=0)
+            iterates.append(respond(found, iterates[-1]))
+        steps = np.diff(iterates, axis=0)
         follows = (steps[1:] * steps[:-1]).sum(axis=(0, 1))
         rho = follows / np.maximum((steps[:-1] ** 2).sum(axis=(0, 1)), _LEAST_STEP**2 * start.shape[0])
         found = found * np.clip(1.0 - _SHARE * rho, *_MOST_AT_ONCE)

@@ -94,5 +94,5 @@ def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
 
 def own_error(known: Commissioned, v_pu: np.ndarray, p_kw: np.ndarray, q_kvar: np.ndarray) -> np.ndarray:
     """E_i: the own voltage with the own part taken out, p.u., (m, n)."""
-    own = known.own_by_q * (q_kvar - known.origin_kvar) - known.own_by_draw * (p_kw - known.mean_kw)
-    return v_pu - own
+    own_effect = known.own_by_q * (q_kvar - known.origin_kvar) - known.own_by_draw * (p_kw - known.mean_kw)
+    return v_pu - own_effect

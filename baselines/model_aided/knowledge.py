@@ -61,8 +61,8 @@ class Site(NamedTuple):
     @property
     def scheduled(self) -> np.ndarray:
         """Which agents read the sun from their own injection, bool, (n,)."""
-        at = np.arange(self.scenario.n_agents)
-        return (at >= self.scenario.datacenters.count) & (self.scenario.schedule is not None)
+        agent = np.arange(self.scenario.n_agents)
+        return (agent >= self.scenario.datacenters.count) & (self.scenario.schedule is not None)
 
     @property
     def q_scale_kvar(self) -> np.ndarray:
@@ -164,7 +164,7 @@ def resting(site: Site, known: Commissioned, p_kw: np.ndarray) -> np.ndarray:
     return by_sun(site, known.rest_kvar, known.rest_at, p_kw)
 
 
-def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> np.ndarray:
+def by_sun(site: Site, values: np.ndarray, knots: np.ndarray, p_kw: np.ndarray) -> np.ndarray:
     """Interpolate figures of the levels of the sun to what an inverter reads off its draw; others have the mean.
 
     Parameters
@@ -177,12 +177,12 @@ def by_sun(site: Site, values: np.ndarray, at: np.ndarray, p_kw: np.ndarray) -> 
         Draws, (row, n).
     """
     per_row = np.broadcast_to(values, (len(p_kw), *values.shape[1:]))
-    at = np.broadcast_to(at, (len(p_kw), at.shape[1]))
+    knots = np.broadcast_to(knots, (len(p_kw), knots.shape[1]))
     out = per_row.mean(axis=1)
     kva, rows = site.scenario.scheduled_kva, np.arange(len(p_kw))
     for j in np.flatnonzero(site.scheduled):
         share = p_kw[:, j] / (kva[j - site.scenario.datacenters.count] or 1.0)
-        low, weight = between(share[:, None], at[:, None])
+        low, weight = between(share[:, None], knots[:, None])
         a, b = (per_row[rows, low[:, 0] + more, j] for more in (0, 1))
         out[:, j] = a + weight[:, 0] * (b - a)
     return out

@@ -1,7 +1,7 @@
 """The exact power flow of the moments, for one placement.
 
-If a scenario's model is not exact, agents know the size of the error but not its direction. All resistances and all
-reactances are then larger or smaller by that share, in a quarter of the moments each.
+Where the scenario says that its model is not exact, agents know by how much and not in which direction: a quarter of
+the moments each is of the model with all resistances and all reactances larger or smaller by that share.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class MomentFlow:
 
     def of(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Voltages of some moments as a function of constant setpoints, kvar, (n_agent,)."""
-        return lambda q_kvar: self.at(np.broadcast_to(q_kvar, (len(rows), len(q_kvar))), rows)
+        return lambda q_kvar: self.voltages(np.broadcast_to(q_kvar, (len(rows), len(q_kvar))), rows)
 
-    def at(self, q_kvar: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+    def voltages(self, q_kvar: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Voltages of moments under setpoints, (m, n_agent), p.u., (m, k); the mean where no solution exists."""
         s, points = self.scenario, self.points
         p = points.p_load_kw[rows] + points.p_agent_kw[rows] @ self.shares
@@ -44,9 +44,9 @@ class MomentFlow:
         of = np.arange(len(points.p_load_kw))[rows] % len(self.feeders)
         v, solved = np.empty((len(p), self.seen.shape[1])), np.empty(len(p), bool)
         for k, feeder in enumerate(self.feeders):
-            at = of == k
-            solution = solver_for(feeder, s.power_flow)(feeder, p[at], q[at], s.source_voltage_pu)
-            v[at], solved[at] = np.asarray(solution.v_pu)[:, feeder.load_slice], solution.converged
+            of_feeder = of == k
+            solution = solver_for(feeder, s.power_flow)(feeder, p[of_feeder], q[of_feeder], s.source_voltage_pu)
+            v[of_feeder], solved[of_feeder] = np.asarray(solution.v_pu)[:, feeder.load_slice], solution.converged
         if not solved.any():
             raise ValueError(
                 f"model-aided: the power flow of scenario {s.name!r} has no solution at any of its moments; give the "

@@ -46,9 +46,9 @@ class OperatingPoints(NamedTuple):
                 f"{there.name!r}; draw them anew"
             )
         loaded = np.flatnonzero(here.p_load_kw > 0.0)
-        at = loaded[np.arange(here.n_bus) % len(loaded)]
-        at[loaded] = loaded
-        share = self.p_load_kw[:, at] / here.p_load_kw[at]
+        bus = loaded[np.arange(here.n_bus) % len(loaded)]
+        bus[loaded] = loaded
+        share = self.p_load_kw[:, bus] / here.p_load_kw[bus]
         fixed_kvar = there.capacitor_kvar if scenario.background.capacitors else 0.0
         p_kw, q_kvar = share * there.p_load_kw, share * there.q_load_kvar - fixed_kvar
         later = None if self.later is None else self.later.on(scenario)
@@ -74,8 +74,8 @@ def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
         steps = rng.choice(scenario.horizon, min(each, scenario.horizon), replace=False)
         drawn = np.concatenate((episode.p_ref_kw, -episode.p_inverter_kw), axis=1)
         series = (episode.p_load_kw, episode.q_load_kvar, drawn)
-        for part, at in zip(parts, (steps, np.minimum(steps + 1, scenario.horizon - 1)), strict=True):
-            part.append(tuple(values[at] for values in series))
+        for part, steps_of_part in zip(parts, (steps, np.minimum(steps + 1, scenario.horizon - 1)), strict=True):
+            part.append(tuple(values[steps_of_part] for values in series))
     (p_kw, q_kvar, drawn_kw), later = (tuple(map(np.concatenate, zip(*part, strict=True))) for part in parts)
     after = OperatingPoints(scenario, later[0], later[1], later[2]) if scenario.sensing.noise_pu else None
     return OperatingPoints(scenario, p_kw, q_kvar, drawn_kw, after)

@@ -37,9 +37,9 @@ def regressed(site: Site, known: Commissioned, v: np.ndarray, own_v: np.ndarray,
     centre, own_centre = v.mean(axis=0), own_v.mean(axis=0)
     there = v - centre
     more = draw - known.mean_kw[0]
-    own = own_v - own_centre - moved * known.own_by_q[0] + more * known.own_by_draw[0]
-    weights = _weights(np.where(site.scheduled, draw, own), known.rest_at.shape[1])
-    columns = np.stack([own.T, moved.T, more.T])  # what E is made of, beside the voltages, (3, n, m)
+    unexplained = own_v - own_centre - moved * known.own_by_q[0] + more * known.own_by_draw[0]
+    weights = _weights(np.where(site.scheduled, draw, unexplained), known.rest_at.shape[1])
+    columns = np.stack([unexplained.T, moved.T, more.T])  # what E is made of, beside the voltages, (3, n, m)
     mean = (columns[:, :, None] * weights).sum(axis=-1)
     parts = columns[:, :, None] - mean[..., None]  # (3, n, L, m)
     weighed = weights * parts

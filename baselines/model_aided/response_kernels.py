@@ -40,32 +40,32 @@ def decide(
     rows = np.zeros((7, -(-n_node // _VECTOR) * _VECTOR))
     # In standard deviations of each voltage: how far it is from 1 p.u., the band, what all agents and the draw move.
     x, edge, together, drawn = rows[0], rows[1], rows[2], rows[3]
-    inverse, own, own_p = rows[4], rows[5], rows[6]
+    inverse, effect, own_p = rows[4], rows[5], rows[6]
     apart = rises = False
     for i in range(n):
         for m in range(first, last):
             of = m if by_q.shape[0] > 1 else 0
-            at = level[m, i]
-            to, part = min(at + 1, top), weight[m, i]
+            below = level[m, i]
+            to, part = min(below + 1, top), weight[m, i]
             q, d = by_q[of, i], by_draw[of, i]
             if each_row or m == first:
-                spread, spread_to = inverse_spread[of, i, at], inverse_spread[of, i, to]
-                limits, limits_to = by_all[of, i, at], by_all[of, i, to]
+                spread, spread_to = inverse_spread[of, i, below], inverse_spread[of, i, to]
+                limits, limits_to = by_all[of, i, below], by_all[of, i, to]
                 least, steepest_fall = np.inf, 0.0
                 for k in range(n_node):
                     inverse[k] = (1.0 - part) * spread[k] + part * spread_to[k]
                     edge[k] = band_pu * inverse[k]
                     together[k] = alike[of, i] * ((1.0 - part) * limits[k] + part * limits_to[k]) * inverse[k]
                     drawn[k] = d[k] * inverse[k]
-                    own[k] = q_scale[i] * by_own[of, i, k]
+                    effect[k] = q_scale[i] * by_own[of, i, k]
                     own_p[k] = by_p[of, i, k]
                     least = min(least, edge[k])
-                    steepest_fall = min(steepest_fall, together[k] * own[k])
+                    steepest_fall = min(steepest_fall, together[k] * effect[k])
                 apart, rises = least >= 2.0 * _TOP, steepest_fall == 0.0
-            off, off_to = e_own[m, i] - own_base[of, i, at], e_own[m, i] - own_base[of, i, to]
+            off, off_to = e_own[m, i] - own_base[of, i, below], e_own[m, i] - own_base[of, i, to]
             surprise[m, i] = (1.0 - part) * off + part * off_to
             up, down = moved_kvar[m, i], more_kw[m, i]
-            mean, gains = base[of, i, at], gain[of, i, at]
+            mean, gains = base[of, i, below], gain[of, i, below]
             mean_to, gains_to = base[of, i, to], gain[of, i, to]
             for k in range(n_node):
                 v = mean[k] + gains[k] * off
@@ -83,7 +83,7 @@ def decide(
             if q_scale[i] > 0.0:
                 limit = min(np.sqrt(max(s_rated[i] ** 2 - p_next**2, 0.0)) / q_scale[i], 1.0)
             new[m, i], slope[m, i] = respond(
-                x, edge, apart, rises, together, own, price, share[m, i], limit, effort[i], hold[of, i], rest[m, i]
+                x, edge, apart, rises, together, effect, price, share[m, i], limit, effort[i], hold[of, i], rest[m, i]
             )
     return 0
 
@@ -108,17 +108,17 @@ def _slope(x, edge, apart, direction, moved, by, price):
     total = 0.0
     if apart:
         for k in range(len(x)):
-            at = x[k] + moved * direction[k]
-            size = abs(at)
+            deviation = x[k] + moved * direction[k]
+            size = abs(deviation)
             near = size < _TOP
             h = half_normal(size - (0.0 if near else edge[k]))
             beyond = (2.0 * by_voltage + by_violation) * _END + by_violation * h
-            total += by[k] * math.copysign(2.0 * by_voltage * h if near else beyond, at)
+            total += by[k] * math.copysign(2.0 * by_voltage * h if near else beyond, deviation)
     else:
         for k in range(len(x)):
-            at = x[k] + moved * direction[k]
-            beyond = half_normal(at - edge[k]) + half_normal(at + edge[k])
-            total += by[k] * (2.0 * by_voltage * half_normal(at) + by_violation * beyond)
+            deviation = x[k] + moved * direction[k]
+            beyond = half_normal(deviation - edge[k]) + half_normal(deviation + edge[k])
+            total += by[k] * (2.0 * by_voltage * half_normal(deviation) + by_violation * beyond)
     return total
 
 
@@ -165,14 +165,14 @@ def _cut(x, edge, apart, drawn, by_p, price, span_kw, waiting):
 
 
 @compiled(fastmath=_FAST)
-def respond(x, edge, apart, rises, together, own, price, share, limit, effort, hold, rest):
+def respond(x, edge, apart, rises, together, effect, price, share, limit, effort, hold, rest):
     """The best setpoint as a share of the limit, and the slope at the one now without the price of effort.
 
     The slope ``rises`` along the setpoint if no agent raises a voltage that another lowers. Then its sign at the
     present setpoint gives the side of the best one, and the other side is skipped.
     """
     constant = hold * (share - rest)
-    now = constant + _slope(x, edge, apart, together, 0.0, own, price)
+    now = constant + _slope(x, edge, apart, together, 0.0, effect, price)
     if limit <= 0.0:
         return 0.0, now
     sign = 1.0 if share > 0.0 else -1.0
@@ -182,7 +182,7 @@ def respond(x, edge, apart, rises, together, own, price, share, limit, effort, h
         # The price of effort has its kink at 0, which the setpoint leaves only where the slope there is beyond it.
         idle = now
         if share != 0.0:
-            idle = constant - hold * share + _slope(x, edge, apart, together, -share, own, price)
+            idle = constant - hold * share + _slope(x, edge, apart, together, -share, effect, price)
         if abs(idle) <= effort:
             return 0.0, now
         sign = 1.0 if idle < 0.0 else -1.0
@@ -195,7 +195,7 @@ def respond(x, edge, apart, rises, together, own, price, share, limit, effort, h
     if between and rises and sign * here > 0.0:
         end, end_f = 0.0, here
     else:
-        end_f = constant + hold * end + _slope(x, edge, apart, together, end, own, price)
+        end_f = constant + hold * end + _slope(x, edge, apart, together, end, effect, price)
         if sign * end_f <= 0.0:
             return sign * limit, now
         if between and sign * here > 0.0:
@@ -205,5 +205,5 @@ def respond(x, edge, apart, rises, together, own, price, share, limit, effort, h
     low, low_f, high, high_f = begin, begin_f, end, end_f
     if sign < 0.0:
         low, low_f, high, high_f = end, end_f, begin, begin_f
-    t = _zero(x, edge, apart, together, own, price, constant, hold, low, low_f, high, high_f, _CLOSE * limit)
+    t = _zero(x, edge, apart, together, effect, price, constant, hold, low, low_f, high, high_f, _CLOSE * limit)
     return share + t, now

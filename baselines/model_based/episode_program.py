@@ -130,8 +130,8 @@ class EpisodeProgram(Trajectory):
 
     def begin(self, share: float) -> None:
         """Go back to serving all work as it arrives, with a share of the reactive power that there is."""
-        none = 0.0 * self.storage_kw, 0.0 * self.moved_kw
-        self._done = (self.arrived_kw, none[0], share * self.q_limit_kvar, none[1])
+        zero = 0.0 * self.storage_kw, 0.0 * self.moved_kw
+        self._done = (self.arrived_kw, zero[0], share * self.q_limit_kvar, zero[1])
 
     @property
     def _done(self) -> tuple[np.ndarray, ...]:

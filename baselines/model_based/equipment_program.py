@@ -24,6 +24,7 @@ from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout
 from dcgrid_env.baselines.model_based.episode_program import TANGENTS
 from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
+from dcgrid_env.devices import Device
 
 _SPAN = 0.1  # of a tap or a bank, by which the power flow is tried to find its slopes
 _NARROWEST = 1e-3  # kvar, kW s: no range is so narrow that it has no inside
@@ -70,16 +71,16 @@ class EquipmentProgram(Trajectory):
         """Optimum, to a share of it, and the actions (T, n_action) behind it; the next program is around them."""
         s = self.scenario
         n_dc, n_u, steps = s.datacenters.count, self.n_further, s.horizon
-        at, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
+        v_pu, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
         k = dense.shape[-1]
         one, shift = sparse.identity(steps), sparse.eye(steps, k=-1)
         of_d = np.arange(k) < n_dc
         served = sparse.kron(one, sparse.diags(np.where(of_d, -1.0 / s.dt_s, 1.0)))
         served += sparse.kron(shift, sparse.diags(np.where(of_d, 1.0 / s.dt_s, 0.0)))  # d_t - a_t from b_t, b_{t-1}
         quantities = sparse.csr_array(served)
-        at = at + (dense[..., :n_dc] @ self.arrived_kw[..., None])[..., 0]
-        c, constant = self._linear_costs(at, dense, quantities)
-        h, bounds = self._of_voltages(at)
+        v_pu = v_pu + (dense[..., :n_dc] @ self.arrived_kw[..., None])[..., 0]
+        c, constant = self._linear_costs(v_pu, dense, quantities)
+        h, bounds = self._of_voltages(v_pu)
         other, h_other, k_other = self._of_steps(quantities, k)
         rows = Rows(dense, quantities, (1.0, 1.0, -1.0), other, 2 * k - 1)
         h, limits = np.concatenate((h, h_other)), np.concatenate((bounds, k_other))
@@ -110,7 +111,7 @@ class EquipmentProgram(Trajectory):
         return np.split(columns, np.cumsum([device.count for device in self.groups])[:-1], axis=-1)
 
     @staticmethod
-    def _of_kind(device: Any, taps: np.ndarray, on: np.ndarray) -> np.ndarray:
+    def _of_kind(device: Device, taps: np.ndarray, on: np.ndarray) -> np.ndarray:
         """Of all the feeder's taps and switches those of the kind that a group of equipment is."""
         return taps if device.kind == "tap_changer" else on
 
@@ -134,19 +135,21 @@ class EquipmentProgram(Trajectory):
         s, linear = self.scenario, self._linear(v_pu)
         values = v_pu.reshape(-1, s.horizon, v_pu.shape[-1])
         by_u = np.moveaxis(values[len(values) - self.n_further :] - values[0], 0, -1) / self._spans()[:, None]
-        at = linear.at_zero - (by_u @ self.position[:, : self.n_further, None])[..., 0]
-        return at, np.ascontiguousarray(np.concatenate((linear.by_d, linear.by_q, by_u), axis=-1))
+        v_at_zero = linear.at_zero - (by_u @ self.position[:, : self.n_further, None])[..., 0]
+        return v_at_zero, np.ascontiguousarray(np.concatenate((linear.by_d, linear.by_q, by_u), axis=-1))
 
-    def _linear_costs(self, at: np.ndarray, dense: np.ndarray, quantities: Any) -> tuple[np.ndarray, float]:
+    def _linear_costs(
+        self, v_pu: np.ndarray, dense: np.ndarray, quantities: sparse.csr_array
+    ) -> tuple[np.ndarray, float]:
         """Of |x| = 2 max(x, 0) - x the last part, with x the deviation, and what is no hinge, and the constant."""
         s, w, n_dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.count
-        price = w.voltage / at.size
+        price = w.voltage / v_pu.size
         c = (quantities.T @ (-price * dense.sum(axis=1)).ravel()).reshape(s.horizon, -1)
         backlog = np.full(s.horizon, w.backlog)
         backlog[-1] += w.leftover
         c[:, :n_dc] += backlog[:, None] / (s.datacenters.parameters.p_rated_kw.sum() or 1.0) / s.horizon
         c[:, n_dc : n_dc + self.n] += self._effort()
-        constant = price * float((1.0 - at).sum())
+        constant = price * float((1.0 - v_pu).sum())
         if self.n_further:
             c[-1, n_dc + self.n :] += self._switching()
             return c.ravel(), constant - self._switching() * float(self.rest.sum())
@@ -161,14 +164,14 @@ class EquipmentProgram(Trajectory):
         """Price of a tap or a switching."""
         return self.scenario.cost.weights.switching / len(self.rest) / self.scenario.horizon
 
-    def _of_voltages(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _of_voltages(self, v_pu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Prices and limits of the voltages' hinges: above 1 p.u., above the band, below it."""
         w, band = self.scenario.cost.weights, self.scenario.cost.band_pu
-        beyond = np.inf if self.keep_band else max(w.violation / at.size, 1e-12)
-        h = np.repeat([max(2.0 * w.voltage / at.size, 1e-12), beyond, beyond], at.size)
-        return h, np.concatenate(((1.0 - at).ravel(), (1.0 + band - at).ravel(), (at - 1.0 + band).ravel()))
+        beyond = np.inf if self.keep_band else max(w.violation / v_pu.size, 1e-12)
+        h = np.repeat([max(2.0 * w.voltage / v_pu.size, 1e-12), beyond, beyond], v_pu.size)
+        return h, np.concatenate(((1.0 - v_pu).ravel(), (1.0 + band - v_pu).ravel(), (v_pu - 1.0 + band).ravel()))
 
-    def _of_steps(self, quantities: Any, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
+    def _of_steps(self, quantities: sparse.csr_array, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
         """The other rows, with their prices and limits: of backlogs, work, reactive power, positions and moves."""
         s, n_dc, n_u, steps = self.scenario, self.scenario.datacenters.count, self.n_further, self.scenario.horizon
         identity: Any = sparse.identity(steps * k, format="csr")
@@ -198,7 +201,7 @@ class EquipmentProgram(Trajectory):
             np.concatenate([limits for *_, limits in parts]),
         )
 
-    def _moves(self, identity: Any, u: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
+    def _moves(self, identity: sparse.csr_array, u: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
         """The rows of positions, within their range, and of their moves."""
         steps, n_u = self.scenario.horizon, self.n_further
         change = (sparse.identity(u.size) - sparse.eye(u.size, k=-n_u)) @ identity[u]
@@ -214,7 +217,9 @@ class EquipmentProgram(Trajectory):
             parts.append((-change, 2.0 * self._switching(), -before))
         return parts
 
-    def _capability(self, work: Any, q: Any, top_kw: np.ndarray) -> list[tuple[Any, Any, np.ndarray]]:
+    def _capability(
+        self, work: sparse.csr_array, q: sparse.csr_array, top_kw: np.ndarray
+    ) -> list[tuple[Any, Any, np.ndarray]]:
         """The tangents of ``EpisodeProgram`` of the data centres' circles, those that power can come near."""
         n_dc, parts = self.scenario.datacenters.count, []
         s_rated_kva = np.maximum(self.s_rated_kva[:n_dc], self.base_kw + top_kw)
@@ -227,7 +232,7 @@ class EquipmentProgram(Trajectory):
         return parts
 
 
-def _most(device: Any, dt_s: float) -> np.ndarray:
+def _most(device: Device, dt_s: float) -> np.ndarray:
     """How far each piece of equipment of a group goes in a step."""
     if device.kind == "tap_changer":
         return dt_s / device.parameters.tap_delay_s

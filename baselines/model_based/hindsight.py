@@ -257,7 +257,7 @@ def _check(scenario: Scenario) -> None:
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"
         )
-    sites: Any = scenario.datacenters
+    sites = scenario.datacenters
     if sites.batching is not None:
         raise ValueError(
             f"hindsight plans no batch sizes, whose energy is no linear function; scenario {scenario.name!r} has "

@@ -48,14 +48,14 @@ class Rows(NamedTuple):
     def apply(self, x: np.ndarray) -> np.ndarray:
         """A x."""
         steps, _, k = self.dense.shape
-        at = (self.dense @ (self.quantities @ x).reshape(steps, k, 1))[..., 0]
-        return np.concatenate([*((sign * at).ravel() for sign in self.times), self.other @ x])
+        product = (self.dense @ (self.quantities @ x).reshape(steps, k, 1))[..., 0]
+        return np.concatenate([*((sign * product).ravel() for sign in self.times), self.other @ x])
 
     def transposed(self, z: np.ndarray) -> np.ndarray:
         """A' z."""
         copies, rest = self._split(z)
-        at = np.einsum("c,ctn->tn", self.times, copies)
-        by_step = (at[:, None] @ self.dense).ravel()
+        summed = np.einsum("c,ctn->tn", self.times, copies)
+        by_step = (summed[:, None] @ self.dense).ravel()
         return self.quantities.T @ by_step + self.other.T @ rest
 
     def normal(self, weights: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -67,8 +67,8 @@ class Rows(NamedTuple):
         of_step = k * np.arange(steps)[:, None]
         where = (of_step + rows).ravel(), (of_step + columns).ravel()
         whole = sparse.csr_array((blocks.ravel(), where), shape=(steps * k, steps * k))
-        own: Any = self.other.T @ sparse.diags_array(rest) @ self.other
-        entries = sparse.tril(self.quantities.T @ whole @ self.quantities + own).tocoo()
+        by_other: Any = self.other.T @ sparse.diags_array(rest) @ self.other
+        entries = sparse.tril(self.quantities.T @ whole @ self.quantities + by_other).tocoo()
         banded = np.zeros((self.width + 1, self.quantities.shape[1]))
         banded[entries.row - entries.col, entries.col] = entries.data
         factor = cholesky_banded(banded, overwrite_ab=True, lower=True, check_finite=False)
@@ -164,45 +164,45 @@ def _begun(rows: Rows, h: np.ndarray, k: np.ndarray, x: np.ndarray) -> _State:
     return _State(x, s, t, z, np.where(soft, 0.5 * price, 1.0), soft.astype(np.float64))
 
 
-def _step(at: _State, missing: _Missing, rows: Rows) -> _State:
+def _step(state: _State, missing: _Missing, rows: Rows) -> _State:
     """A predictor, and a corrector towards a product that is as much smaller as the predictor found it could be."""
-    below, above = at.s / at.z, at.t / at.y
+    below, above = state.s / state.z, state.t / state.y
     weights = 1.0 / (below + above)
     solve = rows.normal(weights)
 
     def newton(of_s: np.ndarray, of_t: np.ndarray) -> tuple[np.ndarray, ...]:
         """Changes of x, s, t and z at which the products change by what is given."""
-        of_s, of_t = of_s / at.z, at.soft * of_t / at.y
+        of_s, of_t = of_s / state.z, state.soft * of_t / state.y
         wanted = missing.primal - of_s + of_t
         dx = solve(missing.dual + rows.transposed(weights * wanted))
         dz = weights * (rows.apply(dx) - wanted)
         return dx, of_s - below * dz, of_t + above * dz, dz
 
-    _, ds, dt, dz = newton(-at.s * at.z, -at.t * at.y)
-    primal, dual = _lengths(at, ds, dt, dz, 1.0)
-    after = at._replace(
-        s=at.s + primal * ds, t=at.t + primal * dt, z=at.z + dual * dz, y=at.y - at.soft * dual * dz
+    _, ds, dt, dz = newton(-state.s * state.z, -state.t * state.y)
+    primal, dual = _lengths(state, ds, dt, dz, 1.0)
+    after = state._replace(
+        s=state.s + primal * ds, t=state.t + primal * dt, z=state.z + dual * dz, y=state.y - state.soft * dual * dz
     ).product()
-    now = at.product()
+    now = state.product()
     towards = now * (after / now) ** 3
-    dx, ds, dt, dz = newton(towards - at.s * at.z - ds * dz, towards - at.t * at.y + dt * dz)
-    primal, dual = _lengths(at, ds, dt, dz, _TOWARDS)
+    dx, ds, dt, dz = newton(towards - state.s * state.z - ds * dz, towards - state.t * state.y + dt * dz)
+    primal, dual = _lengths(state, ds, dt, dz, _TOWARDS)
     return _State(
-        at.x + primal * dx,
-        at.s + primal * ds,
-        at.t + primal * dt,
-        at.z + dual * dz,
-        at.y - at.soft * dual * dz,
-        at.soft,
+        state.x + primal * dx,
+        state.s + primal * ds,
+        state.t + primal * dt,
+        state.z + dual * dz,
+        state.y - state.soft * dual * dz,
+        state.soft,
     )
 
 
-def _lengths(at: _State, ds: np.ndarray, dt: np.ndarray, dz: np.ndarray, share: float) -> tuple[float, float]:
+def _lengths(state: _State, ds: np.ndarray, dt: np.ndarray, dz: np.ndarray, share: float) -> tuple[float, float]:
     """How far distances, and multipliers, may go along their changes, as shares of these and 1 at most."""
 
     def farthest(*pairs: tuple[np.ndarray, np.ndarray]) -> float:
         steepest = max(float((-change / value).max(initial=0.0)) for value, change in pairs)
         return min(1.0, share / steepest) if steepest > 0.0 else 1.0
 
-    soft = at.soft > 0.0
-    return farthest((at.s, ds), (at.t[soft], dt[soft])), farthest((at.z, dz), (at.y, -at.soft * dz))
+    soft = state.soft > 0.0
+    return farthest((state.s, ds), (state.t[soft], dt[soft])), farthest((state.z, dz), (state.y, -state.soft * dz))

@@ -94,8 +94,8 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
 
     kernel: Any = lookahead_kernels.rounds
     p, system = program, _system(program)
-    at = _begin(program) if start is None else start
-    done = Iterate(*(np.array(part, dtype=np.float64, order="C") for part in at))
+    iterate = _begin(program) if start is None else start
+    done = Iterate(*(np.array(part, dtype=np.float64, order="C") for part in iterate))
     n_dc = p.base.shape[-1]
     data = [
         np.ascontiguousarray(values, dtype=np.float64)
@@ -119,9 +119,9 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
     return done
 
 
-def moved_on(at: Iterate) -> Iterate:
+def moved_on(iterate: Iterate) -> Iterate:
     """The iterate one step later; the last step stays as it was."""
-    return Iterate(*(np.concatenate((part[:, 1:], part[:, -1:]), axis=1) for part in at))
+    return Iterate(*(np.concatenate((part[:, 1:], part[:, -1:]), axis=1) for part in iterate))
 
 
 def _begin(program: Program) -> Iterate:

@@ -138,17 +138,17 @@ def _within(k, base, low, high, s_rated, q_high, effort, u_y, y):
         pulled = max(abs(q_to) - effort[a], 0.0)
         size = min(pulled, q_high[a])
         if a < n_dc:
-            to, own = u_y[k, a], base[k, a]
+            to, p_base = u_y[k, a], base[k, a]
             d = min(max(to, low[k, a]), high[k, a])
-            s, p_own = s_rated[k, a], own + d
+            s, p_own = s_rated[k, a], p_base + d
             if p_own * p_own + size * size > s * s:
                 # A corner of the box is outside the circle: the nearest point is on the arc, or at an end of it in
                 # the box.
-                p_to, q_top = own + to, q_high[a]
+                p_to, q_top = p_base + to, q_high[a]
                 p_arc = p_to * s / max(np.sqrt(p_to * p_to + pulled * pulled), 1e-12)
                 p_arc = max(p_arc, np.sqrt(max(s * s - q_top * q_top, 0.0)))
-                p_arc = min(max(p_arc, own + low[k, a]), own + high[k, a])
-                d = p_arc - own
+                p_arc = min(max(p_arc, p_base + low[k, a]), p_base + high[k, a])
+                d = p_arc - p_base
                 size = min(np.sqrt(max(s * s - p_arc * p_arc, 0.0)), q_top)
             y[k, a] = d
             u_y[k, a] = to - d

@@ -69,8 +69,8 @@ class RelayRows:
                     high[step, n] = relays.band_volts[0][n] - max(beyond, 0.0)
                 else:
                     low[step, n] = relays.band_volts[1][n] - min(beyond, 0.0)
-            at = course.in_band(np.isfinite(low[:, n]) | np.isfinite(high[:, n]))
-            low[at, n], high[at, n] = rest_low[at, n], rest_high[at, n]
+            in_band = course.in_band(np.isfinite(low[:, n]) | np.isfinite(high[:, n]))
+            low[in_band, n], high[in_band, n] = rest_low[in_band, n], rest_high[in_band, n]
         return low, high
 
 

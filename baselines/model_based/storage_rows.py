@@ -69,7 +69,7 @@ class StorageRows:
         throughput = np.tile(self.params.ageing_price / of_all, self.steps)
         return {"c": throughput, "x": throughput, "m": self.params.missing_price * 3600.0 / of_all}
 
-    def equalities(self, in_d: Any) -> list[Part]:
+    def equalities(self, in_d: sparse.csr_array) -> list[Part]:
         """The draw as charge less discharge, and the energy from step to step; ``in_d`` picks the draws among d."""
         if not self.count:
             return []
@@ -95,12 +95,12 @@ class StorageRows:
         if not len(reactive):
             return parts
         picked = sparse.csr_array(np.eye(self.count)[reactive])
-        own = sparse.kron(sparse.identity(self.steps), picked, format="csr")
+        selected = sparse.kron(sparse.identity(self.steps), picked, format="csr")
         behind = sparse.csr_array(np.eye(self.count, self.n_agents, k=self.n_agents - self.count)[reactive])
         of_g = sparse.kron(sparse.identity(self.steps), behind, format="csr")
         room = np.tile(self.s_rated_kva[reactive], self.steps)
         for theta in tangents:
-            active = np.cos(theta) * own
+            active = np.cos(theta) * selected
             parts.append(({"c": active, "x": active, "g": np.sin(theta) * of_g}, room))
         return parts
 

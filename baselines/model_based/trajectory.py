@@ -76,11 +76,11 @@ class Trajectory:
         p_kw += p_agent @ shares
         q_kvar -= self.q_kvar @ shares
         moved = _SPAN * shares
-        none = np.zeros((1, s.feeder.n_leg))
+        zero = np.zeros((1, s.feeder.n_leg))
         still = np.zeros((self.n_further, s.feeder.n_leg))
         active = moved[self.is_active]
-        by_p = np.concatenate((none, active, 0.0 * moved, still))[:, None]
-        by_q = np.concatenate((none, 0.0 * active, moved, still))[:, None]
+        by_p = np.concatenate((zero, active, 0.0 * moved, still))[:, None]
+        by_q = np.concatenate((zero, 0.0 * active, moved, still))[:, None]
         loads = (p_kw + by_p).reshape(-1, s.feeder.n_leg), (q_kvar - by_q).reshape(-1, s.feeder.n_leg)
         solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.source_voltage_pu, self._control(len(by_p)))
         unsolved = np.flatnonzero(~solution.converged.reshape(-1, s.horizon).all(axis=0))

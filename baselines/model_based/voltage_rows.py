@@ -60,11 +60,11 @@ def voltage_rows(v_pu: Linear, d: np.ndarray, q: np.ndarray, band_pu: float) -> 
     for side in (1.0, -1.0):
         by_d, by_q = v_pu.rows(either, side)
         limits.append(({"d": by_d, "q": by_q, "e": -one[either]}, -side * apart[either]))
-    at = either & may_leave
-    limits.append(({"e": one[at], "w": -one[at]}, np.full(at.sum(), band_pu)))
-    at = ~either & may_leave
-    by_d, by_q = v_pu.rows(at, sign)
-    limits.append(({"d": by_d, "q": by_q, "w": -one[at]}, (band_pu - sign * apart)[at]))
+    picked = either & may_leave
+    limits.append(({"e": one[picked], "w": -one[picked]}, np.full(picked.sum(), band_pu)))
+    picked = ~either & may_leave
+    by_d, by_q = v_pu.rows(picked, sign)
+    limits.append(({"d": by_d, "q": by_q, "w": -one[picked]}, (band_pu - sign * apart)[picked]))
     signs = sign.reshape(v_pu.at_zero.shape)
     by_d, by_q = (np.einsum("tn,tnu->tu", signs, slopes).ravel() for slopes in (v_pu.by_d, v_pu.by_q))
     return VoltageRows(limits, by_d, by_q, float((sign * apart).sum()))

@@ -95,18 +95,18 @@ class WorkRows:
             parts.append((queue, share * self.dt_s * self.arrived_kw.ravel()))
         return parts
 
-    def limits(self, in_d: Any) -> list[Part]:
+    def limits(self, in_d: sparse.csr_array) -> list[Part]:
         """Interactive work is part of all, and what is queued beyond the steps in time is overdue; ``in_d`` picks the
         work served among d."""
         if self.service is None:
             return []
         one = sparse.identity(self.steps * self.n, format="csr")
-        none = np.zeros(self.steps * self.n)
+        zero = np.zeros(self.steps * self.n)
         parts: list[Part] = []
         share, slack = self.service.interactive_share, self.service.slack(self.dt_s)
         queues: tuple[dict[str, Any], ...] = ({"b": share * one}, {"b": (1.0 - share) * one})
         if self.sizes["h"]:
-            parts += [({"i": one, "d": -in_d}, none), ({"h": one, "b": -one}, none)]
+            parts += [({"i": one, "d": -in_d}, zero), ({"h": one, "b": -one}, zero)]
             queues = ({"h": one}, {"b": one, "h": -one})
         for name, queue, of_kind, steps in zip("lk", queues, (share, 1.0 - share), slack, strict=True):
             recent = of_kind * self.dt_s * self._last(steps)

@@ -26,11 +26,11 @@ def bus_thirteen(runs: Runs) -> dict[str, Any]:
     """
     five, alone = runs.setting.published(5), runs.setting.pinned((BUS,))
     low = runs.setting.with_head_at_1pu(5)
-    own, others = {BUS: OWN_KW}, dict.fromkeys(runs.setting.sites[1:5], OWN_KW)
-    at = nodes_of(five, BUS)
-    r, x = (float(m[np.ix_(at, at)].mean()) for m in sensitivity(five.feeder))
-    loads, with_own, with_all = (float(settled(five, p)[at].mean()) for p in ({}, own, own | others))
-    base_at_1pu = float(settled(low)[at].mean())
+    own_load, others = {BUS: OWN_KW}, dict.fromkeys(runs.setting.sites[1:5], OWN_KW)
+    nodes = nodes_of(five, BUS)
+    r, x = (float(m[np.ix_(nodes, nodes)].mean()) for m in sensitivity(five.feeder))
+    loads, with_own, with_all = (float(settled(five, p)[nodes].mean()) for p in ({}, own_load, own_load | others))
+    base_at_1pu = float(settled(low)[nodes].mean())
     return {
         "bus": BUS,
         "r_pu_per_mw": r,
@@ -58,10 +58,10 @@ def _run(runs: Runs, scenario: Scenario, name: str) -> dict[str, float]:
 
 def _leaves_band_kw(scenario: Scenario, load_kw: Callable[[float], Mapping[int, float]]) -> float | None:
     """Draw at bus 13 from which its lowest voltage is below the band at base load, kW, to 1 kW; None if it never is."""
-    at, edge = nodes_of(scenario, BUS), 1.0 - scenario.cost.band_pu
+    nodes, edge = nodes_of(scenario, BUS), 1.0 - scenario.cost.band_pu
 
     def below(kw: float) -> bool:
-        v = settled(scenario, load_kw(kw))[at].min()
+        v = settled(scenario, load_kw(kw))[nodes].min()
         return not v >= edge  # a load without a solution is beyond it too
 
     low, high = 0.0, LARGEST_KW

@@ -95,8 +95,8 @@ def causes(runs: Mapping[str, Runs], found: Mapping[str, Records]) -> list[Recor
     """Figures of each form, to compare with those of the form before."""
 
     def over_counts(name: str, law: str, figure: Callable[[Run], float]) -> float:
-        own = runs[name]
-        return float(np.mean([figure(own.of(own.setting.scenario(n), LAWS[law])) for n in COUNTS]))
+        case_runs = runs[name]
+        return float(np.mean([figure(case_runs.of(case_runs.setting.scenario(n), LAWS[law])) for n in COUNTS]))
 
     def gain(name: str) -> float:
         rows = [r for r in found[name]["gains"] if r["k_p_mw_per_pu"] == 1.0 and r["n_datacenters"] in COUNTS]

@@ -50,10 +50,10 @@ def map_figure(runs: Runs) -> Figure:
     feeder = scenario.feeder
     figure = Figure(figsize=(10.0, 7.6))
     new = figure.add_axes((0.01, 0.11, 0.98, 0.86))
-    at = [feeder.index(bus) for bus in PUBLISHED_BUSES]
+    sites = [feeder.index(bus) for bus in PUBLISHED_BUSES]
     inverters = [feeder.index(bus) for bus in scenario.inverters.buses]
     v = settled(scenario, dict.fromkeys(PUBLISHED_BUSES, 280.0))
-    drawn = draw_feeder(new, feeder, positions(feeder), v, at, inverters, band_pu=scenario.cost.band_pu)
+    drawn = draw_feeder(new, feeder, positions(feeder), v, sites, inverters, band_pu=scenario.cost.band_pu)
     bar = figure.colorbar(drawn.dots, cax=figure.add_axes((0.06, 0.07, 0.4, 0.018)), orientation="horizontal")
     bar.set_label("voltage (p.u.), no control; ringed: outside the band")
     look: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "white"}

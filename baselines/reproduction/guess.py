@@ -166,9 +166,9 @@ def guesses(runs: Runs) -> dict[str, Any]:
     return {
         "columns": {name: _record(runs, guess) for name, guess in COLUMNS.items()},
         "put_back": [
-            {"setting": name} | distance(cells(runs, FOUND._replace(**{name: own})))._asdict()
-            for name, own in Guess()._asdict().items()
-            if getattr(FOUND, name) != own
+            {"setting": name} | distance(cells(runs, FOUND._replace(**{name: value})))._asdict()
+            for name, value in Guess()._asdict().items()
+            if getattr(FOUND, name) != value
         ],
     }
 

@@ -89,17 +89,17 @@ def bus_outside(records: Records) -> Row:
 def bus_why(records: Records) -> Row:
     """What brings bus 13 down."""
     b = records["bus_thirteen"]
-    own, others = b["drop_own_pu"], b["drop_neighbours_pu"]
+    own_drop, others = b["drop_own_pu"], b["drop_neighbours_pu"]
     edge_kw = b["leaves_band_kw"]
     size = f"even {LARGEST_KW / 1000:g} MW there do not leave the band with them"
     if edge_kw is not None:
         size = f"leaving the band with them would take {edge_kw / 1000:.1f} MW there"
     small = "; size is not decisive" * (edge_kw is None or edge_kw > OWN_KW)
-    verdict = decide(others > own and b["five_outside_pct"] > 0.0, others > own)
+    verdict = decide(others > own_drop and b["five_outside_pct"] > 0.0, others > own_drop)
     return row(
         "bus 13 is explained by its neighbours and its size",
         "neighbours and size",
-        f"its {OWN_KW:g} kW lower V by {own:.4f} p.u., the four other sites by {others:.4f}; {size}",
+        f"its {OWN_KW:g} kW lower V by {own_drop:.4f} p.u., the four other sites by {others:.4f}; {size}",
         verdict,
         {
             HOLDS: "the neighbours matter more than the site itself, and with them it leaves the band",

@@ -112,13 +112,14 @@ def _own_slopes(scenario: Scenario) -> dict[str, float]:
     feeder, buses = scenario.feeder, scenario.datacenters.buses
     assert buses is not None
     r, x = sensitivity(feeder)
-    at = [feeder.index(bus) for bus in buses]
+    places = [feeder.index(bus) for bus in buses]
     full = dict(zip(buses, scenario.datacenters.parameters.p_rated_kw.tolist(), strict=True))
     before = settled(scenario, full)
-    shed = [10.0 * (settled(scenario, full | {b: full[b] - 100.0}) - before)[i] for b, i in zip(buses, at, strict=True)]
-    given = [10.0 * (settled(scenario, full, {b: 100.0}) - before)[i] for b, i in zip(buses, at, strict=True)]
+    sites = list(zip(buses, places, strict=True))
+    shed = [10.0 * (settled(scenario, full | {b: full[b] - 100.0}) - before)[i] for b, i in sites]
+    given = [10.0 * (settled(scenario, full, {b: 100.0}) - before)[i] for b, i in sites]
     return {
-        "r_over_x": float(np.mean(r[at, at] / x[at, at])),
+        "r_over_x": float(np.mean(r[places, places] / x[places, places])),
         "rise_pu_per_mw": float(np.mean(shed)),
         "rise_pu_per_mvar": float(np.mean(given)),
     }

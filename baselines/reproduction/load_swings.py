@@ -86,7 +86,7 @@ def dips(runs: Runs) -> list[dict[str, float]]:
         )
         run = rollout(scenario, NoControl(), [0]).series(0)
         first = round(DIP_AT_S / DIP_STEP_S)
-        at = [node for bus in DIP_SITES for node in scenario.feeder.nodes_at(scenario.feeder.index(bus))]
-        change = np.abs(run.v_pu[first + 1, at] - run.v_pu[first, at])
+        nodes = [node for bus in DIP_SITES for node in scenario.feeder.nodes_at(scenario.feeder.index(bus))]
+        change = np.abs(run.v_pu[first + 1, nodes] - run.v_pu[first, nodes])
         records.append({"dip_s": dip_s, "taps": run.metrics()["tap_moves"], "largest_change_pu": float(change.max())})
     return records

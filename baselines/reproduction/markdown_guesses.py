@@ -81,7 +81,7 @@ def _conclusion(columns: dict[str, Records]) -> str:
     )
 
 
-def _said(name: str, value: Any) -> str:
+def _said(name: str, value: object) -> str:
     """Format the value of a setting."""
     if name == "squared":
         return "V²" if value else "V"

@@ -98,8 +98,8 @@ def studies(
         runs[unit.item.case].done.update(done)
         on_part(*unit.item)
     return {
-        case: _with_claims(own.setting, {part: found[_Asked(case, part)] for part in parts})
-        for case, own in runs.items()
+        case: _with_claims(case_runs.setting, {part: found[_Asked(case, part)] for part in parts})
+        for case, case_runs in runs.items()
     }
 
 

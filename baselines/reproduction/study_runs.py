@@ -78,17 +78,17 @@ class Setting:
         """Numbers of data centres: the paper's, and all of ``sites`` where these are asked for."""
         return COUNTS if self.placement == "random" else tuple(sorted({*COUNTS, len(self.sites)}))
 
-    def scenario(self, n: int, **overrides: Any) -> Scenario:
+    def scenario(self, n: int, **overrides: object) -> Scenario:
         """The IEEE 123-bus study with ``n`` data centres, placed as asked for."""
         if self.placement == "published":
             return self.published(n, **overrides)
         return make_scenario(self.base, **{"n_datacenters": n, **self.load.fields, **self.fields, **overrides})
 
-    def published(self, n: int, **overrides: Any) -> Scenario:
+    def published(self, n: int, **overrides: object) -> Scenario:
         """The scenario with the data centres at the first ``n`` of ``sites``."""
         return self.pinned(self.sites[:n], **overrides)
 
-    def pinned(self, buses: tuple[int, ...], **overrides: Any) -> Scenario:
+    def pinned(self, buses: tuple[int, ...], **overrides: object) -> Scenario:
         """The scenario with the data centres at ``buses``."""
         fields = {"n_datacenters": len(buses), "datacenters.buses": buses, **self.load.fields}
         return make_scenario(self.base, **{**fields, **self.fields, **overrides})

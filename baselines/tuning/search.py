@@ -107,7 +107,7 @@ def _search(
 
     low, high = np.array(law.bounds(scenarios)).T
     alone = len(scenarios) == 1
-    none = [1.0] if alone else [mean_cost(s, NoControl(), episodes) for s in scenarios]
+    j_free = [1.0] if alone else [mean_cost(s, NoControl(), episodes) for s in scenarios]
     tried: list[tuple[Trial, np.ndarray]] = []
 
     def score(share: np.ndarray) -> float:
@@ -115,7 +115,7 @@ def _search(
         share = np.clip(share, 0.0, 1.0)  # methods overstep by rounding
         made = parameters(low + share * (high - low), scenarios)
         controller = law.law(**made)
-        cost = float(np.mean([mean_cost(s, controller, episodes) / j for s, j in zip(scenarios, none, strict=True)]))
+        cost = float(np.mean([mean_cost(s, controller, episodes) / j for s, j in zip(scenarios, j_free, strict=True)]))
         tried.append((Trial(cost, made), share))
         if on_trial is not None:
             on_trial()

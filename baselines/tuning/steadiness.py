@@ -72,16 +72,16 @@ def with_held_inputs(scenario: Scenario) -> Scenario:
 def drawn_back(loops: ClosedLoops, parameters: dict[str, Any]) -> dict[str, Any]:
     """A droop's gains times the largest factor up to 1 with which its closed loop is stable."""
 
-    def at(factor: float) -> dict[str, Any]:
+    def scaled(factor: float) -> dict[str, Any]:
         return {name: float(f"{factor * gain:.4g}") for name, gain in parameters.items()}
 
     def stable(factor: float) -> bool:
-        return is_stable(loops.largest_radius(Droop(**at(factor))))
+        return is_stable(loops.largest_radius(Droop(**scaled(factor))))
 
     if stable(1.0):
-        return at(1.0)
+        return scaled(1.0)
     low, high = 0.0, 1.0
     while high - low > 1e-3 * high:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if stable(middle) else (low, middle)
-    return at(low)
+    return scaled(low)

@@ -97,11 +97,11 @@ def _placement(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
 
     By sinh gentle rules are searched more finely than steep ones, which saturate at most agents.
     """
-    own = np.concatenate([_distances(member) for s in scenarios for member, _ in s.members(range(_MEMBERS))])
+    distances = np.concatenate([_distances(member) for s in scenarios for member, _ in s.members(range(_MEMBERS))])
     middle, *changes = np.sinh(x)
-    slopes = changes / np.ptp(own, axis=0)
+    slopes = changes / np.ptp(distances, axis=0)
     names = ("at_substation", "per_r_mw_per_pu", "per_x_mvar_per_pu")
-    return dict(zip(names, map(_rounded, (middle - slopes @ own.mean(axis=0), *slopes)), strict=True))
+    return dict(zip(names, map(_rounded, (middle - slopes @ distances.mean(axis=0), *slopes)), strict=True))
 
 
 def _distances(scenario: Scenario) -> np.ndarray:
@@ -114,10 +114,10 @@ def _distances(scenario: Scenario) -> np.ndarray:
         else:
             rows += [(first + i, scenario.feeder.index(bus)) for i, bus in enumerate(buses)]
         first += device.count
-    agents, at = np.array(rows).T
-    nodes = nodes_by_bus(scenario)[agents, at]
-    own = (matrix[nodes[:, :, None], nodes[:, None, :]].mean((-1, -2)) for matrix in believed_sensitivity(scenario))
-    return np.stack(list(own), axis=-1)
+    agents, places = np.array(rows).T
+    nodes = nodes_by_bus(scenario)[agents, places]
+    values = (matrix[nodes[:, :, None], nodes[:, None, :]].mean((-1, -2)) for matrix in believed_sensitivity(scenario))
+    return np.stack(list(values), axis=-1)
 
 
 def _by_hand(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:

@@ -73,17 +73,17 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
     """
     file = OWN if path is None else Path(path)
     require_tuned(path)
-    own = read_tuned(file).get(law, {}).get(scenario.name)
+    entry = read_tuned(file).get(law, {}).get(scenario.name)
     shipped = None if path else _shipped().get(law, {}).get(scenario.name)
-    fits = own is not None and _grid_hash_of(own, scenario.name) == grid_hash(scenario)
-    if own is not None and fits and (path is not None or shipped is None or _is_of(own, scenario)):
-        return TunedParameters(_arguments(own), file)
+    fits = entry is not None and _grid_hash_of(entry, scenario.name) == grid_hash(scenario)
+    if entry is not None and fits and (path is not None or shipped is None or _is_of(entry, scenario)):
+        return TunedParameters(_arguments(entry), file)
     differs = _difference_from_preset(scenario) if shipped else None
     if shipped and differs is None:
         return TunedParameters(_arguments(shipped), None)
-    if own is not None and fits:
-        return TunedParameters(_arguments(own), file)
-    raise ValueError(_none(law, scenario, path, own is not None, differs))
+    if entry is not None and fits:
+        return TunedParameters(_arguments(entry), file)
+    raise ValueError(_none(law, scenario, path, entry is not None, differs))
 
 
 def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = None) -> Controller:
@@ -107,9 +107,9 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
 
     Raises ValueError if the file does not contain tuned parameters.
     """
-    own = shared(CARRIED, {}).get(str(path))
-    if own is not None or not path.exists():
-        return own or {}
+    carried = shared(CARRIED, {}).get(str(path))
+    if carried is not None or not path.exists():
+        return carried or {}
     try:
         laws = json.loads(path.read_text(encoding="utf-8"))["laws"]
         if all(isinstance(entry["parameters"], dict) for of_law in laws.values() for entry in of_law.values()):

@@ -79,11 +79,11 @@ class TuneAgent(OverWorkers):
 
         def shown(trial: Any) -> None:
             cost = "stopped" if trial.state.name == "PRUNED" else f"J {trial.value:.4f}"
-            own = ", ".join(
+            settings = ", ".join(
                 f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}"
                 for name, value in trial.params.items()
             )
-            say(console, f"{number_of(trial)}: {cost}, {trial.user_attrs[SECONDS]:.0f} s: {own}")
+            say(console, f"{number_of(trial)}: {cost}, {trial.user_attrs[SECONDS]:.0f} s: {settings}")
 
         with alone_in(folder, "dcgrid tune-agent"):
             study = search(base, self.trials, self.seed, folder, self._given(), shown, self.batch, place)

@@ -215,7 +215,7 @@ def _write_merged(imported: ImportedFeeder, folder: Path) -> None:
 
     from dcgrid_env.core.files import write_text
 
-    rows = [(own, bus) for own, bus in imported.bus_of.items() if own != bus]
+    rows = [(source_bus, bus) for source_bus, bus in imported.bus_of.items() if source_bus != bus]
     if rows:
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([("source_bus", "bus"), *rows])

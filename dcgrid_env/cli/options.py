@@ -82,7 +82,7 @@ def _options(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 def helps(kind: type[Any]) -> dict[str, str]:
     """Return the docstrings of the fields by name, each as one paragraph."""
-    documented = (docstring_parser.parse_from_object(own) for own in reversed(kind.__mro__) if own is not object)
+    documented = (docstring_parser.parse_from_object(base) for base in reversed(kind.__mro__) if base is not object)
     return {field.arg_name: _plain(field.description or "") for text in documented for field in text.params}
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from dcgrid_env.devices.device import Device
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
@@ -119,7 +122,7 @@ def chosen_line(scenario: Scenario) -> str:
     )
 
 
-def _group(device: Any, scenario: Scenario, balanced: bool) -> str:
+def _group(device: Device, scenario: Scenario, balanced: bool) -> str:
     """Return a group of devices in words: number, size and buses."""
     names = {"datacenter": ("data centre", "kW"), "inverter": ("inverter", "kVA")}
     name, unit = names.get(device.kind, (device.kind, "kW"))
@@ -135,6 +138,6 @@ def _group(device: Any, scenario: Scenario, balanced: bool) -> str:
 _SHOWN = 8
 
 
-def _list(buses: Any) -> str:
+def _list(buses: Sequence[int | str]) -> str:
     more = [f"{len(buses) - _SHOWN} more"] * (len(buses) > _SHOWN)
     return f"bus{'es' * (len(buses) > 1)} {', '.join([*map(str, buses[:_SHOWN]), *more])}"

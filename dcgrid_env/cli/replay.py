@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import tyro
 
+from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.opening import offer
@@ -155,7 +156,7 @@ def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:
         plotting_script()
 
 
-def _episode(asked: _Asked, name: str, controller: Any, on_step: Callable[[], None]) -> Series:
+def _episode(asked: _Asked, name: str, controller: Controller, on_step: Callable[[], None]) -> Series:
     from dcgrid_env.baselines import rollout
 
     return rollout(asked.scenario, controller, [asked.seed], on_step, name).series(0)

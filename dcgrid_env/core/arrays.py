@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ Array = Any
 """A NumPy array or a torch tensor: code that takes either returns the same kind."""
 
 
-def namespace(array: Array) -> Any:
+def namespace(array: Array) -> ModuleType:
     """The array-API namespace of a NumPy array or a torch tensor."""
     return np if isinstance(array, np.ndarray) else array_namespace(array)
 

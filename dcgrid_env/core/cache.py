@@ -30,13 +30,13 @@ def cached_on_owner(
     key = f"_{function.__name__}_{next(_NUMBER)}"  # unlike that of another function of this name
     compute: Any = function
 
-    def one(owner: Any) -> Any:
+    def one(owner: object) -> Any:
         store = owner.__dict__
         if key in store:
             return store[key]
         return store.setdefault(key, compute(owner))
 
-    def several(owner: Any, *rest: Any) -> Any:
+    def several(owner: object, *rest: Any) -> Any:
         store = owner.__dict__
         answers = store[key] if key in store else store.setdefault(key, {})
         try:

@@ -19,6 +19,8 @@ import numpy as np
 
 from dcgrid_env.core.suggestions import unknown
 
+Plain = Any
+"""Data as JSON and TOML hold it: None, bool, int, float, str, and lists and dictionaries of these."""
 _LARGEST = sys.float_info.max
 """Largest finite number; larger whole numbers are refused."""
 _SMALLEST = sys.float_info.min
@@ -38,7 +40,7 @@ class FieldError(ValueError):
         Allowed values; the whole message for the field if ``value`` is ``...``.
     """
 
-    def __init__(self, owner: str, name: str, value: Any, remedy: str):
+    def __init__(self, owner: str, name: str, value: object, remedy: str):
         self.owner, self.name, self.value, self.remedy = owner, name, value, remedy
         super().__init__(f"{owner}: {self.said(name)}")
 
@@ -54,7 +56,7 @@ class FieldError(ValueError):
         return FieldError(owner, f"{field}.{self.name}", self.value, self.remedy)
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """Return a value as text, one too long for Python to write included."""
     try:
         return repr(value)
@@ -73,7 +75,7 @@ class UnknownFieldError(FieldError):
         The fields that exist.
     """
 
-    def __init__(self, owner: str, name: str, value: Any, names: Iterable[str]):
+    def __init__(self, owner: str, name: str, value: object, names: Iterable[str]):
         self.names = list(names)
         super().__init__(owner, name, value, "")
 
@@ -90,7 +92,7 @@ class UnknownFieldError(FieldError):
         return UnknownFieldError(owner, f"{field}.{self.name}", self.value, self.names)
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> bool:
     """Return whether ``value`` is a real number, not a bool and not subnormal, which would lose digits."""
     return isinstance(value, Real) and not isinstance(value, bool) and not _is_subnormal(value)
 
@@ -99,22 +101,22 @@ def _is_subnormal(value: Any) -> bool:
     return 0 < abs(value) < _SMALLEST
 
 
-def number(low: float, high: float | str, default: Any = MISSING) -> Any:
+def number(low: float, high: float | str, default: object = MISSING) -> Any:
     """Return a field for a finite number in [low, high]; ``high`` may name another field of the class."""
     return field(default=default, metadata={"check": _check_number, "bounds": (low, high)})
 
 
-def count(low: int, high: int, default: Any = MISSING) -> Any:
+def count(low: int, high: int, default: object = MISSING) -> Any:
     """Return a field for a whole number from ``low`` to ``high``."""
     return field(default=default, metadata={"check": _check_count, "bounds": (low, high)})
 
 
-def choice(*options: Any, default: Any = MISSING) -> Any:
+def choice(*options: Any, default: object = MISSING) -> Any:
     """Return a field for one of some values, of their type."""
     return field(default=default, metadata={"check": _check_choice, "options": options})
 
 
-def as_plain(value: Any) -> Any:
+def as_plain(value: object) -> Plain:
     """Return a NumPy scalar as a Python number; any other value unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
@@ -135,7 +137,7 @@ def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
             object.__setattr__(owner, f.name, value)
 
 
-def from_mapping(kind: type[Any], value: Any) -> Any:
+def from_mapping(kind: type[Any], value: object) -> Any:
     """Return a dataclass instance for its plain form, a mapping of its fields; any other value unchanged.
 
     FieldError for an unknown field, or a missing one without a default.
@@ -165,12 +167,12 @@ def check_fields(owner: Any) -> None:
             check(owner, f)
 
 
-def refuse(owner: Any, name: str, remedy: str) -> FieldError:
+def refuse(owner: object, name: str, remedy: str) -> FieldError:
     """Return the error of a field of a dataclass instance."""
     return FieldError(type(owner).__name__, name, getattr(owner, name), remedy)
 
 
-def _check_number(owner: Any, f: dataclasses.Field[Any]) -> None:
+def _check_number(owner: object, f: dataclasses.Field[Any]) -> None:
     low, bound = f.metadata["bounds"]
     high = getattr(owner, bound) if isinstance(bound, str) else bound
     value = getattr(owner, f.name)
@@ -179,19 +181,19 @@ def _check_number(owner: Any, f: dataclasses.Field[Any]) -> None:
         raise refuse(owner, f.name, f"give a finite number in [{low:g}, {upper}]{_not_subnormal(value)}")
 
 
-def _not_subnormal(value: Any) -> str:
+def _not_subnormal(value: object) -> str:
     subnormal = isinstance(value, Real) and _is_subnormal(value)
     return f", 0 or of at least {_SMALLEST:.1e} in size" if subnormal else ""
 
 
-def _check_count(owner: Any, f: dataclasses.Field[Any]) -> None:
+def _check_count(owner: object, f: dataclasses.Field[Any]) -> None:
     low, high = f.metadata["bounds"]
     value = getattr(owner, f.name)
     if not isinstance(value, Integral) or isinstance(value, bool) or not low <= int(value) <= high:
         raise refuse(owner, f.name, f"give a whole number of at least {low} and at most {high:,}")
 
 
-def _check_choice(owner: Any, f: dataclasses.Field[Any]) -> None:
+def _check_choice(owner: object, f: dataclasses.Field[Any]) -> None:
     options = f.metadata["options"]
     value = getattr(owner, f.name)
     if type(value) is not type(options[0]) or value not in options:

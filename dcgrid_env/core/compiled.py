@@ -107,16 +107,16 @@ class _Cache(NullCache):
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    def load_overload(self, sig: object, target_context: Any) -> Any:
         target_context.refresh()
         data = kernel_files.read(self._name(sig, target_context.codegen()))
         return None if data is None else CompileResult._rebuild(target_context, *pickle.loads(data))
 
-    def save_overload(self, sig: Any, cres: Any) -> None:
+    def save_overload(self, sig: object, cres: Any) -> None:
         if not cres.lifted and not cres.library.has_dynamic_globals:
             kernel_files.write(self._name(sig, cres.codegen), dumps(cres._reduce()))
 
-    def _name(self, sig: Any, codegen: Any) -> str:
+    def _name(self, sig: object, codegen: Any) -> str:
         arguments, _ = sigutils.normalize_signature(sig)
         found = hashlib.sha256(repr((_VERSIONS, codegen.magic_tuple())).encode())
         for setting in _SETTINGS:
@@ -156,7 +156,7 @@ def _of_code(code: types.CodeType, names: dict[str, Any], seen: set[int]) -> Ite
             yield from _of_value(name, names[name], names, seen)
 
 
-def _of_value(name: str, value: Any, names: dict[str, Any], seen: set[int]) -> Iterator[str]:
+def _of_value(name: str, value: object, names: dict[str, Any], seen: set[int]) -> Iterator[str]:
     if isinstance(value, Dispatcher):
         yield from _of_kernel(value, seen)
     elif isinstance(value, types.CodeType):

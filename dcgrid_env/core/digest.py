@@ -15,7 +15,7 @@ DIGITS = 16  # hexadecimal digits kept: 64 bits
 class Fields(Protocol):
     """Function that selects the hashed parts of a value other than its dataclass fields: see ``fingerprint``."""
 
-    def __call__(self, value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
+    def __call__(self, value: object) -> tuple[str, Iterable[tuple[str, Any]]] | None:
         """Return a name for the value's type and its fields in order; None for the default treatment."""
         ...
 
@@ -42,7 +42,7 @@ def digest(parts: Iterable[tuple[str, Any]], fields: Fields | None = None) -> st
     return found.hexdigest()[:DIGITS]
 
 
-def _add(found: Any, value: Any, fields: Fields | None) -> None:
+def _add(found: Any, value: object, fields: Fields | None) -> None:
     """Feed a value: its type, its length where it has one, and what it holds."""
     explicit = fields(value) if fields else None
     if explicit is not None:

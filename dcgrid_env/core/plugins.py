@@ -51,12 +51,12 @@ class Registry(Mapping[str, Entry]):
         Word for the objects that the entries make, for messages.
     made
         Type of the objects that the entries make, or several types.
-    own
+    bundled
         Entries of this package, which need no installed metadata.
     """
 
-    def __init__(self, group: str, kind: str, made: type | tuple[type, ...], own: Mapping[str, Entry]):
-        self.group, self.kind, self._own = group, kind, own
+    def __init__(self, group: str, kind: str, made: type | tuple[type, ...], bundled: Mapping[str, Entry]):
+        self.group, self.kind, self._bundled = group, kind, bundled
         self._made = made if isinstance(made, tuple) else (made,)
         self._entries: dict[str, Entry] = {}
         self._origins: dict[str, str] = {}
@@ -65,15 +65,15 @@ class Registry(Mapping[str, Entry]):
         self._is_installed = False
 
     def __getitem__(self, name: str) -> Entry:
-        while name not in self._own and name not in self._entries:
+        while name not in self._bundled and name not in self._entries:
             if not self._load_next():
                 raise KeyError(name)
-        return self._own[name] if name in self._own else self._entries[name]
+        return self._bundled[name] if name in self._bundled else self._entries[name]
 
     def __iter__(self) -> Iterator[str]:
         while self._load_next():
             pass
-        return iter([*self._own, *self._entries])
+        return iter([*self._bundled, *self._entries])
 
     def __len__(self) -> int:
         return len(list(iter(self)))
@@ -105,7 +105,7 @@ class Registry(Mapping[str, Entry]):
         """Return the name and version of the other package that defines a name; None for this package's names."""
         return self._origins.get(name)
 
-    def unknown(self, name: Any) -> str:
+    def unknown(self, name: object) -> str:
         """Return the message for an unknown name: similar names, and entry points that failed to load."""
         listed = f"`dcgrid list {self.group.removeprefix('dcgrid.')}` lists all"
         said = [unknown(self.kind, name, filter(is_name, self), listed), *self._refused]
@@ -128,8 +128,8 @@ class Registry(Mapping[str, Entry]):
             self._refuse(point, f"is left out: {_described(error)}; mend or uninstall it")
             return True
         taken = []
-        for name, entry in handed_over.items() if handed_over is not self._own else ():
-            if (known := self._own.get(name) or self._entries.get(name)) is not None:
+        for name, entry in handed_over.items() if handed_over is not self._bundled else ():
+            if (known := self._bundled.get(name) or self._entries.get(name)) is not None:
                 if known[1] is not entry[1]:
                     taken.append(name)
                 continue
@@ -151,7 +151,7 @@ def is_name(entry: str) -> bool:
     return not (entry.startswith(".") or entry.endswith(":"))
 
 
-def _check(handed_over: Any) -> None:
+def _check(handed_over: object) -> None:
     """Raise TypeError unless an entry point returns entries by name."""
     if not isinstance(handed_over, Mapping):
         raise TypeError(f"it is of type {type(handed_over).__name__}, not a mapping of names")

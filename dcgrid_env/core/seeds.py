@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 
-def whole_seed(seed: Any) -> int:
+def whole_seed(seed: object) -> int:
     """A seed as an int; ValueError unless it is a whole number of at least 0."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"seed is {seed!r}; give a whole number of at least 0")
     return int(seed)
 
 
-def as_seed(seed: Any) -> int | None:
+def as_seed(seed: object) -> int | None:
     """Return a seed as an int, None unchanged; ValueError unless it is a whole number of at least 0."""
     return None if seed is None else whole_seed(seed)

@@ -41,10 +41,10 @@ def over_rows(work: Callable[[int, int], int], n_row: int) -> int:
     cuts = [n_row * i // parts for i in range(parts + 1)]
     others = [_executor().submit(work, *cut) for cut in pairwise(cuts[:-1])]
     try:
-        own = work(cuts[-2], cuts[-1])
+        last_part = work(cuts[-2], cuts[-1])
     finally:
         wait(others)
-    return own + sum(other.result() for other in others)
+    return last_part + sum(other.result() for other in others)
 
 
 @compiled

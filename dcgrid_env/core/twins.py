@@ -29,10 +29,10 @@ class Twins:
             like = like[0]
         if type(like) is not np.ndarray or like.ndim != 2 or like.dtype != _FLOAT64:
             return self.array_form(*args)
-        for at in self._views:
-            value = args[at]
+        for position in self._views:
+            value = args[position]
             if value is not None and not value.flags.c_contiguous:
-                args = (*args[:at], np.ascontiguousarray(value), *args[at + 1 :])
+                args = (*args[:position], np.ascontiguousarray(value), *args[position + 1 :])
         return self.kernel(*args)
 
     @cached_property

@@ -14,9 +14,19 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from dcgrid_env.core.arrays import Array
+from dcgrid_env.traces import RequestTimes
 
 Q = "q"
 """Name of the channel that is the converter's reactive setpoint, kvar, injection positive."""
+DeviceParams = Any
+"""Parameters of a group of devices: a NamedTuple of arrays (slot,), each kind its own."""
+DeviceState = Any
+"""State of a group of devices: a NamedTuple of arrays (row, slot, ..), each kind its own; of an episode (T + 1, slot,
+..)."""
+DeviceInput = Any
+"""Exogenous input of a group of devices, see ``Device.input``."""
+Requests = list[tuple[RequestTimes, float]] | None
+"""Requests of each slot and the time in their series, s, at which an episode begins; None without any."""
 
 
 class Channel(NamedTuple):
@@ -119,7 +129,7 @@ class Device(Protocol):
         ...
 
     @property
-    def parameters(self) -> Any:
+    def parameters(self) -> DeviceParams:
         """NamedTuple of arrays (slot,)."""
         ...
 
@@ -160,12 +170,17 @@ class Device(Protocol):
         """Raise FieldError for settings that do not allow an episode of that many steps."""
         ...
 
-    def initial(self, parameters: Any, zero: Array) -> Any:
+    def initial(self, parameters: DeviceParams, zero: Array) -> DeviceState:
         """Return the state before t = 0; ``zero`` is 0, (row, slot)."""
         ...
 
     def step(
-        self, parameters: Any, state: Any, setpoints: tuple[Array, ...], given: Any, dt_s: float
+        self,
+        parameters: DeviceParams,
+        state: DeviceState,
+        setpoints: tuple[Array, ...],
+        given: DeviceInput,
+        dt_s: float,
     ) -> tuple[Any, Array]:
         """Advance by one interval.
 
@@ -187,23 +202,23 @@ class Device(Protocol):
         """
         ...
 
-    def grid_change(self, parameters: Any, state: Any) -> GridChange:
+    def grid_change(self, parameters: DeviceParams, state: DeviceState) -> GridChange:
         """Return changes to the grid over the interval that ends in ``state``, in addition to the device's draw."""
         ...
 
-    def observe(self, parameters: Any, state: Any, given_next: Any) -> tuple[Array, ...]:
+    def observe(self, parameters: DeviceParams, state: DeviceState, given_next: DeviceInput) -> tuple[Array, ...]:
         """Return the raw figures of the fields, (row, slot) each; ``given_next`` is the input of the next interval."""
         ...
 
-    def amount(self, name: str, parameters: Any, state: Any) -> Array:
+    def amount(self, name: str, parameters: DeviceParams, state: DeviceState) -> Array:
         """Return the amount that a cost term charges, (row, slot)."""
         ...
 
-    def totals(self, state: Any) -> dict[str, Array]:
+    def totals(self, state: DeviceState) -> dict[str, Array]:
         """Return figures of all slots together for ``info``, (row,) each."""
         ...
 
-    def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
+    def metrics(self, history: DeviceState, dt_s: float, requests: Requests) -> dict[str, float]:
         """Return the figures of an episode.
 
         Parameters
@@ -219,7 +234,7 @@ class Device(Protocol):
         ...
 
 
-def may_leave(device: Any) -> bool:
+def may_leave(device: object) -> bool:
     """Return whether devices of a group may disconnect by themselves: those with a rule, ``ride_through``.
 
     The ``step`` of such a group receives its usual input inside a ``ride_through.connection.Supply``. The group has a

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any
 
 from dcgrid_env.devices.registry import DEVICE_REGISTRY
 
@@ -50,5 +49,5 @@ class Fault:
             raise ValueError(f"fault: duration_s is {self.duration_s!r}; give two finite times, or two infinite ones")
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)

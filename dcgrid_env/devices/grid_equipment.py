@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -54,23 +54,23 @@ class GridEquipment(PickledByFields):
     def check_episode(self, horizon: int) -> None:
         """Accept any number of steps."""
 
-    def grid_change(self, parameters: Any, state: Any) -> GridChange:
+    def grid_change(self, parameters: object, state: object) -> GridChange:
         """Return no change, see the class."""
         return GridChange()
 
-    def amount(self, name: str, parameters: Any, state: Any) -> Array:
+    def amount(self, name: str, parameters: object, state: object) -> Array:
         """Raise KeyError: the group has no cost term."""
         raise KeyError(name)
 
-    def totals(self, state: Any) -> dict[str, Array]:
+    def totals(self, state: object) -> dict[str, Array]:
         """Return no figures for ``info``."""
         return {}
 
-    def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
+    def metrics(self, history: object, dt_s: float, requests: object) -> dict[str, float]:
         """Return no metrics in addition to those of all equipment."""
         return {}
 
 
-def is_equipment(device: Any) -> bool:
+def is_equipment(device: object) -> bool:
     """Return whether a group represents equipment of the feeder, which has no bus and no converter."""
     return isinstance(device, GridEquipment)

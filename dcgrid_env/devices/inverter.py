@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, is_number, refuse, settle
-from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q
+from dcgrid_env.devices.device import Channel, CostTerm, DeviceInput, DeviceState, Field, GridChange, Q
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import InverterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.devices.ride_through import connection, riding_inverter
@@ -119,43 +119,48 @@ class Inverters(PickledByFields):
         """Cost terms in addition to those of every agent: trips, if inverters can trip."""
         return riding_inverter.cost_terms(self.ride_through, self.count) if self.ride_through else ()
 
-    def initial(self, parameters: InverterParams, zero: Array) -> Any:
+    def initial(self, parameters: InverterParams, zero: Array) -> DeviceState:
         """Return the initial state; an inverter that cannot trip has none."""
         if self.ride_through is None:
             return ()
         return riding_inverter.RidingInverterState(connection.initial(self.ride_through, zero))
 
     def step(
-        self, parameters: InverterParams, state: Any, setpoints: tuple[Array, ...], given: Any, dt_s: float
+        self,
+        parameters: InverterParams,
+        state: DeviceState,
+        setpoints: tuple[Array, ...],
+        given: DeviceInput,
+        dt_s: float,
     ) -> tuple[Any, Array]:
         """Inject the scheduled power times the connected share."""
         if self.ride_through is None:
             return (), -given
         return riding_inverter.step(self.ride_through, state, given, dt_s)
 
-    def connected(self, state: Any) -> Array:
+    def connected(self, state: DeviceState) -> Array:
         """Return the share of each inverter's power that is on the grid, see ``device.may_leave``."""
         return state.connection.share
 
-    def grid_change(self, parameters: InverterParams, state: Any) -> GridChange:
+    def grid_change(self, parameters: InverterParams, state: DeviceState) -> GridChange:
         """Change nothing in the grid."""
         return GridChange()
 
-    def observe(self, parameters: InverterParams, state: Any, given_next: Array) -> tuple[Array, ...]:
+    def observe(self, parameters: InverterParams, state: DeviceState, given_next: Array) -> tuple[Array, ...]:
         """Return the raw figures of ``fields``."""
         return riding_inverter.observe(self.ride_through, state) if self.ride_through else ()
 
-    def amount(self, name: str, parameters: InverterParams, state: Any) -> Array:
+    def amount(self, name: str, parameters: InverterParams, state: DeviceState) -> Array:
         """Return the amount of a cost term; KeyError for a name that is not in ``cost_terms``."""
         if self.ride_through is None or name != "tripped":
             raise KeyError(name)
         return state.connection.tripped
 
-    def totals(self, state: Any) -> dict[str, Array]:
+    def totals(self, state: DeviceState) -> dict[str, Array]:
         """Return the trips in the step and the disconnected inverters, if they can trip."""
         return riding_inverter.totals(state) if self.ride_through else {}
 
-    def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
+    def metrics(self, history: DeviceState, dt_s: float, requests: object) -> dict[str, float]:
         """Return the trips and the disconnected time, if inverters can trip."""
         return riding_inverter.metrics(history, dt_s) if self.ride_through else {}
 
@@ -166,14 +171,14 @@ class Inverters(PickledByFields):
             raise FieldError("Inverters", "injection", ..., f"has {len(self.injection)} shares; {remedy}")
 
 
-def _rule(value: Any) -> Any:
+def _rule(value: object) -> Any:
     try:
         return rule_of(RideThrough, value)
     except FieldError as error:
         raise error.within("Inverters", "ride_through") from None
 
 
-def _injection(value: Any) -> Any:
+def _injection(value: object) -> Any:
     if not is_recording(value):
         return value
     try:

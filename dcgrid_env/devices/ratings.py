@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class InverterParams(NamedTuple):
     s_rated_kva: Array
 
 
-def check_rating(owner: Any, name: str, n: int) -> None:
+def check_rating(owner: object, name: str, n: int) -> None:
     """Raise FieldError unless a field of a dataclass instance is a rating of ``n`` devices."""
     value = getattr(owner, name)
     values = value if isinstance(value, tuple) else (value,) * n
@@ -57,7 +57,7 @@ def check_rating(owner: Any, name: str, n: int) -> None:
         raise refuse(owner, name, remedy)
 
 
-def check_each(owner: Any, name: str, n: int, low: float, high: float) -> None:
+def check_each(owner: object, name: str, n: int, low: float, high: float) -> None:
     """Raise FieldError unless a field of a dataclass instance is a number in [low, high], or one for each device."""
     value = getattr(owner, name)
     values = value if isinstance(value, tuple) else (value,)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -124,7 +124,7 @@ def joined(scenario: Scenario, parts: Sequence[tuple[np.ndarray, Snapshot]]) -> 
     return _over_envs(put, scenario, *moved)
 
 
-def _over_envs(function: Any, scenario: Scenario, *snapshots: Snapshot) -> Snapshot:
+def _over_envs(function: Callable[..., Any], scenario: Scenario, *snapshots: Snapshot) -> Snapshot:
     """A snapshot of a function of the arrays of others, one by one."""
 
     def over(*values: Any) -> Any:

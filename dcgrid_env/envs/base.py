@@ -126,7 +126,7 @@ class BaseEnvironment:
             raise RuntimeError("the environment has not been reset; call reset() before render()")
         return self._viewer
 
-    def close(self, **kwargs: Any) -> None:
+    def close(self, **kwargs: object) -> None:
         """Close the window, if one is open."""
         if self._viewer is not None:
             self._viewer.close()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from dcgrid_env.engine.cost.reward import constraint
+from dcgrid_env.engine.physics.state import Equipment
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -53,9 +54,9 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     return figures
 
 
-def _of_equipment(scenario: Scenario, equipment: Any) -> dict[str, np.ndarray]:
+def _of_equipment(scenario: Scenario, equipment: Equipment) -> dict[str, np.ndarray]:
     """Return the moves in the step, and the position of each regulator and capacitor bank of a three-phase feeder."""
-    feeder: Any = scenario.feeder
+    feeder = scenario.feeder
     (regulators, banks), network = equipment, feeder.network
     figures = {
         "tap_moves": np.add.reduce(regulators.moved, -1),

@@ -21,7 +21,7 @@ from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from dcgrid_env.engine.simulation import Transition
+    from dcgrid_env.engine.simulation import Snapshot, Transition
 
 
 STATE_BOUND = 1e4
@@ -107,7 +107,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         render_mode: str | None = None,
         max_cycles: int | None = None,
         info: InfoLevel = "full",
-        **overrides: Any,
+        **overrides: object,
     ):
         overrides = with_horizon(overrides, "max_cycles", max_cycles)
         self._setup(scenario, 1, render_mode, info, overrides, joint=False)
@@ -122,7 +122,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         layout = action_layout(s)
         low, high = layout.bounds
         self.action_spaces: dict[str, spaces.Space[np.ndarray]] = {
-            a: spaces.Box(low[at], high[at], dtype=np.float32) for a, at in layout.slices.items()
+            a: spaces.Box(low[entries], high[entries], dtype=np.float32) for a, entries in layout.slices.items()
         }
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
@@ -167,7 +167,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
             self._infos(transition),
         )
 
-    def restore(self, snapshot: Any) -> None:
+    def restore(self, snapshot: Snapshot) -> None:
         """Continue from a saved state."""
         super().restore(snapshot)
         self.agents = [] if self._simulation.now.over[0] else list(self.possible_agents)
@@ -198,8 +198,8 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         of_devices = zip(
             s.devices, observation.device_fields(s), params.devices, now.state.devices, coming, strict=True
         )
-        for device, fields, own, its_state, given in of_devices:
-            raw = device.observe(own, its_state, given)
+        for device, fields, device_params, its_state, given in of_devices:
+            raw = device.observe(device_params, its_state, given)
             parts += [figure[0] / field.share_of for field, figure in zip(fields, raw, strict=True)]
         parts.append(now.step / s.horizon)
         return np.clip(np.concatenate(parts), -STATE_BOUND, STATE_BOUND).astype(np.float32)
@@ -222,7 +222,7 @@ def parallel_env(
     render_mode: str | None = None,
     max_cycles: int | None = None,
     info: InfoLevel = "full",
-    **overrides: Any,
+    **overrides: object,
 ) -> DcgridParallelEnv:
     """Make the multi-agent environment of a scenario, see :class:`DcgridParallelEnv`."""
     return DcgridParallelEnv(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)
@@ -234,7 +234,7 @@ def env(
     render_mode: str | None = None,
     max_cycles: int | None = None,
     info: InfoLevel = "full",
-    **overrides: Any,
+    **overrides: object,
 ) -> AECEnv[str, Any, Any]:
     """Make the environment in PettingZoo's AEC form: agents act in turn, the grid steps after the last."""
     turns = parallel_env(scenario, render_mode=render_mode, max_cycles=max_cycles, info=info, **overrides)

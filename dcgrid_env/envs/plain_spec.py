@@ -7,6 +7,7 @@ from typing import Any
 
 from gymnasium.envs.registration import EnvSpec
 
+from dcgrid_env.core.checked import Plain
 from dcgrid_env.scenario.plain import refuse_objects, to_plain
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -45,7 +46,7 @@ class _WithObjects(EnvSpec):
         return super().to_json()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any) -> Plain:
     """Return a keyword argument in plain form; for a scenario, its preset's name or a mapping of its fields."""
     if not isinstance(value, Scenario):
         return to_plain(value)

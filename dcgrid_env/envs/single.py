@@ -88,7 +88,7 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
         *,
         render_mode: str | None = None,
         info: InfoLevel = "full",
-        **overrides: Any,
+        **overrides: object,
     ):
         self._setup(scenario, 1, render_mode, info, overrides, joint=True)
         self._bus_keys = [f"bus_{agent}" for agent in self.scenario.agents]

@@ -8,8 +8,8 @@ that led to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext
-from typing import Any, NamedTuple
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple
 
 import numpy as np
 from array_api_compat import is_array_api_obj, is_torch_array
@@ -80,7 +80,7 @@ class TensorEnv:
         *,
         like: Array,
         trip_widths: TripWidths | None = None,
-        **overrides: Any,
+        **overrides: object,
     ):
         if not _is_floating_array(like):
             raise ValueError(
@@ -164,7 +164,7 @@ class TensorEnv:
         self.state = self.state.map(lambda array: array.detach())
         self._measured = tuple(a.detach() for a in self._measured)
 
-    def _torch_threads(self) -> Any:
+    def _torch_threads(self) -> AbstractContextManager[None]:
         """Use one torch thread on the CPU, in addition to the power flow's; keep the setting on other devices."""
         if not is_torch_array(self.like) or self.like.device.type != "cpu":
             return nullcontext()
@@ -185,9 +185,10 @@ class TensorEnv:
         xp = namespace(action)
         where = xp.nonzero(~xp.isfinite(action))
         if len(where[0]):
-            env_index, at = (int(i[0]) for i in where)
+            env_index, entry = (int(i[0]) for i in where)
             raise ValueError(
-                f"the action of environment {env_index} is {action[env_index, at].item()} at {at}; give finite numbers"
+                f"the action of environment {env_index} is {action[env_index, entry].item()} at {entry}; "
+                "give finite numbers"
             )
 
     def _now(self, field: Array | None, ahead: int = 0) -> Array | None:
@@ -219,7 +220,7 @@ class TensorEnv:
         return namespace(self.like).asarray(positions.copy(), device=self.like.device)
 
 
-def _is_floating_array(values: Any) -> bool:
+def _is_floating_array(values: object) -> bool:
     """Return whether ``values`` is an array of float32 or float64, and neither a number nor a masked array."""
     if not is_array_api_obj(values) or isinstance(values, np.generic | np.ma.MaskedArray):
         return False

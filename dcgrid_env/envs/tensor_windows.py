@@ -8,7 +8,6 @@ gradient of a window by its initial state is the value of the final state of the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -64,13 +63,13 @@ class TensorWindows:
         self.step_number += 1
         s, horizon = self.scenario, self.scenario.horizon
         step = self._starts + self.step_number
-        at = (self._index(np.minimum(step, horizon)), self._index(self._episodes))
-        self.state, grid = dynamics.step(s, self.state, action, self._exogenous(at))
+        step_and_episode = (self._index(np.minimum(step, horizon)), self._index(self._episodes))
+        self.state, grid = dynamics.step(s, self.state, action, self._exogenous(step_and_episode))
         last, live = (as_like(mask.astype(np.float64), self.like) for mask in (step == horizon, step <= horizon))
         return reward.total(reward.team_costs(s, self.state, grid.solution, last)) * live
 
-    def _exogenous(self, at: tuple[Array, Array]) -> Exogenous:
-        o = Outside(*(None if field is None else field[at] for field in self._outside))
+    def _exogenous(self, step_and_episode: tuple[Array, Array]) -> Exogenous:
+        o = Outside(*(None if field is None else field[step_and_episode] for field in self._outside))
         return Exogenous(
             o.p_load_kw, o.q_load_kvar, o.p_ref_kw, o.p_inverter_kw, self._nodes, o.compute_share, o.available,
             self._legs, o.capacitor_on, o.sags,
@@ -79,5 +78,5 @@ class TensorWindows:
     def _as_like(self, values: np.ndarray) -> Array:
         return as_like(values, self.like) if values.dtype.kind == "f" else self._index(values)
 
-    def _index(self, positions: np.ndarray) -> Any:
+    def _index(self, positions: np.ndarray) -> Array:
         return namespace(self.like).asarray(np.ascontiguousarray(positions))

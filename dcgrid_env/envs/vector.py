@@ -125,7 +125,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         info: InfoLevel = "full",
         autoreset_mode: str | AutoresetMode = "same_step",
         max_episode_steps: int | None = None,
-        **overrides: Any,
+        **overrides: object,
     ):
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}; give a whole number of at least 1")
@@ -274,7 +274,7 @@ def _mask_keys(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"_{name}" for name in names)
 
 
-def as_autoreset_mode(mode: Any) -> AutoresetMode:
+def as_autoreset_mode(mode: object) -> AutoresetMode:
     """Return Gymnasium's mode for a mode or its name; ValueError otherwise."""
     if isinstance(mode, AutoresetMode):
         return mode

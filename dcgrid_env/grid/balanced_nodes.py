@@ -13,7 +13,7 @@ from dcgrid_env.grid.topology import FeederError
 IntArray = NDArray[np.intp]
 
 
-def _read_only(array: Any) -> Any:
+def _read_only(array: np.ndarray) -> np.ndarray:
     array.flags.writeable = False
     return array
 

@@ -36,7 +36,7 @@ IntArray = NDArray[np.intp]
 __all__ = ["Feeder", "FeederError"]
 
 
-def _read_only(array: Any) -> Any:
+def _read_only(array: np.ndarray) -> np.ndarray:
     array.flags.writeable = False
     return array
 
@@ -165,7 +165,7 @@ class Feeder(PerUnit, OneNodeABus):
         node, line, load, shunt, source = network.node, network.line, network.load, network.shunt, network.source
         order, parent, branch = orient(network.name, source.bus[0], node.bus, line.from_bus, line.to_bus)
 
-        def frozen(values: Any, rows: IntArray) -> FloatArray:
+        def frozen(values: object, rows: IntArray) -> FloatArray:
             return _read_only(np.asarray(values, dtype=np.float64)[rows])
 
         return cls(

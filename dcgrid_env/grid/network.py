@@ -195,5 +195,5 @@ def summed_at_nodes(node: NodeTable, buses: Sequence[str], values: Sequence[floa
     return total
 
 
-def _is_zero(value: Any) -> bool:
+def _is_zero(value: object) -> bool:
     return not isinstance(value, bool | str) and value is not None and bool(value == 0)

@@ -79,10 +79,10 @@ def check_balanced(network: Network) -> None:
     given = {field: getattr(node, field) for field in ("base_kv", "voltage_ratio")}
     given = {field: values for field, values in given.items() if values}
     check_numbers(name, "bus", node.bus, given, positive=True, may_be_nan=True)
-    for field, own in (("base_kv", source.base_kv[0]), ("voltage_ratio", 1.0)):
+    for field, expected in (("base_kv", source.base_kv[0]), ("voltage_ratio", 1.0)):
         at_source = dict(zip(node.bus, given.get(field, ()), strict=False)).get(source.bus[0], math.nan)
-        if not math.isnan(at_source) and at_source != own:
+        if not math.isnan(at_source) and at_source != expected:
             raise FeederError(
                 f"feeder {name!r}: bus {source.bus[0]}: {field} is {at_source}, but it is the substation, to whose "
-                f"voltage all others are referred; give {own:g} there"
+                f"voltage all others are referred; give {expected:g} there"
             )

@@ -63,10 +63,10 @@ def check_optional_fields(feeder: Any) -> None:
             known & ~np.isfinite(values) if field.startswith("shunt") else known & ~((values > 0) & (values < np.inf))
         )
         if wrong.any():
-            at = int(np.flatnonzero(wrong)[0])
-            what = f"branch to bus {feeder.bus_ids[at + 1]}" if field == "rating_a" else f"bus {feeder.bus_ids[at]}"
+            i = int(np.flatnonzero(wrong)[0])
+            what = f"branch to bus {feeder.bus_ids[i + 1]}" if field == "rating_a" else f"bus {feeder.bus_ids[i]}"
             wanted = "a finite number" if field.startswith("shunt") else "a number > 0"
-            raise FeederError(f"feeder {feeder.name!r}: {what}: {field} is {values[at]}; give {wanted}")
+            raise FeederError(f"feeder {feeder.name!r}: {what}: {field} is {values[i]}; give {wanted}")
     if feeder.voltage_ratio is not None and feeder.voltage_ratio[0] != 1.0:
         raise FeederError(
             f"feeder {feeder.name!r}: voltage_ratio of the substation is {feeder.voltage_ratio[0]}; it must be 1"

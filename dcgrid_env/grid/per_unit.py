@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from dcgrid_env.grid.topology import DepthFirst, depth_first
 FloatArray = NDArray[np.float64]
 
 
-def _read_only(array: Any) -> Any:
+def _read_only(array: np.ndarray) -> np.ndarray:
     array.flags.writeable = False
     return array
 

@@ -17,7 +17,7 @@ BusId = int | str
 """Types that identify a bus; it is stored as text."""
 
 
-def bus_text(bus: Any) -> str:
+def bus_text(bus: object) -> str:
     """The text by which a bus is known; FeederError for what is neither text nor a whole number."""
     if isinstance(bus, str):
         return str(bus)
@@ -26,7 +26,7 @@ def bus_text(bus: Any) -> str:
     raise FeederError(f"bus {bus!r} is neither text nor a whole number; name it by text such as '18'")
 
 
-def buses_as_text(values: Any) -> Any:
+def buses_as_text(values: object) -> Any:
     """Return buses as a tuple of texts; values of other types unchanged, for the checks to refuse."""
     if not isinstance(values, list | tuple | np.ndarray):
         return values
@@ -68,7 +68,7 @@ def optional_column() -> Any:
     return dataclasses.field(default=(), metadata={"optional": True})
 
 
-def _as_tuple(value: Any) -> Any:
+def _as_tuple(value: object) -> Any:
     """A value of a cell, a matrix or the like as tuples of tuples."""
     if isinstance(value, np.ndarray):
         value = value.tolist()

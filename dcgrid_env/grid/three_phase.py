@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
 from dcgrid_env.grid.network import Network
@@ -186,7 +187,7 @@ class ThreePhaseFeeder(PhaseNodes):
     def _tap_step(self) -> FloatArray:
         return read_only(self.network.regulator.tap_step)
 
-    def tap_ratio(self, tap: Any) -> Any:
+    def tap_ratio(self, tap: Array) -> Array:
         """Voltage ratio of each regulator at the given taps, shape (..., n_regulator), an array of the given kind."""
         step: Any = self._tap_step
         if not isinstance(tap, np.ndarray | Sequence) and hasattr(tap, "new_tensor"):

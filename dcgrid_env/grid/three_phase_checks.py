@@ -46,7 +46,7 @@ def check_three_phase(network: Network) -> None:
     _check_cores(network, buses)
 
 
-def _refuse(network: Network, component: str, field: str, value: Any, remedy: str) -> FeederError:
+def _refuse(network: Network, component: str, field: str, value: object, remedy: str) -> FeederError:
     return FeederError(f"feeder {network.name!r}: {component}: {field} is {value!r}; {remedy}")
 
 

@@ -91,12 +91,12 @@ def core_legs(network: Network, first_node: dict[str, dict[str, int]], bases: di
 
 
 def _legs(table: Any, rows: list, shares: list, limits: list, nodes: dict, bases: dict[str, float]) -> Legs:
-    at = {bus: i for i, bus in enumerate(nodes)}
+    position = {bus: i for i, bus in enumerate(nodes)}
     buses = [table.bus[row] for row, *_ in rows]
     ends = [[nodes[bus][phase] for phase in leg] for bus, (_, leg, *_) in zip(buses, rows, strict=True)]
     return Legs(
         row=np.array([row for row, *_ in rows], np.intp),
-        bus=np.array([at[bus] for bus in buses], np.intp),
+        bus=np.array([position[bus] for bus in buses], np.intp),
         node=np.array([end[0] for end in ends], np.intp),
         other=np.array([end[1] if len(end) > 1 else -1 for end in ends], np.intp),
         p_kw=np.array([p for *_, p, _ in rows], np.float64),

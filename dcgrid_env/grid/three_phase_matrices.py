@@ -63,8 +63,8 @@ def branches_of(network: Network, tree: Tree, base_kv: NDArray[np.float64]) -> B
         a[i, :size, :size], b[i, :size, :size] = ratio, z_ohm / _base_ohm(bases[1])
         regulator[i, :size] = tapped
         for bus, siemens in zip((sender, i), shunts, strict=True):
-            at = [tree.phases[bus].index(phase) for phase in branch.phases]
-            shunt[bus][np.ix_(at, at)] += siemens * base_kv[bus] ** 2 * _PER_SIEMENS
+            positions = [tree.phases[bus].index(phase) for phase in branch.phases]
+            shunt[bus][np.ix_(positions, positions)] += siemens * base_kv[bus] ** 2 * _PER_SIEMENS
         sending_shunt[i, :size, :size] = shunts[0] * base_kv[sender] ** 2 * _PER_SIEMENS
     return Branches(a, b, regulator, shunt, sending_shunt)
 
@@ -74,10 +74,10 @@ def _base_ohm(base_kv: float) -> float:
 
 
 def _line(network: Network, branch: Branch, bases: tuple[float, float]) -> tuple:
-    row, table, at = branch.rows[0], network.phase_line, ["abc".index(phase) for phase in branch.phases]
-    r, x, b_us = (np.array(m[row], float)[np.ix_(at, at)] for m in (table.r_ohm, table.x_ohm, table.b_us))
+    row, table, positions = branch.rows[0], network.phase_line, ["abc".index(phase) for phase in branch.phases]
+    r, x, b_us = (np.array(m[row], float)[np.ix_(positions, positions)] for m in (table.r_ohm, table.x_ohm, table.b_us))
     half = 0.5e-6 * b_us
-    return np.eye(len(at)), r + 1j * x, (half, half), -1
+    return np.eye(len(positions)), r + 1j * x, (half, half), -1
 
 
 def _switch(network: Network, branch: Branch, bases: tuple[float, float]) -> tuple:

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 
-def read_only(values: Any, dtype: Any = np.float64) -> Any:
+def read_only(values: object, dtype: Any = np.float64) -> Any:
     """The values as an array that cannot be written to."""
     array = np.array(values, dtype)
     array.flags.writeable = False

@@ -67,7 +67,7 @@ def depth_first(parent: Sequence[int] | NDArray[np.intp]) -> DepthFirst:
 
 
 def orient(
-    name: str, substation: Any, bus_ids: Sequence[Any], from_bus: Sequence[Any], to_bus: Sequence[Any]
+    name: str, substation: object, bus_ids: Sequence[Any], from_bus: Sequence[Any], to_bus: Sequence[Any]
 ) -> tuple[NDArray[np.intp], list[int], NDArray[np.intp]]:
     """Order buses with the substation first and give every bus its feeding branch.
 
@@ -113,7 +113,7 @@ def orient(
 
 
 def _index_buses(
-    name: str, substation: Any, bus_ids: Sequence[Any], from_bus: Sequence[Any], to_bus: Sequence[Any]
+    name: str, substation: object, bus_ids: Sequence[Any], from_bus: Sequence[Any], to_bus: Sequence[Any]
 ) -> dict[Any, int]:
     rows = {bus: i for i, bus in enumerate(bus_ids)}
     if len(rows) < len(bus_ids):
@@ -147,7 +147,7 @@ def _loop(i: int, j: int, fed_by: dict[int, tuple[int, int]]) -> list[int]:
 
 def _check_reached(
     name: str,
-    substation: Any,
+    substation: object,
     bus_ids: Sequence[Any],
     neighbours: list[list[tuple[int, int]]],
     fed_by: dict[int, tuple[int, int]],

@@ -30,13 +30,13 @@ _WANTED = {
 }
 
 
-def check_feeder(feeder: Any) -> None:
+def check_feeder(feeder: object) -> None:
     """PowerFlowError unless it is a Feeder."""
     if not isinstance(feeder, Feeder):
         raise PowerFlowError(f"feeder is {reprlib.repr(feeder)}; give a Feeder, for instance load_feeder('ieee33')")
 
 
-def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
+def check_loads(feeder: Feeder, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
     """Both loads as arrays of one kind and precision; PowerFlowError unless both have the same shape (..., n_node)."""
     if not (type(p_kw) is type(q_kvar) is np.ndarray and p_kw.dtype == q_kvar.dtype and p_kw.dtype in _FLOATS):
         p_kw, q_kvar = of_one_kind(figures(feeder, "p_kw", p_kw), figures(feeder, "q_kvar", q_kvar))
@@ -48,7 +48,7 @@ def check_loads(feeder: Feeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
     return p_kw, q_kvar
 
 
-def substation_voltage(feeder: Feeder | ThreePhaseFeeder, p_kw: Array, v0_pu: Any) -> Array:
+def substation_voltage(feeder: Feeder | ThreePhaseFeeder, p_kw: Array, v0_pu: Array | float | None) -> Array:
     """``v0_pu`` (the feeder's own if None) with the loads' kind and leading shape; PowerFlowError unless positive."""
     v0_pu = feeder.v0_pu if v0_pu is None else v0_pu
     if isinstance(v0_pu, float) and isinstance(p_kw, np.ndarray) and 0.0 < v0_pu < np.inf:
@@ -63,7 +63,7 @@ def substation_voltage(feeder: Feeder | ThreePhaseFeeder, p_kw: Array, v0_pu: An
         raise PowerFlowError(f"v0_pu has shape {shapes}; give a number or the loads' leading shape") from None
 
 
-def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
+def warm_start(feeder: Feeder, p_kw: Array, warm: Array | None) -> Array | None:
     """Return squared currents to start from, of the loads' kind; PowerFlowError unless (..., n_branch) fits the loads.
 
     They need not be finite, because the sweeps restart from zero if a start cannot be used.
@@ -79,7 +79,7 @@ def warm_start(feeder: Feeder, p_kw: Array, warm: Any) -> Array | None:
     return start
 
 
-def less_switched_shunts(feeder: Feeder, p_kw: Any, q_kvar: Any, control: Control) -> Array:
+def less_switched_shunts(feeder: Feeder, p_kw: Array, q_kvar: Array, control: Control) -> Array:
     """Return reactive loads of a balanced feeder minus the injection of switched shunts.
 
     Raises PowerFlowError for a tap or capacitor state, or a wrong shape. A switched shunt injects its rating at any
@@ -118,7 +118,7 @@ def check_stop(tolerance_kva: Any, max_sweeps: Any) -> None:
         )
 
 
-def figures(feeder: Feeder | ThreePhaseFeeder, name: str, values: Any) -> Array:
+def figures(feeder: Feeder | ThreePhaseFeeder, name: str, values: Array) -> Array:
     """Take an argument as an array of real numbers, NumPy's unless it is of another library; PowerFlowError else."""
     if isinstance(values, np.ma.MaskedArray):
         raise PowerFlowError(
@@ -180,5 +180,5 @@ def like_loads(name: str, values: Array, like: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _filled(shape: tuple[int, ...], value: float, dtype: Any) -> Any:
+def _filled(shape: tuple[int, ...], value: float, dtype: Any) -> Array:
     return np.full(shape, value, dtype)

@@ -11,6 +11,7 @@ several of them are computed feeder by feeder.
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import AnyFeeder, Feeder, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 _NO_VOLTAGE = 1e-12
 """Voltage that keeps a ratio finite where there is none, p.u."""
@@ -28,7 +30,7 @@ _SHOWN = 12
 """Branches that a text names."""
 
 
-def has_ratings(feeder: Any) -> bool:
+def has_ratings(feeder: AnyFeeder | RandomFeeders | FeederBatch) -> bool:
     """Whether the rating of any branch is known, of a feeder, a family of random ones or rows on several of these."""
     if isinstance(feeder, RandomFeeders | FeederBatch):
         return True
@@ -36,7 +38,7 @@ def has_ratings(feeder: Any) -> bool:
 
 
 @cached_on_owner
-def rated_nodes(feeder: Any) -> NDArray[np.intp]:
+def rated_nodes(feeder: AnyFeeder | RandomFeeders | FeederBatch) -> NDArray[np.intp]:
     """Nodes that are fed by a branch, or a conductor, whose rating is known."""
     if isinstance(feeder, RandomFeeders | FeederBatch):
         return np.arange(1, feeder.n_bus)
@@ -66,7 +68,7 @@ def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:
     return RatingCoverage(feeder.n_branch - len(names), feeder.n_branch, names)
 
 
-def branch_loading(feeder: Any, solution: Any) -> Array:
+def branch_loading(feeder: AnyFeeder | FeederBatch, solution: Any) -> Array:
     """Current of the branch that feeds each node as a share of its rating, shape (..., n_node), 0 without a rating.
 
     ``solution`` is of a power flow of the feeder; the linearised one has currents too, from its flows and voltages.
@@ -89,7 +91,7 @@ def branch_loading(feeder: Any, solution: Any) -> Array:
     return xp.concat((0.0 * v_pu[..., :1], loading), axis=-1)
 
 
-def _three_phase_loading(feeder: ThreePhaseFeeder, solution: Any) -> Array:
+def _three_phase_loading(feeder: ThreePhaseFeeder, solution: ThreePhaseSolution) -> Array:
     """Of the rated nodes alone, which may be few, put among zeros."""
     v_pu = solution.v_pu
     xp = namespace(v_pu)
@@ -105,7 +107,7 @@ def _three_phase_loading(feeder: ThreePhaseFeeder, solution: Any) -> Array:
 
 
 @cached_on_owner
-def _rated_places(feeder: ThreePhaseFeeder, xp: Any, device: Any) -> tuple[Array, ...]:
+def _rated_places(feeder: ThreePhaseFeeder, xp: ModuleType, device: object) -> tuple[Array, ...]:
     """Rated nodes, the regulated ones last; these, and the nodes before them; the place of each node in that order.
 
     A node without a rating has the place behind all of them.
@@ -144,6 +146,6 @@ def _inverse_ratings(feeder: AnyFeeder) -> NDArray[np.float64]:
 
 
 @cached_on_owner
-def _parents(feeder: Feeder, xp: Any, device: Any) -> Array:
+def _parents(feeder: Feeder, xp: ModuleType, device: object) -> Array:
     """Sending end of each branch as an index of the array's kind."""
     return feeder.parent if xp is np else xp.asarray(np.array(feeder.parent, np.int64), device=device)

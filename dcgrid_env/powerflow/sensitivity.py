@@ -96,12 +96,12 @@ def own_sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
     """
     if isinstance(feeder, ThreePhaseFeeder):
         return Sensitivity(*(_read_only(np.diagonal(slope).copy()) for slope in sensitivity(feeder)))
-    own = np.zeros((2, feeder.n_node))
+    sensitivities = np.zeros((2, feeder.n_node))
     for j in feeder.depth_first.order[1:]:
-        own[:, j] = own[:, feeder.parent[j - 1]] + (feeder.r_pu[j - 1], feeder.x_pu[j - 1])
+        sensitivities[:, j] = sensitivities[:, feeder.parent[j - 1]] + (feeder.r_pu[j - 1], feeder.x_pu[j - 1])
     if feeder.voltage_ratio is not None:
-        own *= feeder.voltage_ratio
-    return Sensitivity(*map(_read_only, own * _PU_PER_MVA))
+        sensitivities *= feeder.voltage_ratio
+    return Sensitivity(*map(_read_only, sensitivities * _PU_PER_MVA))
 
 
 def _read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -59,8 +59,8 @@ def raise_not_finite(feeder: Feeder, p_kw: Array, q_kvar: Array) -> None:
     for field, values in (("p_kw", p_kw), ("q_kvar", q_kvar)):
         where = xp.nonzero(~xp.isfinite(values))
         if len(where[0]):
-            at = tuple(int(i[0]) for i in where)
+            place = tuple(int(i[0]) for i in where)
             raise PowerFlowError(
-                f"feeder {feeder.name!r}: {field} of bus {feeder.bus_ids[at[-1]]} is {values[at].item()} in scenario "
-                f"{at[:-1]} of the batch; give finite loads"
+                f"feeder {feeder.name!r}: {field} of bus {feeder.bus_ids[place[-1]]} is {values[place].item()} in "
+                f"scenario {place[:-1]} of the batch; give finite loads"
             )

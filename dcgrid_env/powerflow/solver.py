@@ -28,7 +28,7 @@ class Solver(Protocol):
         feeder: Any,
         p_kw: Array,
         q_kvar: Array,
-        source_voltage_pu: Any,
+        source_voltage_pu: Array | float | None,
         control: Control | None = None,
         start: Array | None = None,
     ) -> AnySolution:

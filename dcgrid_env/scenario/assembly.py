@@ -110,7 +110,7 @@ def _fields(kind: type[Any]) -> list[str]:
     return [field.name for field in dataclasses.fields(kind)]
 
 
-def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_path: Mapping[str, Any]) -> Any:
+def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: object, by_path: Mapping[str, Any]) -> Any:
     """Return one part or group of devices: ``start`` with the given changes, or a new one."""
     changes = dict(by_path)
     if isinstance(given, Mapping):
@@ -149,7 +149,7 @@ def _part(scenario: Any, path: str, kind: type[Any], start: Any, given: Any, by_
 
 
 def _devices(
-    scenario: Any, base: Any, given: Any, changes: Mapping[str, tuple[Any, Mapping[str, Any]]]
+    scenario: Any, base: Any, given: object, changes: Mapping[str, tuple[Any, Mapping[str, Any]]]
 ) -> tuple[Any, ...]:
     """Return the groups of devices, with those of data centres and of inverters made or changed."""
     if given is None:
@@ -183,7 +183,7 @@ def _with_both(groups: list[Any]) -> tuple[Any, ...]:
     return (*front, *groups, *(() if "inverter" in kinds else (NO_INVERTERS,)))
 
 
-def _device(scenario: Any, path: str, given: Any) -> Any:
+def _device(scenario: Any, path: str, given: object) -> Any:
     if not isinstance(given, Mapping):
         if isinstance(given, type) or not isinstance(given, Device):
             kinds = ", ".join(device_kind(kind).__name__ for kind in DEVICE_REGISTRY)

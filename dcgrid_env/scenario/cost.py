@@ -86,7 +86,7 @@ class Cost:
             raise refuse(self, "ramp_window_s", "give ramp_limit_kw_per_s too, or leave it out")
 
 
-def changed_weights(weights: CostWeights, given: Any) -> Any:
+def changed_weights(weights: CostWeights, given: object) -> Any:
     """Return the weights with those that a mapping names; any other value unchanged."""
     if not isinstance(given, Mapping):
         return given

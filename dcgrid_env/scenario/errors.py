@@ -14,7 +14,7 @@ class ScenarioError(ValueError):
 
 
 @contextmanager
-def located(scenario: Any, part: str) -> Iterator[None]:
+def located(scenario: object, part: str) -> Iterator[None]:
     """Turn the FieldError of a part into a ScenarioError that names the scenario and the path of the field.
 
     Parameters

@@ -55,6 +55,6 @@ def branch_impedance(feeder: AnyFeeder) -> np.ndarray:
         return np.hypot(feeder.r_pu, feeder.x_pu)
     n_phase = np.array([len(phases) for phases in feeder.bus_phases])
     b = feeder.branches.b
-    own = np.trace(b, axis1=1, axis2=2)
-    mutual = b.sum(axis=(1, 2)) - own
-    return np.abs(own / n_phase - mutual / np.maximum(n_phase * (n_phase - 1), 1))[1:]
+    self_sum = np.trace(b, axis1=1, axis2=2)
+    mutual = b.sum(axis=(1, 2)) - self_sum
+    return np.abs(self_sum / n_phase - mutual / np.maximum(n_phase * (n_phase - 1), 1))[1:]

@@ -145,7 +145,7 @@ def scenario_hash(scenario: Scenario) -> str:
     return digest([("", scenario)], fields)
 
 
-def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
+def fields(value: object) -> tuple[str, Iterable[tuple[str, Any]]] | None:
     """Return the part of a value that schema 1 hashes; None for a kind that is not in the schema."""
     kind = SCHEMA_1.get(type(value))
     if kind is None:
@@ -159,7 +159,7 @@ def fields(value: Any) -> tuple[str, Iterable[tuple[str, Any]]] | None:
     )
 
 
-def _published(value: Any, kind: Kind) -> Iterator[tuple[str, Any]]:
+def _published(value: object, kind: Kind) -> Iterator[tuple[str, Any]]:
     """Return the fields that the schema lists; one marked with ? is left out if it is None."""
     for listed in kind.fields:
         name = listed.removesuffix("?")
@@ -191,7 +191,7 @@ def _later_of_parts(scenario: Scenario) -> Iterator[tuple[str, Any]]:
                 yield f"{GROUPS.get(path, path)}.{name}", getattr(part, name)
 
 
-def _is_other(value: Any, default: Any) -> bool:
+def _is_other(value: object, default: object) -> bool:
     """Whether a field is not at its default; arrays, which cannot be compared so, have none."""
     return value is not None if default is None else bool(value != default)
 

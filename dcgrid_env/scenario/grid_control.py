@@ -11,7 +11,7 @@ from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
-from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
 
 Decider = Literal["fixed", "controlled", "agent"]
 """Modes: fixed as in the feeder's tables, controlled by the equipment's own control, or an agent."""
@@ -59,7 +59,7 @@ def capacitor_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[
     return _by_row(control.capacitors, feeder.network.capacitor.name, CAPACITORS)
 
 
-def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: Any) -> tuple[Any, ...]:
+def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: AnyFeeder) -> tuple[Any, ...]:
     """Return the groups of devices with those of equipment agents last; other groups of these kinds are removed."""
     groups = tuple(device for device in devices if not is_equipment(device))
     if not isinstance(feeder, ThreePhaseFeeder):
@@ -70,7 +70,7 @@ def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: Any) 
     return groups
 
 
-def check_grid_control(control: GridControl, feeder: Any, connected: bool) -> None:
+def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool) -> None:
     """Raise FieldError for a bank that the feeder lacks, or capacitors that switch but are not ``connected``."""
     fixed: dict[str, Any] = {"regulators": REGULATORS, "capacitors": CAPACITORS}
     for name, default in fixed.items():
@@ -100,7 +100,7 @@ def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
     return tuple(named.get(bank, default) for bank in banks)
 
 
-def _pairs(value: Any) -> Any:
+def _pairs(value: object) -> Any:
     """Return pairs of a bank and a mode from a mapping or from JSON lists; any other value unchanged."""
     if isinstance(value, Mapping):
         return tuple(value.items())
@@ -109,7 +109,7 @@ def _pairs(value: Any) -> Any:
     return value
 
 
-def _settings(value: Any) -> Any:
+def _settings(value: object) -> Any:
     if not isinstance(value, Mapping):
         return value
     for key in value:

@@ -78,11 +78,11 @@ def check_groups(devices: tuple[Any, ...], horizon: int, dt_s: float) -> None:
             raise _refused(f"more than one group is driven by {source}; give one, with a rating for each slot")
     terms: dict[str, str] = {}
     for device in devices:
-        own = [term.name for term in device.cost_terms(horizon, dt_s)]
-        for name in (*own, *(field.name for field in device.fields(horizon, dt_s))):
+        cost_names = [term.name for term in device.cost_terms(horizon, dt_s)]
+        for name in (*cost_names, *(field.name for field in device.fields(horizon, dt_s))):
             if name in NAMES_OF_THE_GRID:
                 raise _refused(f"{device.kind!r} calls something {name!r}, which is the grid's; rename it")
-        for name in own:
+        for name in cost_names:
             if terms.setdefault(name, device.kind) != device.kind:
                 raise _refused(f"{terms[name]!r} and {device.kind!r} both have a cost term {name!r}; rename one")
 

@@ -114,12 +114,12 @@ def _named(feeder: AnyFeeder, groups: Iterable[tuple[Kind, tuple[Part, ...]]]) -
                     f"{kind.option}: feeder {feeder.name!r} has no bus {bus!r}; it has {', '.join(near)} and "
                     f"{feeder.n_bus - len(near)} more"
                 )
-            at = position[bus]
-            if at == 0:
+            bus_index = position[bus]
+            if bus_index == 0:
                 raise ScenarioError(f"{kind.option}: bus {bus!r} is the substation, where the source is; name another")
-            if at in taken:
+            if bus_index in taken:
                 raise ScenarioError(f"{kind.option}: bus {bus!r} is named twice; give each device a bus of its own")
-            taken.add(at)
+            taken.add(bus_index)
     return taken
 
 

@@ -40,8 +40,8 @@ def _without_agents(scenario: Scenario) -> Scenario | None:
 def _instead(decider: Decider | ByBank, of_agents: Decider) -> Decider | ByBank:
     if isinstance(decider, str):
         return of_agents if decider == "agent" else decider
-    return tuple((bank, of_agents if own == "agent" else own) for bank, own in decider)
+    return tuple((bank, of_agents if by == "agent" else by) for bank, by in decider)
 
 
 def _n_moving(deciders: tuple[tuple[Decider, ...], ...]) -> int:
-    return sum(own != "fixed" for of_kind in deciders for own in of_kind)
+    return sum(decider != "fixed" for of_kind in deciders for decider in of_kind)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.devices.device import Device
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
@@ -52,11 +53,11 @@ def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple
         fixed += ((among, where, bus, phases) for bus, phases in zip(device.buses, phases_of(device), strict=True))
     taken: set[tuple[str, int]] = set()
     for among, where, bus, phases in fixed:
-        at = _position(name, feeder, where, bus, phases)
-        if (among, at) in taken:
+        bus_index = _position(name, feeder, where, bus, phases)
+        if (among, bus_index) in taken:
             of_kind = f"{among} " if among else ""
             raise ScenarioError(f"scenario {name!r}: more than one {of_kind}device at bus {bus!r}; give each its own")
-        taken.add((among, at))
+        taken.add((among, bus_index))
     free = _least_free(feeder, devices) if isinstance(feeder, RandomFeeders) else len(free_load_buses(feeder, devices))
     if drawn > free:
         where = path_of(next(device for device in devices if device.buses is None))
@@ -76,27 +77,27 @@ def _least_free(feeders: RandomFeeders, devices: tuple[Any, ...]) -> int:
     return max(0, feeders.least_loaded - len({bus for device in devices for bus in device.buses or ()}))
 
 
-def path_of(device: Any) -> str:
+def path_of(device: Device) -> str:
     """Return the path prefix of a group of devices in paths of a scenario's fields."""
     return next((path for path, kind in GROUPS.items() if kind == device.kind), device.kind)
 
 
-def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: Any, phases: str | None) -> int:
+def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: object, phases: str | None) -> int:
     """Return the position of a device's bus; ScenarioError for one that is not allowed, or lacks these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
         raise ScenarioError(
             f"scenario {name!r}: {where}.buses has {bus!r}, no number or text; give buses of the feeder"
         )
     try:
-        at = feeder.index(bus)
+        bus_index = feeder.index(bus)
     except FeederError as error:
         raise ScenarioError(f"scenario {name!r}: {error}") from None
     try:
-        feeder.nodes_at(at, phases)
+        feeder.nodes_at(bus_index, phases)
     except FeederError as error:
         raise ScenarioError(f"scenario {name!r}: {where}.phases has {phases!r}, but {error}") from None
-    if at == 0:
+    if bus_index == 0:
         raise ScenarioError(
             f"scenario {name!r}: a device at the substation {bus!r}, where the source is; choose another bus"
         )
-    return at
+    return bus_index

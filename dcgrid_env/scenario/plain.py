@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.checked import changed_fields
+from dcgrid_env.core.checked import Plain, changed_fields
 from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import Device, is_known
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
@@ -59,7 +59,7 @@ from dcgrid_env.scenario.workload import Workload
 from dcgrid_env.traces import SUN, TRACE_SOURCES, PowerTrace
 
 
-def to_plain(value: Any) -> Any:
+def to_plain(value: object) -> Plain:
     """Return a field's value in plain form; an object without one, such as a recording made in Python, unchanged."""
     if isinstance(value, CostWeights):
         return {key: to_plain(weight) for key, weight in value._asdict().items()}
@@ -98,7 +98,7 @@ def to_plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def refuse_objects(scenario: str, path: str, value: Any) -> None:
+def refuse_objects(scenario: str, path: str, value: object) -> None:
     """Raise ScenarioError, naming field and remedy, where something in a plain form has none."""
     if isinstance(value, dict):
         for key, item in value.items():
@@ -120,7 +120,7 @@ _REMEDIES: dict[type[Any], str] = {
 }
 
 
-def _feeder_to_plain(feeder: AnyFeeder) -> Any:
+def _feeder_to_plain(feeder: AnyFeeder) -> Plain:
     """Name or folder that gives a feeder of the same content; the feeder itself where there is none."""
     content = digest([("", feeder)])
     if feeder.name in FEEDER_REGISTRY and digest([("", load_feeder(feeder.name))]) == content:
@@ -136,7 +136,7 @@ def _fields_to_plain(part: Any) -> dict[str, Any]:
     return {field.name: to_plain(getattr(part, field.name)) for field in dataclasses.fields(part)}
 
 
-def reads_files(name: str, value: Any) -> bool:
+def reads_files(name: str, value: object) -> bool:
     """Whether the plain value of a field names a file or folder, whose content may differ from call to call."""
     name = name.rpartition(".")[2]
     if isinstance(value, Mapping):
@@ -150,7 +150,7 @@ def reads_files(name: str, value: Any) -> bool:
     return name == "injection" and isinstance(value, str | Path) and value != SUN
 
 
-def feeder_from_plain(value: Any) -> Any:
+def feeder_from_plain(value: object) -> Any:
     """Return a feeder for its name or folder, random ones for a mapping of fields; any other value unchanged.
 
     FeederError for an unknown feeder, FieldError for an invalid field.
@@ -166,7 +166,7 @@ def feeder_from_plain(value: Any) -> Any:
     raise FeederError(f"{FEEDER_REGISTRY.unknown(str(value))}; or give a folder of your own")
 
 
-def faults_from_plain(value: Any) -> Any:
+def faults_from_plain(value: object) -> Any:
     """Return faults, made from mappings where needed; any other value unchanged. ScenarioError for an invalid one."""
     if isinstance(value, Fault | Mapping):
         value = (value,)

@@ -13,7 +13,7 @@ from dcgrid_env.devices.ride_through.sags import SAG_SEQUENCES, Sag
 from dcgrid_env.scenario.errors import ScenarioError
 
 
-def sags_from_plain(value: Any) -> Any:
+def sags_from_plain(value: object) -> Any:
     """Return sags, made from mappings where needed; any other value unchanged. ScenarioError for an invalid one."""
     if isinstance(value, str):
         if value not in SAG_SEQUENCES:
@@ -30,7 +30,7 @@ def sag_to_plain(sag: Sag) -> dict[str, Any]:
     return plain if sag.since == "episode" else {**plain, "since": sag.since}
 
 
-def _sag(i: int, given: Any) -> Any:
+def _sag(i: int, given: object) -> Any:
     if not isinstance(given, Mapping):
         return given
     keys = [field.name for field in dataclasses.fields(Sag)]

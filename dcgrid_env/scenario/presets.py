@@ -29,7 +29,7 @@ _ALIVE: WeakValueDictionary[Any, Scenario] = WeakValueDictionary()
 """Scenarios with overrides that are still referenced, by the arguments that made them."""
 
 
-def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrides: Any) -> Scenario:
+def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrides: object) -> Scenario:
     """Make a scenario from a name, a file (``my.toml``), a scenario or plain data, and override some fields.
 
     A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
@@ -79,7 +79,7 @@ def _preset(name: str) -> Scenario:
     return made
 
 
-def _key(value: Any) -> Any:
+def _key(value: object) -> Any:
     """Return a hashable form in which equal values of different types differ, such as 1, 1.0 and True."""
     if isinstance(value, Mapping):
         return dict, tuple((key, _key(item)) for key, item in value.items())

@@ -74,7 +74,7 @@ class Scenario(PickledByFields):
     split: str = choice(*ALL_SPLITS, default="train")
     """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators)."""
 
-    def __init__(self, **given: Any):
+    def __init__(self, **given: object):
         self._fill(assembled(None, self.__dataclass_fields__, given))
 
     def _fill(self, values: Mapping[str, Any]) -> None:
@@ -111,7 +111,7 @@ class Scenario(PickledByFields):
     def __deepcopy__(self, memo: dict[int, Any]) -> Scenario:
         return self  # frozen: a copy of an environment shares it
 
-    def replace(self, **overrides: Any) -> Scenario:
+    def replace(self, **overrides: object) -> Scenario:
         """Return a scenario with other values for the named fields, parts or fields of parts, objects or plain data.
 
         A mapping changes the fields of a part that it names, and the weights that it names, and leaves the others.

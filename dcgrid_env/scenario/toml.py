@@ -26,6 +26,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env.core.checked import Plain
 from dcgrid_env.core.files import write_text
 from dcgrid_env.devices import device_kind
 from dcgrid_env.grid import FEEDER_REGISTRY
@@ -136,7 +137,7 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None, bri
 _DEFAULT = object()
 
 
-def _without_defaults(field: dataclasses.Field[Any], plain: Any) -> Any:
+def _without_defaults(field: dataclasses.Field[Any], plain: Plain) -> Plain:
     """Return the plain form of a field without parts at their default; ``_DEFAULT`` if nothing is left."""
     if field.name == "devices":
         return [{"kind": group["kind"], **_changed(device_kind(group["kind"]), group)} for group in plain]
@@ -155,7 +156,7 @@ def _changed(kind: type[Any], plain: dict[str, Any]) -> dict[str, Any]:
     return changed
 
 
-def _from_there(folder: Path, feeder: Any) -> Any:
+def _from_there(folder: Path, feeder: Any) -> Plain:
     """Return a feeder's folder relative to another folder above it; else unchanged."""
     if not isinstance(feeder, str) or feeder in FEEDER_REGISTRY:
         return feeder
@@ -166,7 +167,7 @@ def _from_there(folder: Path, feeder: Any) -> Any:
     return f"./{below}" if below in FEEDER_REGISTRY else below  # a folder that bears a shipped feeder's name
 
 
-def _from_here(folder: Path, name: str, value: Any) -> Any:
+def _from_here(folder: Path, name: str, value: object) -> Plain:
     """Return paths relative to the folder of the file."""
     name = name.rpartition(".")[2]
     if isinstance(value, dict):
@@ -185,7 +186,7 @@ NONE = "none"
 """Text for None, which TOML does not have."""
 
 
-def _none_in(value: Any) -> Any:
+def _none_in(value: object) -> Plain:
     if isinstance(value, dict):
         return {key: _none_in(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -193,7 +194,7 @@ def _none_in(value: Any) -> Any:
     return None if value == NONE else value
 
 
-def _without_none(value: Any) -> Any:
+def _without_none(value: object) -> Plain:
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items()}
     if isinstance(value, list):

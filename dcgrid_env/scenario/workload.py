@@ -58,7 +58,7 @@ class Workload:
             raise refuse(self, "trace", "give a source's name, a PowerTrace or a tuple of them")
 
 
-def _is_period(value: Any) -> bool:
+def _is_period(value: object) -> bool:
     return isinstance(value, tuple) and len(value) == 2 and all(map(finite, value)) and 0.0 <= value[0] < value[1]
 
 
@@ -66,7 +66,7 @@ def _are_traces(values: tuple[Any, ...]) -> bool:
     return all(isinstance(value, PowerTrace) for value in values)
 
 
-def _trace(value: Any) -> Any:
+def _trace(value: object) -> Any:
     """Return the recordings for names and files; any other value unchanged."""
     if isinstance(value, PowerTrace):
         return (value,)
@@ -78,7 +78,7 @@ def _trace(value: Any) -> Any:
     return value
 
 
-def _recording(value: Any) -> PowerTrace:
+def _recording(value: object) -> PowerTrace:
     try:
         return recorded_trace(str(value))
     except (TraceError, OSError) as error:

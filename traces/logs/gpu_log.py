@@ -165,8 +165,8 @@ class _Log:
             )
         power_kw = np.zeros_like(time_s)
         for s in series:
-            at = np.searchsorted(np.frombuffer(s.time_s), time_s, side="right") - 1
-            power_kw += np.frombuffer(s.power_kw)[at]
+            latest = np.searchsorted(np.frombuffer(s.time_s), time_s, side="right") - 1
+            power_kw += np.frombuffer(s.power_kw)[latest]
         began = np.datetime64((self._origin_ns or 0) + round(begin_s * 1e9), "ns").astype("datetime64[ms]")
         return time_s - begin_s, power_kw, str(began)
 

@@ -121,8 +121,8 @@ class Pool:
 
     def rest(self) -> Load:
         """Go on for a while without new requests."""
-        none = np.zeros(0, dtype=np.int64)
-        return self.advance(none.astype(np.float64), none, none, _CHUNK)
+        empty = np.zeros(0, dtype=np.int64)
+        return self.advance(empty.astype(np.float64), empty, empty, _CHUNK)
 
 
 def _reached_s(goal: FloatArray, at_v: FloatArray) -> FloatArray:

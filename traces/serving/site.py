@@ -141,10 +141,10 @@ def generate_site(
     kept: list[FloatArray] = []
     for number, tenant in enumerate(site.tenants):
         demand = _Demand(site, tenant, number, seed, group, correlation, 3600.0 * hour)
-        own = np.zeros((2, n_steps))
-        kept.append(_serve(site, tenant, demand, own))
-        share += own[0]
-        compute += own[1]
+        served = np.zeros((2, n_steps))
+        kept.append(_serve(site, tenant, demand, served))
+        share += served[0]
+        compute += served[1]
     if site.training_share:
         part = generate_training(duration_s, seed)
         assert part.compute_kw is not None
@@ -168,7 +168,7 @@ def generate_sites(
     All begin at the same hour, `seed` modulo 24.
     """
     seeds = [seed + 24_000_000 * (k + 1) for k in range(n_sites)]  # the same hour, days of their own
-    return [generate_site(duration_s, own, site, correlation=correlation, group=seed) for own in seeds]
+    return [generate_site(duration_s, site_seed, site, correlation=correlation, group=seed) for site_seed in seeds]
 
 
 class _Demand:
@@ -189,14 +189,14 @@ class _Demand:
     def chunks(self, n_steps: int) -> Iterator[tuple[FloatArray, IntArray, IntArray, int]]:
         """Requests of each chunk of steps, and how many steps it has."""
         duration_s = n_steps * GRID_S
-        own = in_chunks(self.service.draw(self.name, self.seed, duration_s, self.begin_s), n_steps)
+        own_chunks = in_chunks(self.service.draw(self.name, self.seed, duration_s, self.begin_s), n_steps)
         if not self.correlation:
-            yield from own
+            yield from own_chunks
             return
         assert self.group is not None
         blocks = stream("site blocks", self.group).random(math.ceil(duration_s / BLOCK_S) + 1) < self.correlation
         both = in_chunks(self.service.draw(f"{self.name} shared", self.group, duration_s, self.begin_s), n_steps)
-        for mine, shared in zip(own, both, strict=True):
+        for mine, shared in zip(own_chunks, both, strict=True):
             in_mine, in_shared = (blocks[(part[0] / BLOCK_S).astype(np.int64)] for part in (mine, shared))
             arrival_s = np.concatenate((mine[0][~in_mine], shared[0][in_shared]))
             context = np.concatenate((mine[1][~in_mine], shared[1][in_shared]))
@@ -214,17 +214,17 @@ def _serve(site: Site, tenant: Tenant, demand: _Demand, out: FloatArray) -> Floa
     pool = Pool(unit, n_replicas, demand.every)
     weight = n_replicas * unit.n_gpus / site.n_gpus
     warm_up, n_steps = round(_WARM_UP_S / GRID_S), out.shape[1]
-    kept, at = [], -warm_up
+    kept, step = [], -warm_up
     for arrival_s, context, generated_tokens, steps in demand.chunks(warm_up + n_steps + round(_TAIL_S / GRID_S)):
         load = pool.advance(arrival_s, context, generated_tokens, steps)
-        begin, end = max(at, 0), min(at + steps, n_steps)
+        begin, end = max(step, 0), min(step + steps, n_steps)
         if end > begin:
-            within = slice(begin - at, end - at)
+            within = slice(begin - step, end - step)
             drawn, compute = site_shares(unit.gpu, load.dynamic[within], load.compute[within])
             out[0, begin:end] = weight * (drawn - IDLE_SHARE)
             out[1, begin:end] = weight * compute
         kept.append(load.done[1:])
-        at += steps
+        step += steps
     while pool.waiting:
         kept.append(pool.rest().done[1:])
     table = np.concatenate(kept, axis=1)

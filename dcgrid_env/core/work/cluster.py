@@ -60,7 +60,7 @@ class Cluster(Place):
         has, lacking = [node["Resources"] for node in self.nodes], []
         for needs in dict.fromkeys(unit.needs for unit in units):
             wanted = {"CPU": needs.cores, "GPU": needs.gpus, "memory": needs.memory_gb * _GB}
-            if not any(all(own.get(what, 0) >= n for what, n in wanted.items()) for own in has):
+            if not any(all(resources.get(what, 0) >= n for what, n in wanted.items()) for resources in has):
                 memory = [f"{needs.memory_gb:g} GB of memory"] if needs.memory_gb else []
                 listed = [f"{n:g} {what}" for what, n in wanted.items() if n and what != "memory"] + memory
                 first = next(unit.key for unit in units if unit.needs == needs)

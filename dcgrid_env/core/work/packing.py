@@ -15,7 +15,7 @@ import cloudpickle
 _OURS = __name__.partition(".")[0]
 
 
-def packed(value: Any) -> bytes:
+def packed(value: object) -> bytes:
     """A pickle of a value that carries functions and classes of the user's own modules whole, not by their names."""
     (only,) = all_packed([value])
     return only

@@ -26,7 +26,7 @@ _values: dict[str, Any] = {}
 _busy = False
 
 
-def shared(name: str, default: Any = None) -> Any:
+def shared(name: str, default: object = None) -> Any:
     """A value that the units of this run share, by its name; ``default`` where there is none."""
     return _values.get(name, default)
 

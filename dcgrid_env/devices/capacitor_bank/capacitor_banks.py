@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -89,7 +89,7 @@ class CapacitorBanks(GridEquipment):
         parameters: CapacitorBankParams,
         state: CapacitorBankState,
         setpoints: tuple[Array, ...],
-        given: Any,
+        given: object,
         dt_s: float,
     ) -> tuple[CapacitorBankState, Array]:
         """Switch as asked for."""
@@ -98,6 +98,8 @@ class CapacitorBanks(GridEquipment):
         since_s = xp.where(switched > 0.0, 0.0 * on, state.since_s + dt_s)
         return CapacitorBankState(on, since_s, switched), 0.0 * on
 
-    def observe(self, parameters: CapacitorBankParams, state: CapacitorBankState, given_next: Any) -> tuple[Array, ...]:
+    def observe(
+        self, parameters: CapacitorBankParams, state: CapacitorBankState, given_next: object
+    ) -> tuple[Array, ...]:
         """Whether it is on, and the time since it was switched, see ``fields``."""
         return state.on, state.since_s

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import lcm
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from dcgrid_env.core.arrays import Array, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 _SAME_TIME_S = 1e-6
 
@@ -102,7 +103,7 @@ def bank_settings(feeder: ThreePhaseFeeder) -> BankSettings:
     return BankSettings(positions, np.divide(base_kv * phases, rated, out=np.zeros_like(rated), where=rated > 0.0))
 
 
-def measured_banks(settings: BankSettings, solution: Any, state: BankState) -> BankState:
+def measured_banks(settings: BankSettings, solution: ThreePhaseSolution, state: BankState) -> BankState:
     """The state with what each bank measures of a ``ThreePhaseSolution``."""
     shape = (*state.on.shape, -1)
     if not state.on.shape[-1]:
@@ -116,8 +117,8 @@ def measured_banks(settings: BankSettings, solution: Any, state: BankState) -> B
 
 def initial_banks(on: Array) -> BankState:
     """The state at t = 0 of banks that are on or off, (row, n_capacitor), before anything is measured."""
-    none = 0.0 * on
-    return BankState(on, none + 1.0, none, none, none, none, none)
+    zero = 0.0 * on
+    return BankState(on, zero + 1.0, zero, zero, zero, zero, zero)
 
 
 def control_banks(
@@ -127,7 +128,7 @@ def control_banks(
 
     ``controlled`` is 1 for a bank whose control acts and 0 for one that stays, (n_capacitor,); None where all act.
     """
-    xp, none = namespace(state.on), 0.0 * state.on
+    xp, zero = namespace(state.on), 0.0 * state.on
     if control.measures == "voltage":
         too_low, too_high = state.v_pu < control.on_below_pu, state.v_pu > control.off_above_pu
     else:
@@ -135,14 +136,14 @@ def control_banks(
     beyond = (too_low & (state.on < 0.5)) | (too_high & (state.on > 0.5))
     if controlled is not None:
         beyond = beyond & (controlled > 0.0)
-    waited = xp.where(beyond, state.beyond_s + dt_s, none)
+    waited = xp.where(beyond, state.beyond_s + dt_s, zero)
     due = beyond & (waited >= control.delay_s - _SAME_TIME_S)
     on = xp.where(due, 1.0 - state.on, state.on)
-    switched = xp.where(due, none + 1.0, none)
-    since = xp.where(due, none, state.since_s + dt_s)
+    switched = xp.where(due, zero + 1.0, zero)
+    since = xp.where(due, zero, state.since_s + dt_s)
     return state._replace(
         on=on,
-        beyond_s=xp.where(due, none, waited),
+        beyond_s=xp.where(due, zero, waited),
         since_s=since,
         switched=switched,
         switchings=state.switchings + switched,

@@ -20,7 +20,7 @@ factors of 3 and 5 that arXiv 2601.22076 names for the use of a GPU. b0 and ``ga
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -114,7 +114,7 @@ class BatchedSites(PassesBy):
     def _longest_s(self) -> float:
         return self.rule.gather_s * (self.rule.highest / self.rule.reference - 1.0)
 
-    def _energy(self, size: Any) -> Any:
+    def _energy(self, size: Array) -> Array:
         """e(b) for log2 of b."""
         c = self.rule.batch_energy_share
         return 1.0 - c + c * self.rule.reference * 2.0 ** (-size)

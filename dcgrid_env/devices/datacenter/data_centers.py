@@ -26,7 +26,7 @@ from dcgrid_env.devices.datacenter.site_steps import SiteSteps
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.datacenter.streaming_sites import StreamingSites
 from dcgrid_env.devices.datacenter.work_routing import Routing
-from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q, Work
+from dcgrid_env.devices.device import Channel, CostTerm, DeviceInput, DeviceState, Field, GridChange, Q, Requests, Work
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
@@ -203,7 +203,7 @@ class DataCenters(PickledByFields):
         """Raise FieldError for a feature that does not support steps of this length."""
         check_step(self, dt_s)
 
-    def initial(self, parameters: DataCenterParams, zero: Array) -> Any:
+    def initial(self, parameters: DataCenterParams, zero: Array) -> DeviceState:
         """Return the initial state: empty queues, highest clocks, and the features' initial states."""
         xp = namespace(zero)
         by_class = xp.stack((zero, zero), axis=-1) if self.work_classes == 2 else zero
@@ -216,9 +216,9 @@ class DataCenters(PickledByFields):
     def step(
         self,
         parameters: DataCenterParams,
-        state: Any,
+        state: DeviceState,
         setpoints: tuple[Array, ...],
-        given: Any,
+        given: DeviceInput,
         dt_s: float,
     ) -> tuple[Any, Array]:
         """Serve work at the speed of the clock, see ``datacenter.step``; features act on it, see ``site_features``."""
@@ -227,7 +227,7 @@ class DataCenters(PickledByFields):
         given = Given(given, None) if self.ride_through is None else Given(given.given, given)
         return self._steps.with_features(parameters, state, setpoints, given, dt_s)
 
-    def connected(self, state: Any) -> Array:
+    def connected(self, state: DeviceState) -> Array:
         """Return the share of each site's power that is on the grid, see ``device.may_leave``."""
         return state.ups.share
 
@@ -235,7 +235,7 @@ class DataCenters(PickledByFields):
         """Change nothing in the grid."""
         return GridChange()
 
-    def observe(self, parameters: DataCenterParams, state: Any, given_next: Work) -> tuple[Array, ...]:
+    def observe(self, parameters: DataCenterParams, state: DeviceState, given_next: Work) -> tuple[Array, ...]:
         """Return the raw figures of the fields, kW and kW s."""
         coming, waiting = given_next.p_ref_kw, state.backlog_kws
         of_features = []
@@ -247,7 +247,7 @@ class DataCenters(PickledByFields):
         compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
         return coming, waiting, compute, state.class_backlog_kws[..., 0], *of_features
 
-    def amount(self, name: str, parameters: DataCenterParams, state: Any) -> Array:
+    def amount(self, name: str, parameters: DataCenterParams, state: DeviceState) -> Array:
         """Return queued work, kW s, the clock's movement as a share of its range, or a feature's amount."""
         if name == "backlog_kws":
             return state.backlog_kws
@@ -257,14 +257,14 @@ class DataCenters(PickledByFields):
         span = self.f_max_mhz - self.f_min_mhz or 1.0
         return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
 
-    def totals(self, state: Any) -> dict[str, Array]:
+    def totals(self, state: DeviceState) -> dict[str, Array]:
         """Return the queued work of all sites, kW s, and the figures of the features."""
         figures = {"backlog_kws": sum_last(state.backlog_kws)}
         for feature, feature_state in self._with_states(state):
             figures |= feature.totals(feature_state)
         return figures
 
-    def metrics(self, history: Any, dt_s: float, requests: Any) -> dict[str, float]:
+    def metrics(self, history: DeviceState, dt_s: float, requests: Requests) -> dict[str, float]:
         """Return waiting times, clocks, times of requests, and the metrics of the features."""
         latency_s = self.routing.move_latency_s if self.routing else 0.0
         figures = site_metrics(self.parameters, self.clock_law, history, dt_s, requests, latency_s)
@@ -272,16 +272,16 @@ class DataCenters(PickledByFields):
             figures |= feature.metrics(self.parameters, history, feature_state, dt_s)
         return figures
 
-    def streaming(self, dt_s: float, requests: Any) -> StreamingSites:
+    def streaming(self, dt_s: float, requests: Requests) -> StreamingSites:
         """Return an accumulator of the figures of ``metrics`` for a streamed episode."""
         latency_s = self.routing.move_latency_s if self.routing else 0.0
         return StreamingSites(self.parameters, self.clock_law, self.features, latency_s, dt_s, requests)
 
-    def _with_states(self, state: Any) -> Iterable[tuple[SiteFeature, Any]]:
+    def _with_states(self, state: DeviceState) -> Iterable[tuple[SiteFeature, Any]]:
         return zip(self.features, state.features, strict=True) if self.features else ()
 
 
-def _clock_law(value: Any) -> Any:
+def _clock_law(value: object) -> Any:
     try:
         return clock_law(value)
     except ValueError as error:

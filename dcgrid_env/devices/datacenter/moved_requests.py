@@ -8,17 +8,17 @@ proportion to the work that they receive. Each request is then served in the que
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
+from dcgrid_env.devices.device import DeviceState
 from dcgrid_env.traces import RequestTimes
 
 _EVENLY = (0.6180339887498949, 0.7548776662466927)  # multiples of either, less whole numbers, fill 0 .. 1 evenly
 
 
 def by_site(
-    requests: list[tuple[RequestTimes, float]], history: Any, dt_s: float
+    requests: list[tuple[RequestTimes, float]], history: DeviceState, dt_s: float
 ) -> Iterator[tuple[RequestTimes, float, int, int]]:
     """Requests, where their episode begins among them, s, the site that serves them and that at which they arrived.
 

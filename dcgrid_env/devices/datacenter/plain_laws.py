@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from dcgrid_env.core.checked import Plain
 from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
 from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
 
@@ -13,7 +14,7 @@ CLOCK_LAWS: dict[str, type[Any]] = {"linear": LinearDvfs, "prefill-decode": Pref
 """Clock laws by name."""
 
 
-def clock_law(value: Any) -> Any:
+def clock_law(value: object) -> Any:
     """Return the law for plain data; any other value unchanged.
 
     ValueError, with the allowed values, for an unknown law or parameter, or an invalid value.
@@ -34,7 +35,7 @@ def clock_law(value: Any) -> Any:
     return CLOCK_LAWS[law](**parameters)
 
 
-def plain_law(law: Any) -> Any:
+def plain_law(law: Any) -> Plain:
     """Return the plain form of a law; a custom law unchanged."""
     for name, kind in CLOCK_LAWS.items():
         if type(law) is kind:

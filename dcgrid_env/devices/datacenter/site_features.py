@@ -19,6 +19,9 @@ from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
 from dcgrid_env.devices.ride_through.connection import Supply
 
+FeatureState = Any
+"""State of a feature: a NamedTuple of arrays (row, slot, ..), each feature its own."""
+
 
 class SiteState(NamedTuple):
     """State of data centres that have features: what ``DataCenterState`` has, and the state of each feature.
@@ -83,7 +86,7 @@ class PassesBy:
     def step(
         self,
         params: DataCenterParams,
-        feature_state: Any,
+        feature_state: FeatureState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -118,14 +121,14 @@ class SiteFeature(Protocol):
         """What it is charged for."""
         ...
 
-    def initial(self, params: DataCenterParams, zero: Array) -> Any:
+    def initial(self, params: DataCenterParams, zero: Array) -> FeatureState:
         """State before t = 0; ``zero`` is 0, (row, slot)."""
         ...
 
     def step(
         self,
         params: DataCenterParams,
-        feature_state: Any,
+        feature_state: FeatureState,
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
@@ -157,20 +160,20 @@ class SiteFeature(Protocol):
         """
         ...
 
-    def observe(self, params: DataCenterParams, feature_state: Any) -> tuple[Array, ...]:
+    def observe(self, params: DataCenterParams, feature_state: FeatureState) -> tuple[Array, ...]:
         """Raw figures of the fields, (row, slot) each."""
         ...
 
-    def amount(self, name: str, params: DataCenterParams, feature_state: Any) -> Array:
+    def amount(self, name: str, params: DataCenterParams, feature_state: FeatureState) -> Array:
         """What a cost term charges, one of ``amounts``, (row, slot)."""
         ...
 
-    def totals(self, feature_state: Any) -> dict[str, Array]:
+    def totals(self, feature_state: FeatureState) -> dict[str, Array]:
         """Figures of all slots together in ``info``, (row,) each."""
         ...
 
     def metrics(
-        self, params: DataCenterParams, history: SiteState, feature_state: Any, dt_s: float
+        self, params: DataCenterParams, history: SiteState, feature_state: FeatureState, dt_s: float
     ) -> dict[str, float]:
         """Figures of an episode from the sites' state over time and from its own, (T + 1, slot, ..) each."""
         ...
@@ -183,7 +186,7 @@ class AdmittingFeature(SiteFeature, Protocol):
         self,
         params: DataCenterParams,
         state: SiteState,
-        feature_state: Any,
+        feature_state: FeatureState,
         load: Load,
         setpoints: tuple[Array, ...],
         given: Work,

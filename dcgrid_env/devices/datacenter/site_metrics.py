@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, speed_share
 from dcgrid_env.devices.datacenter.moved_requests import by_site
 from dcgrid_env.devices.datacenter.request_delay import request_delays, serve_requests
 from dcgrid_env.devices.datacenter.waiting_time import Delays, fcfs_delays
+from dcgrid_env.devices.device import DeviceState, Requests
 from dcgrid_env.devices.ratings import DataCenterParams
+from dcgrid_env.traces import RequestTimes
 
 METRICS = (
     Metric("delay_mean_s", "mean delay", "s", 2, "lower",
@@ -46,7 +46,12 @@ METRICS = (
 
 
 def site_metrics(
-    params: DataCenterParams, clock_law: Dvfs, history: Any, dt_s: float, requests: Any, latency_s: float = 0.0
+    params: DataCenterParams,
+    clock_law: Dvfs,
+    history: DeviceState,
+    dt_s: float,
+    requests: Requests,
+    latency_s: float = 0.0,
 ) -> dict[str, float]:
     """Figures by name, see ``Device.metrics``; ``history`` has the fields of ``DataCenterState`` over time, and
     ``latency_s`` is that of a move between sites."""
@@ -69,14 +74,19 @@ def delay_figures(delays: Delays) -> dict[str, float]:
     }
 
 
-def mean_clock_pct(params: DataCenterParams, history: Any) -> float:
+def mean_clock_pct(params: DataCenterParams, history: DeviceState) -> float:
     """Mean clock of all sites as a share of the top clock, which is one for all."""
     clock = history.f_mhz[1:].mean() / params.f_max_mhz[0] if len(params.f_max_mhz) else 1.0
     return 100.0 * clock
 
 
 def figures_of_requests(
-    params: DataCenterParams, clock_law: Dvfs, history: Any, dt_s: float, requests: Any, latency_s: float
+    params: DataCenterParams,
+    clock_law: Dvfs,
+    history: DeviceState,
+    dt_s: float,
+    requests: list[tuple[RequestTimes, float]],
+    latency_s: float,
 ) -> dict[str, float]:
     """Figures over the requests of all sites, see ``site_metrics``."""
     parts = (history.class_arrived_kw[1:], history.class_served_kw[1:])

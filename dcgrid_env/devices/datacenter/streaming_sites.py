@@ -16,6 +16,7 @@ from dcgrid_env.devices.datacenter.clock_law import Dvfs
 from dcgrid_env.devices.datacenter.feature_settings import METRICS as OF_FEATURES
 from dcgrid_env.devices.datacenter.site_metrics import METRICS, delay_figures, figures_of_requests, mean_clock_pct
 from dcgrid_env.devices.datacenter.streaming_waiting import WaitingTimes
+from dcgrid_env.devices.device import DeviceState, Requests
 from dcgrid_env.devices.ratings import DataCenterParams
 
 _OF_REQUESTS = (
@@ -44,7 +45,7 @@ class StreamingSites:
         features: tuple[Any, ...],
         latency_s: float,
         dt_s: float,
-        requests: Any,
+        requests: Requests,
     ):
         self.params, self.clock_law, self.features = params, clock_law, features
         self.latency_s, self.dt_s, self.requests = latency_s, dt_s, requests
@@ -52,7 +53,7 @@ class StreamingSites:
         self._own = [getattr(feature, "streaming", lambda *_: None)(params, dt_s) for feature in features]
         self._kept: dict[str, list[np.ndarray]] = {}
 
-    def add(self, history: Any, steps: int) -> None:
+    def add(self, history: DeviceState, steps: int) -> None:
         """Take a part, see ``core.metric.Streaming``."""
         arrived, served = (w[1:].reshape(steps, -1) for w in (history.class_arrived_kw, history.class_served_kw))
         self._waiting.add(arrived, served)

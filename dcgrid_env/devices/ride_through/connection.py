@@ -15,12 +15,14 @@ device is connected is a step function, which has none but where a smooth surrog
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, sum_last
 from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.devices.device import DeviceInput
 from dcgrid_env.devices.ride_through import connection_surrogate
 from dcgrid_env.devices.ride_through.rules import ALL_BACK, Figures, RideThrough
 
@@ -30,7 +32,7 @@ _MINUTE_S = 60.0
 class Supply(NamedTuple):
     """Input of a device with a ride-through rule over an interval."""
 
-    given: Any
+    given: DeviceInput
     """Usual input of the device, see ``Device.input``."""
     v_lowest_pu: Array
     """Voltage of its lowest phase before the interval, p.u., (row, slot)."""
@@ -220,7 +222,7 @@ def _figures(rule: RideThrough, like: Array) -> Figures:
     return figures._make(as_like(a, like) if isinstance(a, np.ndarray) else a for a in figures)
 
 
-def _measured(xp: Any, v_lowest_pu: Array, v_highest_pu: Array, n_under: int, n_over: int) -> Array:
+def _measured(xp: ModuleType, v_lowest_pu: Array, v_highest_pu: Array, n_under: int, n_over: int) -> Array:
     """What each element compares with its threshold, p.u., (row, slot, n_element)."""
     low = _repeated(v_lowest_pu, n_under)
     return low if not n_over else xp.concat((low, -_repeated(v_highest_pu, n_over)), axis=-1)
@@ -231,7 +233,7 @@ def _repeated(values: Array, times: int) -> Array:
     return namespace(values).broadcast_to(values[..., None], (*values.shape, times)) + 0.0
 
 
-def _sags(sags: Any) -> Any:
+def _sags(sags: Array | None) -> Array:
     """Duration, share left and rest of each sag that begins in the interval in any row, (row, 1) each, in turn."""
     if sags is None:
         return
@@ -240,7 +242,7 @@ def _sags(sags: Any) -> Any:
             yield sags[:, i, 0:1], sags[:, i, 1:2], sags[:, i, 2:3]
 
 
-def _with_new(xp: Any, where: Array, age_s: Array, ages_s: Array) -> Array:
+def _with_new(xp: ModuleType, where: Array, age_s: Array, ages_s: Array) -> Array:
     """Ages with a new one in front, and the oldest gone, where there is one."""
     if not ages_s.shape[-1]:
         return ages_s

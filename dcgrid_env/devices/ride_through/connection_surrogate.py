@@ -67,7 +67,7 @@ def smoothed_pace(pace: Array, rate: Array, fastest: float, dt_s: float, widths:
 
 
 def with_derivatives(
-    before: Any, after: Any, v: Array, threshold: Array, time_s: Array, fell: Array, may_return: Array, pace: Any,
+    before: Any, after: Any, v: Array, threshold: Array, time_s: Array, fell: Array, may_return: Array, pace: Array,
     dt_s: float, widths: TripWidths,
 ) -> Any:  # fmt: skip
     """Return the exact state after an interval with the derivatives of the surrogate.

@@ -59,19 +59,19 @@ def step(
 
 def observe(rule: RideThrough, state: RidingInverterState) -> tuple[Array, ...]:
     """Raw figures of ``fields``."""
-    own = state.connection
-    *_, timer_share = connection.counters(rule, own)
-    return own.share, timer_share, own.wait_s
+    link = state.connection
+    *_, timer_share = connection.counters(rule, link)
+    return link.share, timer_share, link.wait_s
 
 
 def totals(state: RidingInverterState) -> dict[str, Array]:
     """Trips in the step, and inverters that are away."""
-    own = state.connection
-    away = namespace(own.share).astype(own.share <= 0.0, own.share.dtype)
-    return {"inverter_trips": sum_last(own.tripped), "inverters_away": sum_last(away)}
+    link = state.connection
+    away = namespace(link.share).astype(link.share <= 0.0, link.share.dtype)
+    return {"inverter_trips": sum_last(link.tripped), "inverters_away": sum_last(away)}
 
 
 def metrics(history: RidingInverterState, dt_s: float) -> dict[str, float]:
     """Figures of an episode, see ``core.metric``."""
-    own = history.connection
-    return {"inverter_trips": own.tripped[1:].sum(), "inverter_away_s": (1.0 - own.share[1:]).sum() * dt_s}
+    link = history.connection
+    return {"inverter_trips": link.tripped[1:].sum(), "inverter_away_s": (1.0 - link.share[1:]).sum() * dt_s}

@@ -32,13 +32,13 @@ Release = Literal["by hand", "staggered", "agent"]
 class Figures(NamedTuple):
     """Settings of a rule for each slot, and for all."""
 
-    threshold: Any
+    threshold: np.ndarray
     """Thresholds of the elements, p.u., undervoltages first, (slot, n_element)."""
-    time_s: Any
+    time_s: np.ndarray
     """Time that each element counts before it trips, s, (slot, n_element)."""
-    delay_s: Any
+    delay_s: np.ndarray
     """Delay of each slot before it returns, s, (slot,)."""
-    release_s: Any
+    release_s: np.ndarray
     """Delay before a release from a lock-out, s, (slot,)."""
     n_under: int
     """Number of elements for undervoltages."""
@@ -173,7 +173,7 @@ class UpsRideThrough(RideThrough):
             raise refuse(self, "walk_in_s", "give more than 0 s where the agent sets how fast a site returns")
 
 
-def rule_of(kind: type[Any], value: Any) -> Any:
+def rule_of(kind: type[Any], value: object) -> Any:
     """Make a rule from its plain form, a mapping of its fields or the name of a curve; return other values unchanged.
 
     Raises FieldError for an unknown field, or if the curve is missing.

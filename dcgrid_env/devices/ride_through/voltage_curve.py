@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.checked import FieldError, finite
+from dcgrid_env.core.checked import FieldError, Plain, finite
 
 Threshold = tuple[float, float]
 """Voltage, p.u., and time for which voltages beyond it are ridden through, s."""
@@ -121,7 +121,7 @@ class Elements:
         return len(self.sign)
 
 
-def curves_of(value: Any) -> Any:
+def curves_of(value: object) -> Any:
     """Make a curve from a name or a mapping, or one for each entry of a list; return other values unchanged.
 
     FieldError for an unknown name or an invalid curve.
@@ -138,7 +138,7 @@ def curves_of(value: Any) -> Any:
     return tuple(map(curves_of, value)) if isinstance(value, list | tuple) else value
 
 
-def plain_curve(curve: RideThroughCurve) -> Any:
+def plain_curve(curve: RideThroughCurve) -> Plain:
     """Return the plain form of a curve: its name, or its tables."""
     named = next((name for name, known in CURVES.items() if known == curve), None)
     return named or {"under": [list(pair) for pair in curve.under], "over": [list(pair) for pair in curve.over]}

@@ -81,7 +81,9 @@ class Storages(figures.StorageFigures, PickledByFields):
         return cls._lasting(buses, p_rated_kw, lasting, sizes.BESS | fields)
 
     @classmethod
-    def _lasting(cls, buses: Any, p_rated_kw: Rating, hours: float, fields: dict[str, Any]) -> Storages:
+    def _lasting(
+        cls, buses: tuple[int | str, ...], p_rated_kw: Rating, hours: float, fields: dict[str, Any]
+    ) -> Storages:
         energy = tuple(hours * p_kw for p_kw in _each("p_rated_kw", p_rated_kw, buses))
         return cls(**{"buses": buses, "p_rated_kw": p_rated_kw, "energy_kwh": energy} | fields)
 
@@ -138,7 +140,7 @@ class Storages(figures.StorageFigures, PickledByFields):
         return energy_balance.initial(parameters, zero)
 
     def step(
-        self, parameters: StorageParams, state: StorageState, setpoints: tuple[Array, ...], given: Any, dt_s: float
+        self, parameters: StorageParams, state: StorageState, setpoints: tuple[Array, ...], given: object, dt_s: float
     ) -> tuple[StorageState, Array]:
         """Charge or discharge within the free capacity or stored energy, see ``energy_balance``."""
         (asked_kw,) = setpoints
@@ -149,7 +151,7 @@ class Storages(figures.StorageFigures, PickledByFields):
         """Change nothing in the grid."""
         return GridChange()
 
-    def observe(self, parameters: StorageParams, state: StorageState, given_next: Any) -> tuple[Array, ...]:
+    def observe(self, parameters: StorageParams, state: StorageState, given_next: object) -> tuple[Array, ...]:
         """Return the raw figures of the fields, kWh and kW."""
         return state.stored_kwh, state.charge_limit_kw, state.discharge_limit_kw
 
@@ -161,12 +163,12 @@ class Storages(figures.StorageFigures, PickledByFields):
         """Return the stored energy, throughput, losses and missing energy of all storages, kWh."""
         return figures.totals(state)
 
-    def metrics(self, history: StorageState, dt_s: float, requests: Any) -> dict[str, float]:
+    def metrics(self, history: StorageState, dt_s: float, requests: object) -> dict[str, float]:
         """Return the energy at the end, its minimum, the throughput, the losses and the missing energy."""
         return figures.metrics(self.parameters, history)
 
 
-def _each(name: str, value: Any, buses: Any) -> tuple[float, ...]:
+def _each(name: str, value: Any, buses: tuple[int | str, ...]) -> tuple[float, ...]:
     """Return a positive figure for each storage; FieldError otherwise. The group checks the buses."""
     n = len(buses) if isinstance(buses, tuple | list) else 1
     values = tuple(value) if isinstance(value, tuple | list) else (value,) * n

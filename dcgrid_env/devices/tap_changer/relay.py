@@ -18,6 +18,7 @@ from dcgrid_env.core.arrays import Array, as_like, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 
 class RelaySettings(NamedTuple):
@@ -75,13 +76,13 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
 def _feeds(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
     """Return 1 where the row regulator is the column regulator or is between it and the source in its sensed phase."""
     regulator, feeds = feeder.branches.regulator, np.zeros((len(node), len(node)))
-    for column, at in enumerate(node):
-        while at >= 0:
-            bus = feeder.node_bus[at]
-            row = regulator[bus, at - feeder.first_node[bus]]
+    for column, upstream in enumerate(node):
+        while upstream >= 0:
+            bus = feeder.node_bus[upstream]
+            row = regulator[bus, upstream - feeder.first_node[bus]]
             if row >= 0:
                 feeds[row, column] = 1.0
-            at = feeder.node_parent[at]
+            upstream = feeder.node_parent[upstream]
     return feeds
 
 
@@ -98,7 +99,7 @@ def settings_like(settings: Any, like: Array) -> Any:
     )
 
 
-def relay_volts(settings: RelaySettings, solution: Any) -> Array:
+def relay_volts(settings: RelaySettings, solution: ThreePhaseSolution) -> Array:
     """Relay volts of each regulator, (..., n_regulator), of a ``ThreePhaseSolution`` of its feeder."""
     return _relay_volts(settings, solution.v_re_pu, solution.v_im_pu, solution.i_re_a, solution.i_im_a)
 

@@ -15,6 +15,7 @@ from dcgrid_env.core.arrays import Array, as_like, namespace
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction, relay_settings, relay_volts, settings_like
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import Control, solve_unbalanced
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
 MOST_ROUNDS = 1000
 Move = Callable[[RelaySettings, Array], Array]
@@ -41,7 +42,7 @@ def settled_taps(
     feeder: ThreePhaseFeeder,
     p_kw: Array,
     q_kvar: Array,
-    source_voltage_pu: Any = None,
+    source_voltage_pu: Array | float | None = None,
     control: Control | None = None,
     tap: Array | None = None,
     *,
@@ -64,27 +65,27 @@ def settled_taps(
     p_kw, q_kvar = (a.detach() if hasattr(a, "detach") else a for a in (p_kw, q_kvar))
     xp, settings = namespace(p_kw), settings_like(relay_settings(feeder), p_kw)
     n_row = p_kw.shape[0]
-    none = 0.0 * p_kw[:, :1] + as_like(np.zeros(feeder.n_regulator), p_kw)
-    taps = none + as_like(feeder.base_tap, p_kw) if tap is None else tap
-    at = xp.arange(n_row, device=p_kw.device)
-    settled = at < 0
+    zero = 0.0 * p_kw[:, :1] + as_like(np.zeros(feeder.n_regulator), p_kw)
+    taps = zero + as_like(feeder.base_tap, p_kw) if tap is None else tap
+    rows = xp.arange(n_row, device=p_kw.device)
+    settled = rows < 0
     before, start, rounds = [taps], None, 0
-    while len(at) and feeder.n_regulator and rounds < MOST_ROUNDS:
+    while len(rows) and feeder.n_regulator and rounds < MOST_ROUNDS:
         rounds += 1
-        solution = _solve(feeder, p_kw, q_kvar, source_voltage_pu, control, taps, at, start)
+        solution = _solve(feeder, p_kw, q_kvar, source_voltage_pu, control, taps, rows, start)
         volts = relay_volts(settings, solution)
-        turn = _turns(settings, volts, taps[at], controlled) * move(settings, settings.target_v - volts)
+        turn = _turns(settings, volts, taps[rows], controlled) * move(settings, settings.target_v - volts)
         turn = xp.where(solution.converged[:, None], turn, 0.0 * turn)
-        after = xp.minimum(xp.maximum(taps[at] + turn, settings.lowest + 0.0 * turn), settings.highest + 0.0 * turn)
+        after = xp.minimum(xp.maximum(taps[rows] + turn, settings.lowest + 0.0 * turn), settings.highest + 0.0 * turn)
         rests = (turn == 0.0).all(-1)
-        settled = _put(settled, at, rests & solution.converged)
-        taps = _put(taps, at, after)
+        settled = _put(settled, rows, rests & solution.converged)
+        taps = _put(taps, rows, after)
         came_back = rests
         for earlier in before:
-            came_back = came_back | (earlier[at] == after).all(-1)
+            came_back = came_back | (earlier[rows] == after).all(-1)
         before.append(taps)
         goes_on = ~came_back
-        at, start = at[goes_on], solution.restart[goes_on]
+        rows, start = rows[goes_on], solution.restart[goes_on]
     return SettledTaps(taps, settled if feeder.n_regulator else ~settled, rounds)
 
 
@@ -95,16 +96,16 @@ def _solve(
     source: Any,
     control: Control | None,
     tap: Array,
-    at: Array,
-    start: Any,
-) -> Any:
+    rows: Array,
+    start: Array | None,
+) -> ThreePhaseSolution:
     """The power flow of some rows at their taps."""
     n_row = p_kw.shape[0]
     shunt, capacitor = (None, None) if control is None else (control.shunt_kvar, control.capacitor_on)
-    of_rows = [None if a is None else a[at] if a.ndim > 1 else a for a in (shunt, capacitor)]
-    source = source[at] if getattr(source, "shape", ()) == (n_row,) else source
-    changed = Control(feeder.tap_ratio(tap[at]), *of_rows)
-    return solve_unbalanced(feeder, p_kw[at], q_kvar[at], source, changed, start)
+    of_rows = [None if a is None else a[rows] if a.ndim > 1 else a for a in (shunt, capacitor)]
+    source = source[rows] if getattr(source, "shape", ()) == (n_row,) else source
+    changed = Control(feeder.tap_ratio(tap[rows]), *of_rows)
+    return solve_unbalanced(feeder, p_kw[rows], q_kvar[rows], source, changed, start)
 
 
 def _turns(settings: RelaySettings, volts: Array, tap: Array, controlled: Array | None) -> Array:
@@ -117,10 +118,10 @@ def _turns(settings: RelaySettings, volts: Array, tap: Array, controlled: Array 
     return xp.where(delay <= shortest, wanted, 0.0 * tap)
 
 
-def _put(values: Array, at: Array, new: Array) -> Array:
-    """A copy of ``values`` with other rows at the positions ``at``."""
+def _put(values: Array, rows: Array, new: Array) -> Array:
+    """A copy of ``values`` with other rows at the positions ``rows``."""
     if isinstance(values, np.ndarray):
         out = values.copy()
-        out[at] = new
+        out[rows] = new
         return out
-    return values.index_copy(0, at, new)
+    return values.index_copy(0, rows, new)

@@ -120,7 +120,7 @@ class TapChangers(GridEquipment):
         parameters: TapChangerParams,
         state: TapChangerState,
         setpoints: tuple[Array, ...],
-        given: Any,
+        given: object,
         dt_s: float,
     ) -> tuple[TapChangerState, Array]:
         """Go towards the tap that is asked for, as far as the drive does in ``dt_s``."""
@@ -132,6 +132,6 @@ class TapChangers(GridEquipment):
         since_s = xp.where(moved > 0.0, ready_s - moved * delay_s, state.since_s + dt_s)
         return TapChangerState(tap, since_s, moved, state.relay_v), 0.0 * tap
 
-    def observe(self, parameters: TapChangerParams, state: TapChangerState, given_next: Any) -> tuple[Array, ...]:
+    def observe(self, parameters: TapChangerParams, state: TapChangerState, given_next: object) -> tuple[Array, ...]:
         """Tap, time since the last move, and what the relay is off by, see ``fields``."""
         return state.tap, state.since_s, state.relay_v - parameters.target_v

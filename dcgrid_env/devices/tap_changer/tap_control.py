@@ -43,8 +43,8 @@ class RegulatorState(NamedTuple):
 
 def initial_regulators(tap: Array, relay_v: Array) -> RegulatorState:
     """The state at t = 0, at given taps and relay volts, (row, n_regulator) each."""
-    none = 0.0 * tap
-    return RegulatorState(tap, relay_v, none, none, none, none, none)
+    zero = 0.0 * tap
+    return RegulatorState(tap, relay_v, zero, zero, zero, zero, zero)
 
 
 def control_taps(
@@ -77,29 +77,29 @@ def _controlled(
 ) -> tuple[Array, ...]:
     """The fields of the state after the step, see ``control_taps``."""
     xp, tap, volts, since = namespace(state.tap), state.tap, state.relay_v, state.since_s
-    none = 0.0 * tap
+    zero = 0.0 * tap
     wanted = _wanted(settings, volts, tap, controlled)
-    waited, sequence = (xp.where(wanted != 0.0, a, none) for a in (state.out_of_band_s, state.in_sequence))
-    left, moved = none[..., :1] + dt_s, none
+    waited, sequence = (xp.where(wanted != 0.0, a, zero) for a in (state.out_of_band_s, state.in_sequence))
+    left, moved = zero[..., :1] + dt_s, zero
     for _ in range(MOST_EVENTS):
         delay = xp.where(sequence != 0.0, settings.tap_delay_s, settings.delay_s)
-        due_in = xp.where(wanted != 0.0, xp.where(delay > waited, delay - waited, none), none + math.inf)
+        due_in = xp.where(wanted != 0.0, xp.where(delay > waited, delay - waited, zero), zero + math.inf)
         soonest = _lowest(due_in)
         goes_on = soonest <= left + SAME_TIME_S
         if not bool(xp.any(goes_on)):
             break
         passed = xp.where(goes_on, xp.where(soonest < left, soonest, left), 0.0 * left)
-        turn = xp.where(goes_on & (due_in <= soonest + SAME_TIME_S), wanted, none)
+        turn = xp.where(goes_on & (due_in <= soonest + SAME_TIME_S), wanted, zero)
         tap = tap + turn
         volts = volts + (turn[..., None] * settings.volts_per_tap).sum(-2)
         moved = moved + xp.abs(turn)
-        since = xp.where(turn != 0.0, none, since + passed)
+        since = xp.where(turn != 0.0, zero, since + passed)
         wanted = _wanted(settings, volts, tap, controlled)
         in_band = wanted == 0.0
-        waited = xp.where((turn != 0.0) | in_band, none, waited + passed)
-        sequence = xp.where(in_band, none, xp.where(turn != 0.0, none + 1.0, sequence))
+        waited = xp.where((turn != 0.0) | in_band, zero, waited + passed)
+        sequence = xp.where(in_band, zero, xp.where(turn != 0.0, zero + 1.0, sequence))
         left = left - passed
-    waited = xp.where(wanted != 0.0, waited + left, none)
+    waited = xp.where(wanted != 0.0, waited + left, zero)
     return tap, volts, waited, sequence, since + left, moved, state.moves + moved
 
 

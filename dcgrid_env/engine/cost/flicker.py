@@ -173,7 +173,9 @@ class StreamingFlicker:
             self._largest = max(self._largest or 0.0, _severity_of(scale * sensation))
 
 
-def _sensation_from(state: Any, change: np.ndarray, sections: np.ndarray, smoothing: Any) -> tuple[np.ndarray, Any]:
+def _sensation_from(
+    state: Any, change: np.ndarray, sections: np.ndarray, smoothing: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, Any]:
     """Return the result of ``_sensation`` for filters in a state (None: settled), and their new state."""
     from scipy import signal
 
@@ -185,7 +187,7 @@ def _sensation_from(state: Any, change: np.ndarray, sections: np.ndarray, smooth
     return smoothed, (before, after)
 
 
-def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: Any) -> np.ndarray:
+def _sensation(change: np.ndarray, sections: np.ndarray, smoothing: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Apply blocks 3 and 4 without the scale to a change from the settled state of the filters."""
     from scipy import signal  # slow to import, and not needed by a step
 

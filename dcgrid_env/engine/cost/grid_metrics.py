@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.metric import Combined, Metric, cost_metric
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation
@@ -161,7 +162,7 @@ def _phase_figures(series: Any) -> dict[str, Any]:
     }
 
 
-def after_loss(scenario: Scenario, histories: Sequence[Any], v_pu: Any) -> dict[str, float]:
+def after_loss(scenario: Scenario, histories: Sequence[Any], v_pu: Array) -> dict[str, float]:
     """Highest voltage of the feeder from the first step in which devices left to the last in which some are away.
 
     Parameters

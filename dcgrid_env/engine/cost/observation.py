@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from operator import attrgetter
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ class Seen(NamedTuple):
     """Measured voltage of each agent less 1, p.u., (row, n_agent)."""
     change_pu: Array
     """Its change over a step."""
-    phases_pu: Any
+    phases_pu: Array
     """Lowest voltages of the agents' phases, then the highest, p.u., (row, 2 n_agent); None on a balanced feeder."""
 
 
@@ -213,7 +214,7 @@ class _Layout(NamedTuple):
 
 
 @cached_on_owner
-def _layout(scenario: Scenario, xp: Any, dtype: Any, device_of: Any) -> _Layout:
+def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object) -> _Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
     n = scenario.n_agents
     near = min(N_NEIGHBOURS, n - 1) if scenario.sensing.observe == "neighbours" else 0
@@ -271,7 +272,7 @@ def observe(
     return take_last(raw * layout.scale, layout.column)
 
 
-def observe_within_bounds(scenario: Scenario, *observed: Any) -> np.ndarray:
+def observe_within_bounds(scenario: Scenario, *observed: Array) -> np.ndarray:
     """What ``observe`` gives of NumPy arrays, as float32 and cut to its bounds."""
     raw, layout = _raw(scenario, *observed)
     return step_kernels().joint_observation(raw, layout.scale, layout.column, *joint_bounds(scenario))

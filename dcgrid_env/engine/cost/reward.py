@@ -13,7 +13,7 @@ import operator
 from collections import namedtuple
 from functools import cache, reduce
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,12 +28,15 @@ from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step, voltage_cost
 from dcgrid_env.scenario.scenario import Scenario
 
+if TYPE_CHECKING:
+    from dcgrid_env.engine.physics.voltage_figures import VoltageFigures
+
 Costs = Any
 """Weighted terms of a step's cost by name, a named tuple: each of shape (row,) for the team or (row, n_agent) for each
 agent. ``leftover`` and other terms that are charged at the end are 0 before an episode's last step."""
 
 
-def _step(scenario: Scenario, state: State, solution: Any, figures: Any = None) -> Step:
+def _step(scenario: Scenario, state: State, solution: Any, figures: VoltageFigures | None = None) -> Step:
     t, v_pu = terms(scenario), state.v_pu
     kind, band_pu = scenario.cost.voltage, scenario.cost.band_pu
     if kind == "l1" and figures is not None:
@@ -44,7 +47,9 @@ def _step(scenario: Scenario, state: State, solution: Any, figures: Any = None) 
     return Step(scenario, state, solution, parameters(scenario, v_pu), t.judged, t.n_judged, t.n_converters, *sums)
 
 
-def team_costs(scenario: Scenario, state: State, solution: Any, last: Array, figures: Any = None) -> Costs:
+def team_costs(
+    scenario: Scenario, state: State, solution: Any, last: Array, figures: VoltageFigures | None = None
+) -> Costs:
     """The terms of c_t after a step, (row,) each. Terms of the end are charged where ``last`` (bool) is True.
 
     ``figures`` of its voltages (``VoltageFigures``) are used if they are given.
@@ -85,7 +90,7 @@ def local_costs(scenario: Scenario, state: State, solution: Any, last: Array) ->
 class Terms(NamedTuple):
     """The cost terms of a scenario."""
 
-    kind: Any
+    kind: type[Any]
     """A named tuple with the terms of the grid that the scenario has, and then those of its devices."""
     of_grid: tuple[tuple[int, Any, float], ...]
     """Place and amount of the grid's terms that have a weight, and the weight over the divisor."""

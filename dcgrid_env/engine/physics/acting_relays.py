@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, relay_settings, relay_volts
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState, control_taps, initial_regulators
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 from dcgrid_env.scenario.grid_control import Decider, regulator_deciders
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -27,7 +28,7 @@ class ActingRelays(NamedTuple):
     settings: RelaySettings
     """Settings of all regulators of the feeder."""
 
-    def volts(self, solution: Any) -> np.ndarray:
+    def volts(self, solution: ThreePhaseSolution) -> np.ndarray:
         """Relay volts, (..., n), in a ``ThreePhaseSolution``."""
         return relay_volts(self.settings, solution)[..., self.rows]
 

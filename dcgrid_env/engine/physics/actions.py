@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Q
 from dcgrid_env.scenario.scenario import Scenario
@@ -68,7 +69,7 @@ class ActionLayout:
             joint[..., self.is_channel(name)] = entries
         return joint
 
-    def split(self, joint: Any) -> dict[str, Any]:
+    def split(self, joint: Array) -> dict[str, Any]:
         """Each agent's action, views of the joint one, (..., n) each."""
         return {agent: joint[..., cut] for agent, cut in self.slices.items()}
 
@@ -83,7 +84,7 @@ def action_layout(scenario: Scenario) -> ActionLayout:
     return ActionLayout(scenario)
 
 
-def joint_action(scenario: Scenario, action: Any, num_envs: int | None = None) -> np.ndarray:
+def joint_action(scenario: Scenario, action: object, num_envs: int | None = None) -> np.ndarray:
     """The joint action as float64, (row, n_action); ``num_envs`` None is one environment without that dimension."""
     layout = action_layout(scenario)
     n = layout.n

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from math import lcm
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def own_distance(scenario: Scenario) -> np.ndarray:
 
 def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) -> np.ndarray:
     """``own_distance`` of a three-phase feeder row by row, without the matrices of all pairs of nodes."""
-    feeder: Any = scenario.feeder
+    feeder = scenario.feeder
     pairs: list[tuple[int, int]] = []
     first = 0
     for device in scenario.devices:
@@ -94,7 +94,12 @@ def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) 
     for begin in range(0, len(wanted), _ROWS_AT_ONCE):
         source_nodes = wanted[begin : begin + _ROWS_AT_ONCE]
         slopes = linearise(
-            feeder, feeder.p_load_kw, feeder.q_load_kvar, scenario.source_voltage_pu, control, at=source_nodes.tolist()
+            feeder,
+            feeder.p_load_kw,
+            feeder.q_load_kvar,
+            scenario.source_voltage_pu,
+            control,
+            nodes=source_nodes.tolist(),
         )
         pair, seen = np.nonzero(np.isin(own_nodes, source_nodes))
         row = np.searchsorted(source_nodes, own_nodes[pair, seen])
@@ -158,7 +163,7 @@ def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensiti
     sees first.
     """
     if _is_large(scenario.feeder):
-        feeder: Any = scenario.feeder
+        feeder = scenario.feeder
         by_agent = _by_buses(feeder, buses)
         return Sensitivity(*(np.moveaxis(_at_agents(by, buses), -1, -2) for by in by_agent))
     nodes = agent_nodes(scenario, buses)

@@ -7,7 +7,7 @@ from typing import Any
 
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.devices.device import may_leave
+from dcgrid_env.devices.device import DeviceInput, may_leave
 from dcgrid_env.devices.ride_through.connection import Supply
 from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.scenario.scenario import Scenario
@@ -19,7 +19,7 @@ def leaving(scenario: Scenario) -> tuple[int, ...]:
     return tuple(i for i, device in enumerate(scenario.devices) if may_leave(device))
 
 
-def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, given: Any) -> Supply:
+def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, given: DeviceInput) -> Supply:
     """Return the supply of the group with the agents ``agents``: voltages of lowest and highest phase, and sags.
 
     Before t = 0 the voltage is the source's.
@@ -38,9 +38,9 @@ def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice
 def connected_share(scenario: Scenario, states: Sequence[Any], like: Array, cuts: Sequence[slice]) -> Array:
     """Share of each agent's power that is on the grid, (row, n_agent), 1 for those that cannot leave."""
     one = 0.0 * like + 1.0
-    own = leaving(scenario)
+    with_ride_through = leaving(scenario)
     parts = [
-        scenario.devices[i].connected(states[i]) if i in own else one[..., cut]  # pyright: ignore
+        scenario.devices[i].connected(states[i]) if i in with_ride_through else one[..., cut]  # pyright: ignore
         for i, cut in enumerate(cuts)
     ]
     return namespace(like).concat(parts, axis=-1)

@@ -12,6 +12,7 @@ from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, namespace, 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices import Work, converter
+from dcgrid_env.devices.device import DeviceInput, DeviceParams
 from dcgrid_env.engine.physics import equipment as feeder_equipment
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.disconnection import connected_share, leaving, supply
@@ -27,6 +28,7 @@ from dcgrid_env.powerflow import (
     three_phase_nodes,
     unbalance_factor,
 )
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 from dcgrid_env.scenario.costs.utility_limits import remembered_draws
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -177,7 +179,7 @@ def _solved(
     return GridStep(solution, noise), equipment
 
 
-def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> Any:
+def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> DeviceInput:
     """Return the exogenous input of a device, see ``Device.input``."""
     source, available = scenario.devices[i].input, exogenous.available
     if available is not None and source in ("connection", "workload"):
@@ -194,7 +196,9 @@ def _grid(scenario: Scenario) -> tuple[Solver, tuple[int, ...]]:
     return solver_for(scenario.feeder, scenario.power_flow), changing
 
 
-def _control(scenario: Scenario, params: Any, states: Sequence[Any], exogenous: Exogenous) -> Control:
+def _control(
+    scenario: Scenario, params: tuple[DeviceParams, ...], states: Sequence[Any], exogenous: Exogenous
+) -> Control:
     """Return the devices' changes to the grid: shunts at their nodes, taps in the order of the devices."""
     xp, cuts = namespace(exogenous.q_load_kvar), device_slices(scenario)
     shunt_kvar, ratios = None, []
@@ -318,9 +322,9 @@ def by_phase(
     return *extremes_of_nodes(v_pu, agent_nodes), unbalance_factor(bus_nodes, v_re_pu, v_im_pu)
 
 
-def _by_phase(scenario: Scenario, solution: Any, nodes: Array, equipment: Equipment) -> ThreePhaseState:
+def _by_phase(scenario: Scenario, solution: ThreePhaseSolution, nodes: Array, equipment: Equipment) -> ThreePhaseState:
     """Return the state of a three-phase feeder other than its voltages."""
-    feeder: Any = scenario.feeder
+    feeder = scenario.feeder
     v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
     lowest, highest, factor = by_phase(*v, nodes, three_phase_nodes(feeder))
     equipment = feeder_equipment.measured(scenario, equipment, solution)

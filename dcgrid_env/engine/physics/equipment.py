@@ -8,6 +8,7 @@ regulators have settled.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.devices.tap_changer.tap_control import control_taps, initial_regulators
 from dcgrid_env.engine.physics.state import Equipment
 from dcgrid_env.powerflow import Control
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 from dcgrid_env.scenario.grid_control import capacitor_deciders, regulator_deciders
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -91,7 +93,7 @@ def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> E
     return Equipment(regulators, banks)
 
 
-def measured(scenario: Scenario, equipment: Equipment, solution: Any) -> Equipment:
+def measured(scenario: Scenario, equipment: Equipment, solution: ThreePhaseSolution) -> Equipment:
     """The equipment with what it measures in a power flow; banks measure where a control goes by it."""
     plan, banks = _plan(scenario, solution.v_pu), equipment.banks
     regulators = equipment.regulators._replace(relay_v=relay_volts(plan.regulators.settings, solution))
@@ -115,7 +117,7 @@ def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None
     return Control(ratio, None, on if connected is None else on * connected)
 
 
-def _picked(group: _Group, state: Any, commanded: Any, name: str) -> Array:
+def _picked(group: _Group, state: object, commanded: object, name: str) -> Array:
     """A figure of all pieces, that of the agents out of the state of their group."""
     both = (getattr(state, name), getattr(commanded, name))
     return take_last(namespace(both[0]).concat(both, axis=-1), group.pick)
@@ -135,7 +137,7 @@ def _on_numpy(scenario: Scenario) -> _Plan:
 
 
 @cached_on_owner
-def _made(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> _Plan:
+def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> _Plan:
     feeder, like = _feeder(scenario), xp.zeros(0, dtype=dtype, device=device)
     kinds = [kind.kind for kind in scenario.devices]
     groups: list[_Group] = []
@@ -160,5 +162,5 @@ def _feeder(scenario: Scenario) -> Any:
     return scenario.feeder
 
 
-def _like(values: Any, like: Array) -> Array:
+def _like(values: Array, like: Array) -> Array:
     return namespace(like).asarray(np.array(values, np.float64), dtype=like.dtype, device=like.device)

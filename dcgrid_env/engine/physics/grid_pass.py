@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.random import load_step
@@ -50,7 +51,7 @@ def fits(scenario: Scenario) -> bool:
 
 
 def grid_pass(
-    scenario: Scenario, drawing: LoadsToDraw, nodes: Any, p_kw: Any, q_kvar: Any, restart: np.ndarray
+    scenario: Scenario, drawing: LoadsToDraw, nodes: Array, p_kw: Array, q_kvar: Array, restart: np.ndarray
 ) -> GridStep:
     """Draw the loads of an interval and solve the grid under the agents' powers, kW and kvar, (row, n_agent).
 
@@ -59,9 +60,9 @@ def grid_pass(
     """
     n_row, n = drawing.noise.shape
     agents = (n_row, p_kw.shape[1])
-    own = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (n_row, n - 1)))
+    of_agents = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (n_row, n - 1)))
     drawing_and_loads = (*drawing, *load_noise(scenario))
-    given = (*_fixed(scenario), *drawing_and_loads, nodes, *own)
+    given = (*_fixed(scenario), *drawing_and_loads, nodes, *of_agents)
     over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
     per_row, converged = np.empty((7, n_row)), np.empty(n_row, np.bool_)
     out = (over_buses, after, per_row, converged)
@@ -72,7 +73,7 @@ def grid_pass(
     if failed and not np.isfinite(p_kw + q_kvar).all():
         loads = np.empty((3, n_row, n))
         load_step(*drawing_and_loads, *loads)
-        raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *own[:2]))
+        raise_not_finite(scenario.feeder, *net_loads(loads[1], loads[2], nodes, *of_agents[:2]))
     figures = VoltageFigures(per_row[0], per_row[1], per_row[2], per_row[3])
     return GridStep(GridPass(over_buses[1], after, per_row[4], converged), over_buses[0], figures)
 
@@ -80,7 +81,7 @@ def grid_pass(
 @cached_on_owner
 def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     """Return the constants of the scenario for a pass, in the form that the kernel takes."""
-    feeder: Any = scenario.feeder
+    feeder = scenario.feeder
     judged, source_pu, band_pu = (
         feeder.load_slice.start,
         float(scenario.source_voltage_pu),
@@ -101,9 +102,9 @@ def _draw(
     for row in range(a, b):
         for agent in range(nodes.shape[1]):
             for part in range(parts):
-                at = nodes[row, agent, part] - row * n
-                p[row - a, at] += p_agent[row, agent] / parts
-                q[row - a, at] += -q_agent[row, agent] / parts
+                node = nodes[row, agent, part] - row * n
+                p[row - a, node] += p_agent[row, agent] / parts
+                q[row - a, node] += -q_agent[row, agent] / parts
 
 
 @compiled(nogil=True)
@@ -121,11 +122,11 @@ def _few_rows(
         first, last, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
         noise_out, p, q,
     )  # fmt: skip
-    none, v0_pu = noise[:0], per_row[6]
+    empty, v0_pu = noise[:0], per_row[6]
     v0_pu[:] = source_pu
     failed = distflow_rows(
         order, parent, r, x, shunt_g, shunt_b, ratio, p, q, v0_pu, warm, tolerance, max_sweeps,
-        (v_pu, none, none, restart, per_row[4], converged, sweeps, per_row[5]),
+        (v_pu, empty, empty, restart, per_row[4], converged, sweeps, per_row[5]),
     )  # fmt: skip
     fill_figures(v_pu, first, last, judged, band_pu, per_row[0], per_row[1], per_row[2], per_row[3])
     return failed
@@ -140,7 +141,7 @@ def _many_rows(
     """Run the pass over the environments ``first`` up to ``last`` in chunks; return how many have no solution."""
     n, failed = noise.shape[1], 0
     noise_out, v_pu = over_buses[0], over_buses[1]
-    most, none = min(CHUNK, last - first), np.empty((0, 0))
+    most, empty = min(CHUNK, last - first), np.empty((0, 0))
     p, q = np.empty((most, n)), np.empty((most, n))
     sweeps, residual, v0_pu = np.empty(most, np.int64), np.empty(most), np.full(most, source_pu)
     for a in range(first, last, CHUNK):
@@ -150,7 +151,7 @@ def _many_rows(
             a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent,
             noise_out, p[:m], q[:m],
         )  # fmt: skip
-        out = (v_pu[a:b], none, none, restart[a:b], per_row[4, a:b], converged[a:b], sweeps[:m], residual[:m])
+        out = (v_pu[a:b], empty, empty, restart[a:b], per_row[4, a:b], converged[a:b], sweeps[:m], residual[:m])
         sweeps[:m], unsettled = 0, m
         if m > FEW and n <= MOST_IN_BLOCKS:
             unsettled = distflow_blocks(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw
 from dcgrid_env.engine.physics.step_kernels import leg_loads
-from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -46,7 +46,7 @@ def load_noise(scenario: Scenario) -> LoadNoise:
     return _load_of(scenario.feeder, scenario)
 
 
-def _load_of(feeder: Any, scenario: Scenario) -> LoadNoise:
+def _load_of(feeder: AnyFeeder, scenario: Scenario) -> LoadNoise:
     rho, sigma, zeros, ones = (
         float(scenario.background.load_rho**scenario.dt_s),
         float(scenario.background.load_sigma),

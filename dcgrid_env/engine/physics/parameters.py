@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,9 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Q
+from dcgrid_env.devices.device import Device
 from dcgrid_env.engine.physics.actions import action_layout
+from dcgrid_env.grid import AnyFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -63,8 +66,8 @@ def _on_numpy(scenario: Scenario) -> Parameters:
 
 
 @cached_on_owner
-def _parameters(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Parameters:
-    def array(values: Any) -> Array:
+def _parameters(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> Parameters:
+    def array(values: Array) -> Array:
         return xp.asarray(np.array(values, dtype=np.float64), dtype=dtype, device=device)
 
     groups = scenario.devices
@@ -89,23 +92,23 @@ def _parameters(scenario: Scenario, xp: Any, dtype: Any, device: Any) -> Paramet
     )
 
 
-def _load_kw(feeder: Any) -> float:
+def _load_kw(feeder: AnyFeeder) -> float:
     """Sum of a feeder's base load, kW; random feeders all have the same."""
     return feeder.load_kw if isinstance(feeder, RandomFeeders) else float(np.abs(feeder.p_load_kw).sum())
 
 
-def _middle(device: Any) -> np.ndarray:
+def _middle(device: Device) -> np.ndarray:
     """The middle of each channel's range, (slot, channel); 0 of a reactive one."""
     return _by_slot(device, [0.0 if c.name == Q else 0.5 * (c.highest + c.lowest) for c in device.channels])
 
 
-def _half_range(device: Any) -> np.ndarray:
+def _half_range(device: Device) -> np.ndarray:
     """Half of each channel's range, (slot, channel); of a reactive one the limit at zero active power."""
     halves = [device.q_limit_kvar if c.name == Q else 0.5 * (c.highest - c.lowest) for c in device.channels]
     return _by_slot(device, halves)
 
 
-def _by_slot(device: Any, values: list[Any]) -> np.ndarray:
+def _by_slot(device: Device, values: list[Any]) -> np.ndarray:
     """Values of each channel as (slot, channel)."""
     return (
         np.stack([np.broadcast_to(v, (device.count,)) for v in values], -1) if values else np.zeros((device.count, 0))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.capacitor_bank.capacitor_control import BankState
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
@@ -17,13 +19,13 @@ if TYPE_CHECKING:
 class LoadsToDraw(NamedTuple):
     """What the other loads of an interval are drawn from: see ``loads.drawn``."""
 
-    key: Any
+    key: np.ndarray
     """(row,) uint64."""
-    step: Any
+    step: np.ndarray
     """(row,) int64."""
-    noise: Any
+    noise: Array
     """The AR(1) process one step earlier, (row, n_bus)."""
-    share: Any
+    share: np.ndarray
     """Share of the peak at the environment's time of day, (row,)."""
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.compiled import compiled
 
 
@@ -64,7 +65,7 @@ def fill_figures(v_pu, begin, end, first, band_pu, deviation, excess, lowest, hi
         lowest[row], highest[row] = low, high
 
 
-def voltage_figures(v_pu: Any, first: int, band_pu: float) -> VoltageFigures:
+def voltage_figures(v_pu: Array, first: int, band_pu: float) -> VoltageFigures:
     """The figures of voltages ``v_pu`` (row, n_node), float64 and contiguous, from the node ``first`` on."""
     figures = VoltageFigures(*np.empty((4, len(v_pu))))
     fill_figures(v_pu, 0, len(v_pu), first, band_pu, *figures)

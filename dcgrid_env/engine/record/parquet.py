@@ -14,6 +14,7 @@ import numpy as np
 
 from dcgrid_env.core.files import clear_parts, whole
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.devices.device import DeviceState
 from dcgrid_env.engine.physics.dynamics import device_slices
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.scenario.fingerprint import scenario_hash
@@ -152,7 +153,7 @@ def _of_each(name: str, each: Any, values: np.ndarray) -> dict[str, np.ndarray]:
     return {f"{name}.{one}": _single(values[:, i]) for i, one in enumerate(each)}
 
 
-def _collect(state: Any, count: int, found: dict[str, np.ndarray]) -> None:
+def _collect(state: DeviceState, count: int, found: dict[str, np.ndarray]) -> None:
     """Return the fields of a device's state with one number per agent, with features, without the previous step's."""
     for field, values in zip(getattr(state, "_fields", ()), state, strict=False):
         if isinstance(values, tuple):

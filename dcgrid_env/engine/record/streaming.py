@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.metric import Combined, Streaming
+from dcgrid_env.devices.device import Device, DeviceState, Requests
 from dcgrid_env.engine.cost.grid_metrics import AFTER_LOSS, StreamingGrid
 from dcgrid_env.engine.cost.metric_list import METRICS
 from dcgrid_env.engine.physics.state import over_arrays
@@ -127,7 +129,7 @@ def _size(transition: Transition) -> tuple[int, int]:
     """Bytes of the values of a transition, and the number of its arrays."""
     sizes: list[int] = []
 
-    def measure(values: Any) -> Any:
+    def measure(values: Array) -> Any:
         sizes.append(getattr(values, "nbytes", 0))
         return values
 
@@ -176,11 +178,11 @@ def _of_device(device: Any, part: Series, i: int) -> Streaming:
 class _Combined:
     """Figures that rules join."""
 
-    def __init__(self, device: Any, dt_s: float, requests: Any):
+    def __init__(self, device: Device, dt_s: float, requests: Requests):
         self._metrics = lambda history: device.metrics(history, dt_s, requests)
         self._combined = Combined(METRICS.values())
 
-    def add(self, history: Any, steps: int) -> None:
+    def add(self, history: DeviceState, steps: int) -> None:
         self._combined.add(self._metrics(history), steps)
 
     def figures(self) -> dict[str, float]:
@@ -190,11 +192,11 @@ class _Combined:
 class _Whole:
     """Figures of which nothing is said: the device's course is kept, which grows with the episode."""
 
-    def __init__(self, device: Any, dt_s: float, requests: Any):
+    def __init__(self, device: Device, dt_s: float, requests: Requests):
         self._metrics = lambda history: device.metrics(history, dt_s, requests)
         self._parts: list[Any] = []
 
-    def add(self, history: Any, steps: int) -> None:
+    def add(self, history: DeviceState, steps: int) -> None:
         course = over_arrays(lambda values: np.array(values[1:] if self._parts else values), history)
         self._parts.append(course)
 

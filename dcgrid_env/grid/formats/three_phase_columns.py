@@ -66,8 +66,8 @@ class Column:
     def joined(self, cells: Sequence[Any]) -> Any:
         """The value that cells make."""
         if self.shape == "matrix":
-            at = dict(zip(_UPPER, cells, strict=True))
-            return tuple(tuple(at[min(i, j), max(i, j)] for j in range(3)) for i in range(3))
+            by_position = dict(zip(_UPPER, cells, strict=True))
+            return tuple(tuple(by_position[min(i, j), max(i, j)] for j in range(3)) for i in range(3))
         if self.shape == "zip":
             return () if all(math.isnan(cell) for cell in cells) else tuple(cells)
         return tuple(cells) if self.shape == "legs" else cells[0]

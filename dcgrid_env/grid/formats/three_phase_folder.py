@@ -208,7 +208,7 @@ def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return written.getvalue()
 
 
-def _figure(value: Any) -> str:
+def _figure(value: float) -> str:
     if isinstance(value, int):
         return str(value)
     return "" if math.isnan(value) else repr(float(value))

@@ -55,13 +55,13 @@ def draw_tree(draws: Draws, style: Style, n_bus: int) -> Tree:
     n_departure = max(1, round(n / style.buses_a_departure))
     n_chain = min(n // 2 + 1, max(n_departure, round(draws.between(style.leaf_share) * n)))
     lengths = _lengths(draws, n, n_chain, n_departure, draws.between(style.trunk) * np.sqrt(n_bus))
-    at = draws.bits(n_chain)
+    bits = draws.bits(n_chain)
     parent, chain, passed = [], [], []
     children = np.zeros(n_bus, np.intp)
     for k, length in enumerate(lengths.tolist()):
         begin = 0
         if k >= n_departure and passed:
-            place = int(at[k]) % len(passed)
+            place = int(bits[k]) % len(passed)
             while children[passed[place]] >= MOST_CHILDREN:
                 place = (place + 1) % len(passed)
             begin = passed[place]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid.feeder import Feeder
@@ -22,13 +23,15 @@ def constants(feeder: Feeder, dtype: type) -> tuple[Any, ...]:
     """Constants of a feeder for the kernels, see ``distflow_kernels``."""
     order, parent = feeder.depth_first.order.copy(), feeder.depth_first.parent.copy()  # writable, as kernels want them
     z = (np.concatenate(([0.0], z_pu[order[1:] - 1])).astype(dtype) for z_pu in (feeder.r_pu, feeder.x_pu))
-    none = np.empty(0, dtype)
+    empty = np.empty(0, dtype)
     shunts, ratio = feeder.shunts_pu, feeder.voltage_ratio
-    g, b = (none, none) if shunts is None else (shunt_pu[order].astype(dtype) for shunt_pu in shunts)
-    return order, parent, *z, g, b, none if ratio is None else ratio[order].astype(dtype)
+    g, b = (empty, empty) if shunts is None else (shunt_pu[order].astype(dtype) for shunt_pu in shunts)
+    return order, parent, *z, g, b, empty if ratio is None else ratio[order].astype(dtype)
 
 
-def solve_rows(method: str, feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, *rest: Any) -> Solution:
+def solve_rows(
+    method: str, feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array | float | None, *rest: Any
+) -> Solution:
     """Run a kernel over all rows, on several threads where there are many, and shape its output as a Solution.
 
     ``rest`` contains the other arguments of the kernel: for DistFlow the warm start or None, the tolerance and the
@@ -80,13 +83,21 @@ def _distflow(*given: Any) -> int:
 _KERNELS: dict[str, Any] = {"distflow": _distflow, "lindistflow": lindistflow_rows}
 
 
-def _part(kernel: Any, of_feeder: Any, loads: Any, rest: Any, out: Any, first: int, last: int) -> int:
+def _part(
+    kernel: Any,
+    of_feeder: tuple[Any, ...],
+    loads: tuple[Any, ...],
+    rest: tuple[Any, ...],
+    out: tuple[Any, ...],
+    first: int,
+    last: int,
+) -> int:
     cut = slice(first, last)
     rest = (rest[0][cut], *rest[1:]) if rest else ()
     return kernel(*of_feeder, *(a[cut] for a in loads), *rest, tuple(a[cut] for a in out))
 
 
-def rows(values: Any, shape: tuple[int, ...]) -> Any:
+def rows(values: Array, shape: tuple[int, ...]) -> Array:
     """Contiguous and writable: the one memory layout that the kernels are compiled for."""
     rows = values if values.shape == shape else values.reshape(shape)
     flags = rows.flags

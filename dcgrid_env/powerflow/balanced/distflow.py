@@ -39,7 +39,7 @@ def distflow(
     feeder: Feeder,
     p_kw: Array,
     q_kvar: Array,
-    v0_pu: Any = None,
+    v0_pu: Array | float | None = None,
     *,
     warm: Solution | Array | None = None,
     tolerance_kva: float | None = None,

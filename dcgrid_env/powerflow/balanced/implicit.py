@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.core.torch_threads import rest_of_backward_on
 from dcgrid_env.grid.feeder import Feeder
@@ -20,7 +21,13 @@ from dcgrid_env.powerflow.solution import Solution
 
 
 def distflow_tensors(
-    feeder: Feeder, p_kw: Any, q_kvar: Any, v0_pu: Any, warm: Any | None, tolerance: float, max_sweeps: int
+    feeder: Feeder,
+    p_kw: Array,
+    q_kvar: Array,
+    v0_pu: Array | float | None,
+    warm: Array | None,
+    tolerance: float,
+    max_sweeps: int,
 ) -> Solution:
     """Solve as ``distflow`` does; second derivatives are unavailable and raise RuntimeError."""
     figures: Any = _DistFlow.apply(p_kw, q_kvar, v0_pu, feeder, warm, tolerance, max_sweeps)
@@ -29,7 +36,15 @@ def distflow_tensors(
 
 class _DistFlow(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, p_kw: Any, q_kvar: Any, v0_pu: Any, feeder: Feeder, warm: Any, *rest: Any) -> Any:
+    def forward(
+        ctx: Any,
+        p_kw: Array,
+        q_kvar: Array,
+        v0_pu: Array,
+        feeder: Feeder,
+        warm: Array | None,
+        *rest: Any,
+    ) -> Any:
         loads = (p_kw.detach().numpy(), q_kvar.detach().numpy(), v0_pu.detach().numpy())
         start = None if warm is None else warm.detach().numpy()
         solved = solve_rows("distflow", feeder, *loads, start, *rest)

@@ -6,8 +6,6 @@ M. E. Baran, F. F. Wu, "Optimal capacitor placement on radial distribution syste
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from dcgrid_env.core.arrays import namespace
@@ -17,7 +15,7 @@ from dcgrid_env.powerflow.inputs import check_feeder, check_loads, substation_vo
 from dcgrid_env.powerflow.solution import Array, Solution, raise_not_finite
 
 
-def lindistflow(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Any = None) -> Solution:
+def lindistflow(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array | float | None = None) -> Solution:
     """Solve the lossless linearised power flow; arguments, result and errors as for :func:`distflow`.
 
     Currents and losses are zero; ``converged`` is False where the load drives a squared voltage to zero.

@@ -7,6 +7,7 @@ way out.
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ class Tree(NamedTuple):
 
 
 @cached_on_owner
-def tree(feeder: Feeder, xp: Any, dtype: Any, device: Any) -> Tree:
+def tree(feeder: Feeder, xp: ModuleType, dtype: object, device: object) -> Tree:
     """Index and impedance arrays of a feeder, made once for each kind, precision and device of array."""
     order, place, parent, end = feeder.depth_first
     n = len(order)
@@ -61,7 +62,7 @@ def tree(feeder: Feeder, xp: Any, dtype: Any, device: Any) -> Tree:
     if shunts is not None:
         shunts = shunts[:, order] * np.array([[1.0], [-1.0]])
 
-    def figures(values: np.ndarray | None) -> Any:
+    def figures(values: np.ndarray | None) -> Array:
         return None if values is None else xp.asarray(values.copy(), dtype=dtype, device=device)
 
     return Tree(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.powerflow.balanced.distflow import distflow
@@ -17,7 +15,7 @@ def solve_distflow(
     feeder: Feeder,
     p_kw: Array,
     q_kvar: Array,
-    source_voltage_pu: Any,
+    source_voltage_pu: Array | float | None,
     control: Control | None = None,
     start: Array | None = None,
 ) -> Solution:
@@ -31,7 +29,7 @@ def solve_lindistflow(
     feeder: Feeder,
     p_kw: Array,
     q_kvar: Array,
-    source_voltage_pu: Any,
+    source_voltage_pu: Array | float | None,
     control: Control | None = None,
     start: Array | None = None,
 ) -> Solution:

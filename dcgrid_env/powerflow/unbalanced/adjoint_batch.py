@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.plan import plan_of
@@ -22,7 +23,7 @@ def derivatives(
     given: tuple[Any, ...],
     solved: tuple[Any, Any],
     weights: tuple[Any, Any, Any, Sequence[Any]],
-    converged: Any,
+    converged: np.ndarray,
     groups: Iterable[slice] | None = None,
 ) -> tuple[Any, ...]:
     """Derivatives of a weighted sum of a solution's figures by all that the sweep was given.
@@ -80,7 +81,14 @@ def derivatives(
     return tuple(a.reshape((*shape, a.shape[-1]) if a.ndim == 2 else shape) for a in out)
 
 
-def _by_newton(feeder: ThreePhaseFeeder, row: Any, rows: Any, solved: Any, weights: Any, out: Any) -> None:
+def _by_newton(
+    feeder: ThreePhaseFeeder,
+    row: Any,
+    rows: tuple[Any, ...],
+    solved: tuple[Any, ...],
+    weights: tuple[Any, ...],
+    out: tuple[Any, ...],
+) -> None:
     """Put the derivatives of a row whose sweeps did not settle into ``out``."""
     from dcgrid_env.powerflow.unbalanced.newton_adjoint import derivative  # brings SciPy with it
 
@@ -92,7 +100,7 @@ def _by_newton(feeder: ThreePhaseFeeder, row: Any, rows: Any, solved: Any, weigh
         derivatives_[row] = of_input
 
 
-def _rows(values: Any, n_row: int, width: int | None) -> Any:
+def _rows(values: Array, n_row: int, width: int | None) -> Array:
     """(row, width) or (row,), float64, contiguous and writable: the one memory layout of the kernel."""
     rows = values.reshape((n_row,) if width is None else (n_row, width))
     good = rows.dtype == np.float64 and rows.flags.c_contiguous and rows.flags.writeable

@@ -20,11 +20,11 @@ def leg_derivatives(plan, wide, V, P, Q, DP, DQ, N):
     """
     W, n_node = np.uint64(len(wide)), np.uint64(plan.up.shape[0])
     for n in range(n_node):
-        i, at, m = n * U2 * W, n * W, n * U4 * W
+        i, offset, m = n * U2 * W, n * W, n * U4 * W
         for b in range(W):
             re, im = V[i + b], V[i + W + b]
             inverse = 1.0 / (re * re + im * im)
-            g_p, g_q = DP[at + b] * inverse, DQ[at + b] * inverse
+            g_p, g_q = DP[offset + b] * inverse, DQ[offset + b] * inverse
             k_p, k_q = -2.0 * g_p * inverse, -2.0 * g_q * inverse
             to_re, to_im = k_p * re + k_q * im, k_p * im - k_q * re
             N[m + b], N[m + W + b] = g_p + to_re * re, g_q + to_re * im
@@ -34,7 +34,7 @@ def leg_derivatives(plan, wide, V, P, Q, DP, DQ, N):
         i, j = plan.leg_ends[k, 0] * U2 * W, plan.leg_ends[k, 1] * U2 * W
         is_grounded = plan.leg_ends[k, 1] == n_node
         m = (plan.leg_ends[k, 0] if is_grounded else n_node + np.uint64(k)) * U4 * W
-        at = np.uint64(k) * W
+        offset = np.uint64(k) * W
         for b in range(W):
             re, im = V[i + b] - V[j + b], V[i + W + b] - V[j + W + b]
             v_sq = re * re + im * im
@@ -51,7 +51,8 @@ def leg_derivatives(plan, wide, V, P, Q, DP, DQ, N):
                 inside = 1.0 if u >= law[k, 8] else 0.0
                 s_p = -inside * u * (law[k, 3] + 2.0 * u * law[k, 4])
                 s_q = -inside * u * (law[k, 6] + 2.0 * u * law[k, 7])
-            g_p, g_q, k_p, k_q = P[at + b] * h_p, Q[at + b] * h_q, P[at + b] * s_p / v_sq, Q[at + b] * s_q / v_sq
+            p, q = P[offset + b], Q[offset + b]
+            g_p, g_q, k_p, k_q = p * h_p, q * h_q, p * s_p / v_sq, q * s_q / v_sq
             to_re, to_im = k_p * re + k_q * im, k_p * im - k_q * re
             if not is_grounded:
                 N[m + b] = N[m + W + b] = N[m + U2 * W + b] = N[m + U3 * W + b] = 0.0

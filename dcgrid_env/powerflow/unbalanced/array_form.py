@@ -7,6 +7,7 @@ last voltages, so they corrupt neither values nor derivatives.
 from __future__ import annotations
 
 from functools import partial
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +49,7 @@ class _Forms(NamedTuple):
 
 
 def sweep_arrays(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     """Solve as ``solve_batch`` does, with array operations alone.
 
@@ -67,7 +68,7 @@ def sweep_arrays(
 
 
 @cached_on_owner
-def _forms(feeder: ThreePhaseFeeder, xp: Any, dtype: Any, device: Any) -> _Forms:
+def _forms(feeder: ThreePhaseFeeder, xp: ModuleType, dtype: object, device: object) -> _Forms:
     plan, n = plan_of(feeder), feeder.n_node
     complex_dtype = xp.complex64 if dtype == xp.float32 else xp.complex128
     real = partial(_made, xp, dtype, device)
@@ -83,13 +84,13 @@ def _forms(feeder: ThreePhaseFeeder, xp: Any, dtype: Any, device: Any) -> _Forms
     shunt, resistance = np.zeros((n, n), np.complex128), np.zeros((n, n))
     tapped = np.zeros((feeder.n_regulator, n))
     for i in range(feeder.n_bus):
-        at = slice(feeder.first_node[i], feeder.first_node[i + 1])
-        size = at.stop - at.start
-        shunt[at, at] = 1j * feeder.branches.shunt[i, :size, :size]
-        resistance[at, at] = feeder.branches.b[i, :size, :size].real if i else 0.0
+        nodes = slice(feeder.first_node[i], feeder.first_node[i + 1])
+        size = nodes.stop - nodes.start
+        shunt[nodes, nodes] = 1j * feeder.branches.shunt[i, :size, :size]
+        resistance[nodes, nodes] = feeder.branches.b[i, :size, :size].real if i else 0.0
         for k, row in enumerate(feeder.branches.regulator[i, :size]):
             if row >= 0:
-                tapped[row, at.start + k] = 1.0
+                tapped[row, nodes.start + k] = 1.0
     position = np.argsort(np.concatenate([z.nodes for z in zones_of(feeder)]))
     order, law = np.argsort(plan.leg_order.astype(int)), plan.leg_law
     return _Forms(
@@ -114,11 +115,11 @@ def _forms(feeder: ThreePhaseFeeder, xp: Any, dtype: Any, device: Any) -> _Forms
     )
 
 
-def _made(xp: Any, dtype: Any, device: Any, values: Any) -> Array:
+def _made(xp: ModuleType, dtype: object, device: object, values: Array) -> Array:
     return xp.asarray(np.array(values), dtype=dtype, device=device)
 
 
-def _incidence(ends: Any, n: int) -> Any:
+def _incidence(ends: np.ndarray, n: int) -> np.ndarray:
     matrix = np.zeros((len(ends), n + 1))
     rows = np.arange(len(ends))
     matrix[rows, ends[:, 0].astype(int)] = 1.0
@@ -153,11 +154,11 @@ def _drawn(f: _Forms, given: tuple[Any, ...], v: Array) -> Array:
 def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tuple[Array, Array]:
     """Voltages, and currents of the branches to each node, that follow from what is drawn at each node."""
     xp, ratio, n_zone = namespace(given[0]), given[3], len(f.zones)
-    own, entering = [drawn] * n_zone, [drawn] * n_zone
+    within, entering = [drawn] * n_zone, [drawn] * n_zone
     for k in range(n_zone - 1, -1, -1):
         zone = f.zones[k]
-        own[k] = drawn[..., zone.nodes]
-        entering[k] = own[k] @ zone.enter.T
+        within[k] = drawn[..., zone.nodes]
+        entering[k] = within[k] @ zone.enter.T
         if k:
             sent = entering[k] @ zone.a
             sent = sent if zone.regulator is None else sent * ratio[..., zone.regulator]
@@ -171,12 +172,12 @@ def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tup
             head = r * (head - r * drop)
         else:
             head = ideal - drop
-        found.append(head @ zone.enter - own[k] @ zone.z.T)
-    currents = [own[k] @ zone.through for k, zone in enumerate(f.zones)]
+        found.append(head @ zone.enter - within[k] @ zone.z.T)
+    currents = [within[k] @ zone.through for k, zone in enumerate(f.zones)]
     return xp.concat(found, axis=-1)[..., f.order], xp.concat(currents, axis=-1)[..., f.order]
 
 
-def _error_sq(xp: Any, change: Array, before: Array, rounding: float) -> Array:
+def _error_sq(xp: ModuleType, change: Array, before: Array, rounding: float) -> Array:
     """Estimate what is left of the error: see ``sweep_rows.error_sq``."""
     ratio = xp.clip(xp.sqrt(change / before), 0.1, None)
     left = change * (ratio / xp.where(ratio < 1.0, 1.0 - ratio, xp.ones_like(ratio))) ** 2
@@ -184,7 +185,7 @@ def _error_sq(xp: Any, change: Array, before: Array, rounding: float) -> Array:
 
 
 def _sweeps(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     p_kw, _, source_pu, ratio, _ = given
     xp = namespace(p_kw)

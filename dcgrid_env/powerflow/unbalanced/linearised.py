@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.solution import PowerFlowError
@@ -37,11 +38,11 @@ class Linearised(NamedTuple):
 
 def linearise(
     feeder: ThreePhaseFeeder,
-    p_kw: Any,
-    q_kvar: Any,
+    p_kw: Array,
+    q_kvar: Array,
     source_voltage_pu: float | None = None,
     control: Control | None = None,
-    at: Sequence[int] | None = None,
+    nodes: Sequence[int] | None = None,
 ) -> Linearised:
     """Linearise one power flow, by the compiled derivative for the weight of each node.
 
@@ -49,7 +50,7 @@ def linearise(
     ----------
     feeder, p_kw, q_kvar, source_voltage_pu, control
         One power flow as :func:`solve_unbalanced` takes it, powers of shape (n_leg,), NumPy arrays.
-    at
+    nodes
         Nodes whose voltages are wanted, which are then the rows; all nodes for None. Time and memory go with their
         number.
 
@@ -69,9 +70,9 @@ def linearise(
         )
     source_pu = source_voltage(feeder, p_kw, source_voltage_pu)
     q_kvar, ratio, state = control_inputs(feeder, q_kvar, control)
-    rows = np.eye(feeder.n_node) if at is None else np.zeros((len(at), feeder.n_node))
-    if at is not None:
-        rows[np.arange(len(at)), at] = 1.0
+    rows = np.eye(feeder.n_node) if nodes is None else np.zeros((len(nodes), feeder.n_node))
+    if nodes is not None:
+        rows[np.arange(len(nodes)), nodes] = 1.0
     n, n_load = len(rows), feeder.first_device_leg
     given = tuple(np.broadcast_to(a, (n, *np.shape(a))) for a in (p_kw, q_kvar, source_pu, ratio, state))
     amperes = np.concatenate((solution.i_re_a, solution.i_im_a))

@@ -20,6 +20,7 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
@@ -42,13 +43,13 @@ FloatArray = NDArray[np.float64]
 class Places(NamedTuple):
     """Rows and columns of the equations' entries; ``n_node`` is ground, which has none."""
 
-    bus: Any
+    bus: np.ndarray
     """Bus of each entry of the branches' matrices."""
-    entry: Any
+    entry: np.ndarray
     """Which of the nine entries of its bus it is."""
-    row: Any
-    column: Any
-    above: Any
+    row: np.ndarray
+    column: np.ndarray
+    above: np.ndarray
     """Node that feeds the column's."""
 
 
@@ -63,7 +64,9 @@ class Equations:
         One power flow as ``solve_batch`` takes it, without leading dimensions.
     """
 
-    def __init__(self, feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any, source_pu: Any, ratio: Any, state: Any):
+    def __init__(
+        self, feeder: ThreePhaseFeeder, p_kw: Array, q_kvar: Array, source_pu: Array, ratio: Array, state: Array
+    ):
         plan, n = plan_of(feeder), feeder.n_node
         self.n, self._law, self._is_z = n, plan.leg_law.T, plan.leg_is_z
         load, device = p_kw[:-n] - 1j * q_kvar[:-n], p_kw[-n:] - 1j * q_kvar[-n:]
@@ -83,7 +86,7 @@ class Equations:
         factors = splu(self._matrix())
         return factors.solve(self._right), factors
 
-    def at(self, x: FloatArray, share: float) -> tuple[FloatArray, csc_matrix]:
+    def evaluate(self, x: FloatArray, share: float) -> tuple[FloatArray, csc_matrix]:
         """By how much the equations miss at ``x`` under a share of all loads and devices, and their derivative."""
         n = self.n
         v = np.append(x[:n] + 1j * x[2 * n : 3 * n], 0.0)
@@ -97,7 +100,7 @@ class Equations:
         missing[3 * n :] -= drawn[:n].imag
         return missing, self._matrix(slopes)
 
-    def _drawn(self, across: Any, share: float) -> tuple[Any, tuple[FloatArray, ...]]:
+    def _drawn(self, across: Array, share: float) -> tuple[Any, tuple[FloatArray, ...]]:
         """Currents of the legs, and their derivatives d re / d re, d re / d im, d im / d re, d im / d im.
 
         With g = p h_p - j q h_q, I = g V and dg = k Re(conj(V) dV): see ``grid.three_phase_legs`` for h.
@@ -123,7 +126,7 @@ class Equations:
         is_z = self._is_z | (inverse > very_low)
         return np.where(is_z, 1.0, h), np.where(is_z, 0.0, to)
 
-    def _real(self, values: Any, rows: Any, columns: Any) -> tuple[Any, Any, Any]:
+    def _real(self, values: Array, rows: np.ndarray, columns: np.ndarray) -> tuple[Any, Any, Any]:
         """Entries of complex equations as those of twice as many real ones."""
         half = 2 * self.n
         re, im = values.real, values.imag
@@ -172,7 +175,7 @@ def _newton(equations: Equations, x: FloatArray, share: float, sign: float) -> F
     """Solve for a share of the load from ``x``; None where the changes do not shrink or the sign is another."""
     n, before = equations.n, np.inf
     for _ in range(MOST):
-        missing, slope = equations.at(x, share)
+        missing, slope = equations.evaluate(x, share)
         try:
             factors = splu(slope)
         except RuntimeError:  # exactly singular, or not finite
@@ -197,7 +200,7 @@ def _sign(factors: SuperLU) -> float:
     return float(sign)
 
 
-def tap_of_nodes(feeder: ThreePhaseFeeder, ratio: Any) -> FloatArray:
+def tap_of_nodes(feeder: ThreePhaseFeeder, ratio: Array) -> FloatArray:
     """Ratio of the regulator that feeds each node, 1 where none does."""
     plan = plan_of(feeder)
     tapped = (plan.kind == REGULATOR)[feeder.node_bus]
@@ -217,22 +220,22 @@ def places(feeder: ThreePhaseFeeder) -> Places:
     return Places(bus, 3 * i + j, first[bus] + i, column, above)
 
 
-def _linear(feeder: ThreePhaseFeeder, ratio: Any, state: Any) -> tuple[Any, Any, Any]:
+def _linear(feeder: ThreePhaseFeeder, ratio: Array, state: Array) -> tuple[Any, Any, Any]:
     """Complex entries of what is linear in V and I, with their rows and columns."""
-    plan, n, at = plan_of(feeder), feeder.n_node, places(feeder)
+    plan, n, place = plan_of(feeder), feeder.n_node, places(feeder)
     tap = tap_of_nodes(feeder, ratio)
-    a = plan.a[at.bus, at.entry] * tap[at.row]
-    b = (plan.z_re + 1j * plan.z_im)[at.bus, at.entry] * tap[at.row] * tap[at.column]
-    fed, nodes = at.bus > 0, np.arange(2 * n)
+    a = plan.a[place.bus, place.entry] * tap[place.row]
+    b = (plan.z_re + 1j * plan.z_im)[place.bus, place.entry] * tap[place.row] * tap[place.column]
+    fed, nodes = place.bus > 0, np.arange(2 * n)
     i, j = np.concatenate((plan.capacitor_ends, plan.core_ends)).astype(np.intp).T
     banks = 1j * plan.capacitor_b * state[plan.capacitor_row.astype(np.intp)]
     y = np.concatenate((banks, plan.core_g + 1j * plan.core_b))
     parts = (
         (np.ones(2 * n), nodes, nodes),
-        (-a[fed], at.row[fed], at.above[fed]),
-        (b, at.row, at.column + n),
-        (-a[fed], at.above[fed] + n, at.row[fed] + n),
-        (-1j * plan.shunt[at.bus, at.entry], at.row + n, at.column),
+        (-a[fed], place.row[fed], place.above[fed]),
+        (b, place.row, place.column + n),
+        (-a[fed], place.above[fed] + n, place.row[fed] + n),
+        (-1j * plan.shunt[place.bus, place.entry], place.row + n, place.column),
         *((sign * y[there], to[there] + n, by[there]) for sign, to, by in ((-1, i, i), (1, i, j), (1, j, i), (-1, j, j))
           for there in ((to < n) & (by < n),)),
     )  # fmt: skip

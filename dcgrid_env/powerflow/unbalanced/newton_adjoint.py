@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import splu
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.powerflow.solution import PowerFlowError
@@ -19,7 +20,7 @@ from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
 
 
 def derivative(
-    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], volts: Any, amperes: Any, weights: tuple[Any, ...]
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], volts: Array, amperes: Array, weights: tuple[Any, ...]
 ) -> tuple[Any, ...]:
     """Derivatives by p_kw, q_kvar, source_pu, ratio and state of one power flow.
 
@@ -39,9 +40,9 @@ def derivative(
     to_i = (of_amperes[:n] + 1j * of_amperes[n:]) * plan.ampere
     to_v[:3] += (of_p + 1j * of_q) * i[:3]
     to_i[:3] += (of_p - 1j * of_q) * v[:3]
-    at, tap, grounded = places(feeder), tap_of_nodes(feeder, ratio), np.append(v, 0.0)
-    resistance = np.where(at.bus > 0, plan.z_re[at.bus, at.entry], 0.0) * tap[at.row] * tap[at.column]
-    np.add.at(to_i, at.row, 2.0 * of_loss * resistance * i[at.column])
+    place, tap, grounded = places(feeder), tap_of_nodes(feeder, ratio), np.append(v, 0.0)
+    resistance = np.where(place.bus > 0, plan.z_re[place.bus, place.entry], 0.0) * tap[place.row] * tap[place.column]
+    np.add.at(to_i, place.row, 2.0 * of_loss * resistance * i[place.column])
     in_cores, cores = np.zeros(n + 1, np.complex128), plan.core_ends.astype(np.intp)
     lost = 2.0 * of_loss * plan.core_g * (grounded[cores[:, 0]] - grounded[cores[:, 1]])
     np.add.at(in_cores, cores[:, 0], lost)
@@ -49,7 +50,7 @@ def derivative(
     to_v += in_cores[:n]
 
     equations = Equations(feeder, *inputs)
-    slope = equations.at(np.concatenate((v.real, i.real, v.imag, i.imag)), 1.0)[1]
+    slope = equations.evaluate(np.concatenate((v.real, i.real, v.imag, i.imag)), 1.0)[1]
     try:
         factors = splu(slope)
     except RuntimeError:  # exactly singular
@@ -67,7 +68,7 @@ def derivative(
     return d_p, d_q, d_source, d_ratio, d_state
 
 
-def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Any, mu_i: Any) -> tuple[Any, Any]:
+def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Array, mu_i: Array) -> tuple[Any, Any]:
     plan, n_load = plan_of(feeder), feeder.first_device_leg
     across, to = (a[equations.ends[:, 0]] - a[equations.ends[:, 1]] for a in (v, mu_i))
     both, squared = np.conj(to) * across, np.abs(across) ** 2
@@ -81,7 +82,9 @@ def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Any, mu_i: Any
     return found[0], found[1]
 
 
-def _by_ratios(feeder: ThreePhaseFeeder, ratio: Any, v: Any, i: Any, mu_v: Any, mu_i: Any, of_loss: Any) -> Any:
+def _by_ratios(
+    feeder: ThreePhaseFeeder, ratio: Array, v: Array, i: Array, mu_v: Array, mu_i: Array, of_loss: Array
+) -> Array:
     plan = plan_of(feeder)
     nodes = np.flatnonzero((plan.kind == REGULATOR)[feeder.node_bus])
     bus, above, row = feeder.node_bus[nodes], plan.up.astype(np.intp)[nodes], plan.regulator.astype(np.intp)[nodes]

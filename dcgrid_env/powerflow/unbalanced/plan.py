@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_legs import Legs
@@ -21,47 +22,47 @@ class Plan(NamedTuple):
     the ideal source.
     """
 
-    first: Any
+    first: np.ndarray
     """First node of each bus, and n_node at the end, (n_bus + 1,)."""
-    up: Any
+    up: np.ndarray
     """Node that feeds each node, (n_node,)."""
-    kind: Any
+    kind: np.ndarray
     """Kind of the branch that feeds each bus, (n_bus,): a line, a regulator or a transformer."""
-    a: Any
+    a: np.ndarray
     """Voltage ratios of the branches, (n_bus, 9), a matrix row by row; of a regulator at neutral."""
-    z_re: Any
+    z_re: np.ndarray
     """Series resistance, p.u., (n_bus, 9)."""
-    z_im: Any
+    z_im: np.ndarray
     """Series reactance, p.u., (n_bus, 9)."""
-    regulator: Any
+    regulator: np.ndarray
     """Row of each node's regulator, (n_node,); 0 where there is none, which nothing reads."""
-    shunt: Any
+    shunt: np.ndarray
     """Susceptance to ground, p.u., (n_bus, 9)."""
-    leg_order: Any
+    leg_order: np.ndarray
     """The loads' legs in the order of their buses, (n_load_leg,)."""
-    leg_start: Any
+    leg_start: np.ndarray
     """First leg of each bus in that order, and their number at the end, (n_bus + 1,)."""
-    leg_ends: Any
+    leg_ends: np.ndarray
     """Node and other node of each leg, in that order, (n_load_leg, 2)."""
-    leg_is_z: Any
+    leg_is_z: np.ndarray
     """Whether the leg is a constant impedance, bool, (n_load_leg,)."""
-    leg_law: Any
+    leg_law: np.ndarray
     """Rows of ``LAW`` for each leg, (n_load_leg, len(LAW))."""
-    capacitor_ends: Any
+    capacitor_ends: np.ndarray
     """Node and other node of each capacitor's leg, (n_capacitor_leg, 2)."""
-    capacitor_row: Any
+    capacitor_row: np.ndarray
     """Bank of each capacitor's leg, (n_capacitor_leg,)."""
-    capacitor_b: Any
+    capacitor_b: np.ndarray
     """Susceptance of each capacitor's leg, p.u., (n_capacitor_leg,)."""
-    core_ends: Any
+    core_ends: np.ndarray
     """Node and other node of each leg of a transformer's core, (n_core_leg, 2)."""
-    core_g: Any
+    core_g: np.ndarray
     """Conductance of each leg of a core, p.u., (n_core_leg,)."""
-    core_b: Any
+    core_b: np.ndarray
     """Susceptance of each leg of a core, p.u., (n_core_leg,)."""
-    source: Any
+    source: np.ndarray
     """Voltages of the ideal source at 1 p.u., real and imaginary, (3, 2)."""
-    ampere: Any
+    ampere: np.ndarray
     """Base current of each node, A, (n_node,)."""
 
 
@@ -129,16 +130,16 @@ def plan_of(feeder: ThreePhaseFeeder) -> Plan:
     )
 
 
-def _index(values: Any) -> Any:
+def _index(values: Array) -> np.ndarray:
     return np.array(values, np.uint64)
 
 
-def _ends(legs: Legs, order: Any, ground: int) -> Any:
+def _ends(legs: Legs, order: np.ndarray, ground: int) -> np.ndarray:
     other = np.where(legs.other < 0, ground, legs.other)
     return _index(np.stack((legs.node, other), axis=1)[order])
 
 
-def _law(legs: Legs, order: Any) -> Any:
+def _law(legs: Legs, order: np.ndarray) -> np.ndarray:
     share, (vlow, vmin, vmax) = legs.share, legs.limit_pu
     rated_sq = legs.rated_pu**2
     rows = [1.0 / (PHASE_BASE_KVA * rated_sq), rated_sq, *share, 1.0 / vmax, 1.0 / vmin, 1.0 / vlow]

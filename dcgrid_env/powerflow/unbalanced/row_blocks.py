@@ -69,23 +69,23 @@ def load_row(b, row, plan, wide, given, nodes, n_device, work):
     check = 0.0
     for k in range(n_leg):
         leg = plan.leg_order[k]
-        at = np.uint64(k) * W + b
-        P[at] = p_kw[row, leg] * plan.leg_law[k, 0]
-        Q[at] = q_kvar[row, leg] * plan.leg_law[k, 0]
-        check += 0.0 * P[at] + 0.0 * Q[at]
+        entry = np.uint64(k) * W + b
+        P[entry] = p_kw[row, leg] * plan.leg_law[k, 0]
+        Q[entry] = q_kvar[row, leg] * plan.leg_law[k, 0]
+        check += 0.0 * P[entry] + 0.0 * Q[entry]
     for k in range(n_device):
-        at = np.uint64(k) * W + b
-        DP[at] = p_kw[row, n_leg + nodes[k]] * PER_KVA
-        DQ[at] = q_kvar[row, n_leg + nodes[k]] * PER_KVA
-        check += 0.0 * DP[at] + 0.0 * DQ[at]
+        entry = np.uint64(k) * W + b
+        DP[entry] = p_kw[row, n_leg + nodes[k]] * PER_KVA
+        DQ[entry] = q_kvar[row, n_leg + nodes[k]] * PER_KVA
+        check += 0.0 * DP[entry] + 0.0 * DQ[entry]
     for k in range(ratios.shape[1]):
         ratio[np.uint64(k) * W + b] = ratios[row, k]
     for k in range(states.shape[1]):
         on[np.uint64(k) * W + b] = states[row, k]
     for k in range(3):
-        at = (n_node + U1 + np.uint64(k)) * U2 * W + b
-        V[at] = source_pu[row] * plan.source[k, 0]
-        V[at + W] = source_pu[row] * plan.source[k, 1]
+        entry = (n_node + U1 + np.uint64(k)) * U2 * W + b
+        V[entry] = source_pu[row] * plan.source[k, 0]
+        V[entry + W] = source_pu[row] * plan.source[k, 1]
     return check == 0.0
 
 
@@ -98,9 +98,9 @@ def start_row(b, row, plan, wide, start, work):
     if start.shape[0] == 0 or start[row, 0] == 0.0:
         return
     for n in range(n_node):
-        at = np.uint64(n) * U2 * W + np.uint64(b)
-        V[at] = start[row, n]
-        V[at + W] = start[row, n_node + n]
+        entry = np.uint64(n) * U2 * W + np.uint64(b)
+        V[entry] = start[row, n]
+        V[entry + W] = start[row, n_node + n]
 
 
 @compiled(inner=True)
@@ -202,9 +202,9 @@ def store_rows(columns, count, first, plan, wide, work, sweeps, is_good, out):
         b, row = columns[c], first + columns[c]
         p = q = 0.0
         for i in range(U3):
-            at = i * U2 * W + b
-            p += V[at] * J[at] + V[at + W] * J[at + W]
-            q += V[at + W] * J[at] - V[at] * J[at + W]
+            entry = i * U2 * W + b
+            p += V[entry] * J[entry] + V[entry + W] * J[entry + W]
+            q += V[entry + W] * J[entry] - V[entry] * J[entry + W]
         per_row[0, row], per_row[1, row] = T[b] * PHASE_BASE_KVA, p * PHASE_BASE_KVA
         per_row[2, row], per_row[3, row] = q * PHASE_BASE_KVA, np.sqrt(off[b]) * PHASE_BASE_KVA
         converged[row] = is_good and H[b] > V_SQ_FLOOR and H[W + b] < V_SQ_CEILING

@@ -40,7 +40,7 @@ def solve_unbalanced(
     feeder: ThreePhaseFeeder,
     p_kw: Array,
     q_kvar: Array,
-    source_voltage_pu: Any = None,
+    source_voltage_pu: Array | float | None = None,
     control: Control | None = None,
     start: ThreePhaseSolution | Array | None = None,
     *,

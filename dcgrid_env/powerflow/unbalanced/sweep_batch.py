@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of
@@ -17,7 +18,7 @@ _NO_ROWS = np.empty((0, 0))
 
 
 def solve_batch(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     """Run the sweeps over all rows, on several threads where there are many.
 
@@ -45,7 +46,9 @@ def solve_batch(
     return _solution(out, shape, dtype, n)
 
 
-def _solve_by_newton(feeder: ThreePhaseFeeder, rows: Any, tolerance_pu: float, out: Any) -> None:
+def _solve_by_newton(
+    feeder: ThreePhaseFeeder, rows: tuple[np.ndarray, ...], tolerance_pu: float, out: tuple[np.ndarray, ...]
+) -> None:
     """Try Newton's method where the sweep has failed; one sweep from its solution gives the figures and checks it."""
     from dcgrid_env.powerflow.unbalanced.newton import high_voltage_solution  # brings SciPy with it
 
@@ -63,7 +66,16 @@ def _solve_by_newton(feeder: ThreePhaseFeeder, rows: Any, tolerance_pu: float, o
                 figures[...] = of_row
 
 
-def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, out: Any, first: int, last: int) -> int:
+def _part(
+    plan: Plan,
+    rows: tuple[Array, ...],
+    start: Array,
+    tolerance: float,
+    max_sweeps: int,
+    out: tuple[np.ndarray, ...],
+    first: int,
+    last: int,
+) -> int:
     cut = slice(first, last)
     part = _cut(out, cut)
     per_row = part[3].copy()  # contiguous, as the kernel takes it
@@ -78,12 +90,12 @@ def _part(plan: Plan, rows: Any, start: Any, tolerance: float, max_sweeps: int, 
     return failed
 
 
-def _cut(out: Any, rows: slice) -> tuple[Any, ...]:
+def _cut(out: tuple[np.ndarray, ...], rows: slice) -> tuple[Any, ...]:
     """Views of the figures of some rows."""
     return (*(a[rows] for a in out[:3]), out[3][:, rows], *(a[rows] for a in out[4:]))
 
 
-def _solution(out: Any, shape: tuple[int, ...], dtype: Any, n: int) -> ThreePhaseSolution:
+def _solution(out: tuple[np.ndarray, ...], shape: tuple[int, ...], dtype: Any, n: int) -> ThreePhaseSolution:
     v_pu, volts, amperes, per_row, converged, iterations = out
     if dtype != np.float64:
         v_pu, volts, amperes, per_row = (a.astype(dtype) for a in (v_pu, volts, amperes, per_row))
@@ -108,7 +120,7 @@ def _solution(out: Any, shape: tuple[int, ...], dtype: Any, n: int) -> ThreePhas
     )
 
 
-def _rows(values: Any, shape: tuple[int, ...]) -> Any:
+def _rows(values: Array, shape: tuple[int, ...]) -> np.ndarray:
     """Contiguous, writable and float64: the one memory layout that the kernels are compiled for."""
     rows = values if values.shape == shape else values.reshape(shape)
     flags = rows.flags

@@ -93,7 +93,7 @@ def load_currents(plan, wide, V, P, Q, H, J):
     for k in range(plan.leg_ends.shape[0]):
         i = plan.leg_ends[k, 0] * U2 * W
         j = plan.leg_ends[k, 1] * U2 * W
-        at = np.uint64(k) * W
+        offset = np.uint64(k) * W
         if plan.leg_is_z[k]:
             for b in range(U2 * W):
                 H[b] = 1.0
@@ -101,12 +101,12 @@ def load_currents(plan, wide, V, P, Q, H, J):
             leg_admittance(plan.leg_law, k, wide, V, i, j, H)
         if plan.leg_ends[k, 1] == ground:
             for b in range(W):
-                p, q = P[at + b] * H[b], Q[at + b] * H[W + b]
+                p, q = P[offset + b] * H[b], Q[offset + b] * H[W + b]
                 J[i + b] += p * V[i + b] + q * V[i + W + b]
                 J[i + W + b] += p * V[i + W + b] - q * V[i + b]
         else:
             for b in range(W):
-                p, q = P[at + b] * H[b], Q[at + b] * H[W + b]
+                p, q = P[offset + b] * H[b], Q[offset + b] * H[W + b]
                 re = V[i + b] - V[j + b]
                 im = V[i + W + b] - V[j + W + b]
                 H[b] = p * re + q * im
@@ -122,11 +122,11 @@ def device_currents(nodes, count, wide, V, P, Q, J):
     W = np.uint64(len(wide))
     for k in range(count):
         i = nodes[k] * U2 * W
-        at = np.uint64(k) * W
+        offset = np.uint64(k) * W
         for b in range(W):
             re, im = V[i + b], V[i + W + b]
             inverse = 1.0 / (re * re + im * im)
-            p, q = P[at + b] * inverse, Q[at + b] * inverse
+            p, q = P[offset + b] * inverse, Q[offset + b] * inverse
             J[i + b] += p * re + q * im
             J[i + W + b] += p * im - q * re
 
@@ -139,16 +139,16 @@ def capacitor_currents(plan, wide, V, on, J):
     for k in range(plan.capacitor_b.shape[0]):
         i = plan.capacitor_ends[k, 0] * U2 * W
         j = plan.capacitor_ends[k, 1] * U2 * W
-        at = plan.capacitor_row[k] * W
+        offset = plan.capacitor_row[k] * W
         b_pu = plan.capacitor_b[k]
         for b in range(W):
             re = V[i + b] - V[j + b]
             im = V[i + W + b] - V[j + W + b]
-            J[i + b] -= b_pu * on[at + b] * im
-            J[i + W + b] += b_pu * on[at + b] * re
+            J[i + b] -= b_pu * on[offset + b] * im
+            J[i + W + b] += b_pu * on[offset + b] * re
             if plan.capacitor_ends[k, 1] != ground:
-                J[j + b] += b_pu * on[at + b] * im
-                J[j + W + b] -= b_pu * on[at + b] * re
+                J[j + b] += b_pu * on[offset + b] * im
+                J[j + W + b] -= b_pu * on[offset + b] * re
 
 
 @compiled(inner=True)
@@ -203,25 +203,25 @@ def go_down(plan, wide, sign, ratio, J, V, T, off):
         else:
             for i in range(size):
                 t = plan.regulator[n + i] * W
-                at = i * U2 * W
+                offset = i * U2 * W
                 u = plan.up[n + i] * U2 * W
                 if plan.kind[k] == REGULATOR:
                     z_re, z_im = plan.z_re[k, i * U4], sign * plan.z_im[k, i * U4]
                     for b in range(W):
                         r = ratio[t + b]
-                        re, im = r * J[o + at + b], r * J[o + at + W + b]
-                        T[at + b] = r * (V[u + b] - (z_re * re - z_im * im))
-                        T[at + W + b] = r * (V[u + W + b] - (z_re * im + z_im * re))
+                        re, im = r * J[o + offset + b], r * J[o + offset + W + b]
+                        T[offset + b] = r * (V[u + b] - (z_re * re - z_im * im))
+                        T[offset + W + b] = r * (V[u + W + b] - (z_re * im + z_im * re))
                 else:
                     for b in range(U2 * W):
-                        T[at + b] = 0.0
+                        T[offset + b] = 0.0
                     for j in range(size):
                         a, z_re, z_im = plan.a[k, i * U3 + j], plan.z_re[k, i * U3 + j], sign * plan.z_im[k, i * U3 + j]
                         u = plan.up[n + j] * U2 * W
                         c = o + j * U2 * W
                         for b in range(W):
-                            T[at + b] += a * V[u + b] - (z_re * J[c + b] - z_im * J[c + W + b])
-                            T[at + W + b] += a * V[u + W + b] - (z_re * J[c + W + b] + z_im * J[c + b])
+                            T[offset + b] += a * V[u + b] - (z_re * J[c + b] - z_im * J[c + W + b])
+                            T[offset + W + b] += a * V[u + W + b] - (z_re * J[c + W + b] + z_im * J[c + b])
         _take_over(o, size, wide, T, V, off)
 
 
@@ -241,13 +241,13 @@ def _take_over(o, size, wide, T, V, off):
             V[o + U4 * W + b], V[o + U5 * W + b] = t4, t5
     else:
         for i in range(size):
-            at = i * U2 * W
+            offset = i * U2 * W
             for b in range(W):
-                t0, t1 = T[at + b], T[at + W + b]
-                d0, d1 = t0 - V[o + at + b], t1 - V[o + at + W + b]
+                t0, t1 = T[offset + b], T[offset + W + b]
+                d0, d1 = t0 - V[o + offset + b], t1 - V[o + offset + W + b]
                 change = d0 * d0 + d1 * d1
                 off[b] = off[b] if off[b] >= change else change
-                V[o + at + b], V[o + at + W + b] = t0, t1
+                V[o + offset + b], V[o + offset + W + b] = t0, t1
 
 
 @compiled(inline="always")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.torch_threads import rest_of_backward_on
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.adjoint_batch import derivatives
@@ -18,7 +19,7 @@ from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolut
 
 
 def sweep_tensors(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Any, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     """Solve as ``solve_batch`` does; second derivatives are unavailable and raise RuntimeError."""
     volts, amperes, *rest = _Sweep.apply(*given, feeder, start, tolerance_pu, max_sweeps)  # pyright: ignore

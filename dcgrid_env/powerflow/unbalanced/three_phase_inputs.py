@@ -17,7 +17,7 @@ from dcgrid_env.powerflow.solution import PowerFlowError
 _ROUNDING = 1e-9  # of a tap, beyond the last one
 
 
-def check_three_phase_feeder(feeder: Any) -> None:
+def check_three_phase_feeder(feeder: object) -> None:
     """PowerFlowError unless it is a ThreePhaseFeeder."""
     if not isinstance(feeder, ThreePhaseFeeder):
         raise PowerFlowError(
@@ -25,7 +25,7 @@ def check_three_phase_feeder(feeder: Any) -> None:
         )
 
 
-def check_legs(feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any) -> tuple[Array, Array]:
+def check_legs(feeder: ThreePhaseFeeder, p_kw: Array, q_kvar: Array) -> tuple[Array, Array]:
     """Both powers as arrays of one kind and precision; PowerFlowError unless both have the same shape (..., n_leg)."""
     if not (type(p_kw) is type(q_kvar) is np.ndarray and p_kw.dtype == q_kvar.dtype == np.float64):
         p_kw, q_kvar = of_one_kind(figures(feeder, "p_kw", p_kw), figures(feeder, "q_kvar", q_kvar))
@@ -68,18 +68,18 @@ def _base(feeder: ThreePhaseFeeder) -> tuple[Any, Any]:
     return feeder.tap_ratio(feeder.base_tap), feeder.base_capacitor_on
 
 
-def _spread(values: Any, like: Array, lead: tuple[int, ...]) -> Array:
+def _spread(values: Array, like: Array, lead: tuple[int, ...]) -> Array:
     values = values if isinstance(like, np.ndarray) else as_like(values, like)
     return _widened(values, lead, like)
 
 
-def _less_shunts(feeder: ThreePhaseFeeder, q_kvar: Array, shunt_kvar: Any) -> Array:
+def _less_shunts(feeder: ThreePhaseFeeder, q_kvar: Array, shunt_kvar: Array | None) -> Array:
     xp, n_load = namespace(q_kvar), feeder.first_device_leg
     shunt = _by_row(feeder, "shunt_kvar", shunt_kvar, q_kvar, feeder.n_node)
     return xp.concat((q_kvar[..., :n_load], q_kvar[..., n_load:] - shunt), axis=-1)
 
 
-def _by_row(feeder: ThreePhaseFeeder, name: str, values: Any, like: Array, width: int) -> Array:
+def _by_row(feeder: ThreePhaseFeeder, name: str, values: Array, like: Array, width: int) -> Array:
     lead = tuple(like.shape[:-1])
     if type(values) is type(like) is np.ndarray and values.dtype == like.dtype and values.shape == (*lead, width):
         return values
@@ -111,24 +111,31 @@ def _ratio_limits(feeder: ThreePhaseFeeder, is_single: bool) -> tuple[Any, Any]:
     return low, 1.0 + step * (np.array(table.tap_max) + _ROUNDING) + slack
 
 
-def _check_range(feeder: ThreePhaseFeeder, kind: str, field: str, values: Array, low: Any, high: Any) -> None:
+def _check_range(
+    feeder: ThreePhaseFeeder,
+    kind: str,
+    field: str,
+    values: Array,
+    low: Array,
+    high: Array,
+) -> None:
     figures_ = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
     good = (figures_ >= low) & (figures_ <= high)
     if good.all():
         return
-    at = tuple(int(i[0]) for i in np.nonzero(~good))
-    value, table = figures_[at], getattr(feeder.network, kind)
+    index = tuple(int(i[0]) for i in np.nonzero(~good))
+    value, table = figures_[index], getattr(feeder.network, kind)
     limits = "it must be from 0 to 1"
     if kind == "regulator":
-        tap = (value - 1.0) / table.tap_step[at[-1]]
-        limits = f"tap {tap:g} is not from {table.tap_min[at[-1]]} to {table.tap_max[at[-1]]}"
+        tap = (value - 1.0) / table.tap_step[index[-1]]
+        limits = f"tap {tap:g} is not from {table.tap_min[index[-1]]} to {table.tap_max[index[-1]]}"
     raise PowerFlowError(
-        f"feeder {feeder.name!r}: {kind} {table.name[at[-1]]}: {field} is {value} in scenario {at[:-1]} of the batch; "
-        f"{limits}"
+        f"feeder {feeder.name!r}: {kind} {table.name[index[-1]]}: {field} is {value} in scenario {index[:-1]} of the "
+        f"batch; {limits}"
     )
 
 
-def source_voltage(feeder: ThreePhaseFeeder, p_kw: Array, source_voltage_pu: Any) -> Array:
+def source_voltage(feeder: ThreePhaseFeeder, p_kw: Array, source_voltage_pu: Array | float | None) -> Array:
     """Voltage of the ideal source with the loads' kind and leading shape; PowerFlowError unless positive."""
     return substation_voltage(feeder, p_kw, source_voltage_pu)
 
@@ -146,14 +153,14 @@ def voltages_to_start_from(feeder: ThreePhaseFeeder, p_kw: Array, start: Any) ->
     return start
 
 
-def raise_leg_not_finite(feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any) -> None:
+def raise_leg_not_finite(feeder: ThreePhaseFeeder, p_kw: Array, q_kvar: Array) -> None:
     """Find the power that is not finite and raise PowerFlowError naming bus and field; return if there is none."""
     for field, values in (("p_kw", p_kw), ("q_kvar", q_kvar)):
         values = values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
         where = np.nonzero(~np.isfinite(values))
         if len(where[0]):
-            at = tuple(int(i[0]) for i in where)
-            leg, n_load = at[-1], feeder.first_device_leg
+            index = tuple(int(i[0]) for i in where)
+            leg, n_load = index[-1], feeder.first_device_leg
             what = (
                 f"the device leg of phase {'abc'[feeder.node_phase[leg - n_load] - 1]}"
                 if leg >= n_load
@@ -161,5 +168,5 @@ def raise_leg_not_finite(feeder: ThreePhaseFeeder, p_kw: Any, q_kvar: Any) -> No
             )
             raise PowerFlowError(
                 f"feeder {feeder.name!r}: {field} of {what} at bus {feeder.bus_ids[feeder.leg_bus[leg]]} is "
-                f"{values[at]} in scenario {at[:-1]} of the batch; give finite powers"
+                f"{values[index]} in scenario {index[:-1]} of the batch; give finite powers"
             )

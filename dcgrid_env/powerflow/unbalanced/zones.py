@@ -7,7 +7,7 @@ matrix. Regulators and transformers separate zones. They are few, so a sweep is 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,21 +19,21 @@ from dcgrid_env.powerflow.unbalanced.plan import LINE, plan_of
 class Zone(NamedTuple):
     """One zone; matrices act on rows from the left, so the rows are the leading dimensions."""
 
-    nodes: Any
+    nodes: np.ndarray
     """Its nodes, those of its first bus first, (n,)."""
-    senders: Any
+    senders: np.ndarray
     """Nodes that feed those of its first bus, (size,); none for the source's zone."""
-    enter: Any
+    enter: np.ndarray
     """0/1: which nodes have the phase of each of its first bus's, (size, n)."""
-    z: Any
+    z: np.ndarray
     """Shared impedance of the paths of two nodes within the zone, p.u., (n, n)."""
-    through: Any
+    through: np.ndarray
     """0/1: 1 in row i and column j where the current of node i comes through the branch to node j, (n, n)."""
-    a: Any
+    a: np.ndarray
     """Ratio of the branch that feeds it, (size, size), of a regulator at neutral."""
-    b: Any
+    b: np.ndarray
     """Impedance of the branch that feeds it, (size, size)."""
-    regulator: Any
+    regulator: np.ndarray | None
     """Row of the regulator of each phase, (size,), or None."""
 
 
@@ -60,8 +60,8 @@ def _zone(feeder: ThreePhaseFeeder, buses: list[int]) -> Zone:
     for k in range(n - 1, size - 1, -1):  # what comes through a node's branch comes through its feeder's
         through[:, place[int(feeder.node_parent[nodes[k]])]] += through[:, k]
     for i in buses[1:]:
-        at = [place[node] for node in range(feeder.first_node[i], feeder.first_node[i + 1])]
-        below, m = through[:, at], len(at)
+        positions = [place[node] for node in range(feeder.first_node[i], feeder.first_node[i + 1])]
+        below, m = through[:, positions], len(positions)
         z += below @ feeder.branches.b[i, :m, :m] @ below.T
     tapped = feeder.branches.regulator[root, :size]
     return Zone(

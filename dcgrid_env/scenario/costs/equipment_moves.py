@@ -40,7 +40,7 @@ def mean_switching(scenario: Any, equipment: Any) -> Array:
 
 def switching_of_agents(scenario: Any, state: Any) -> Array:
     """Each agent's moves, and for every agent the mean number of moves by controls of equipment, (row, n_agent)."""
-    moves, none = _moves(state.three_phase.equipment), 0.0 * state.v_agent_pu
+    moves, zero = _moves(state.three_phase.equipment), 0.0 * state.v_agent_pu
     controlled = sum_last(moves * as_like((_deciders(scenario) == "controlled").astype(np.float64), moves))
     parts, begin = [], 0
     for device, of_device in zip(scenario.devices, state.devices, strict=True):
@@ -48,9 +48,9 @@ def switching_of_agents(scenario: Any, state: Any) -> Array:
         if is_equipment(device):
             parts.append(of_device.moved if hasattr(of_device, "moved") else of_device.switched)
         else:
-            parts.append(none[..., begin:end])
+            parts.append(zero[..., begin:end])
         begin = end
-    return none + (controlled / _n_moving(scenario))[..., None] + namespace(none).concat(parts, axis=-1)
+    return zero + (controlled / _n_moving(scenario))[..., None] + namespace(zero).concat(parts, axis=-1)
 
 
 def largest_switching(scenario: Any) -> float:

@@ -43,7 +43,7 @@ class Step(NamedTuple):
         return self.state.v_pu[..., self.judged], self.state.v_last_pu[..., self.judged]
 
 
-def _one(_: Any) -> float:
+def _one(_: object) -> float:
     return 1.0
 
 
@@ -132,8 +132,8 @@ def mean_unbalance(step: Step) -> Array:
 
 def _ramps_of_agents(step: Step) -> Array:
     over, cut = utility_limits.ramp_excess(step.scenario, step.state), utility_limits.sites(step.scenario)
-    none = 0.0 * step.state.v_agent_pu
-    return namespace(over).concat((none[..., : cut.start], over, none[..., cut.stop :]), axis=-1)
+    zero = 0.0 * step.state.v_agent_pu
+    return namespace(over).concat((zero[..., : cut.start], over, zero[..., cut.stop :]), axis=-1)
 
 
 def _nodes(step: Step) -> float:

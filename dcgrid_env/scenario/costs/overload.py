@@ -38,13 +38,13 @@ def mean_overload(scenario: Any, loading: Array) -> Array:
 
 def loading_of_agents(state: Any, nodes: Array) -> Array:
     """Loading of the branch that feeds each agent's bus, of its most loaded phase, (row, n_agent)."""
-    at = take_at(state.loading, nodes)
-    if at.shape[-1] == 1:
-        return at[..., 0]
-    return at.max(-1) if isinstance(at, np.ndarray) else at.amax(-1)
+    loading = take_at(state.loading, nodes)
+    if loading.shape[-1] == 1:
+        return loading[..., 0]
+    return loading.max(-1) if isinstance(loading, np.ndarray) else loading.amax(-1)
 
 
-def overload_figures(scenario: Any, loading: Any) -> dict[str, float]:
+def overload_figures(scenario: Any, loading: Array) -> dict[str, float]:
     """Metrics of the loading over the steps 1 .. T, (T + 1, n_node); none where it is None."""
     if loading is None:
         return {}

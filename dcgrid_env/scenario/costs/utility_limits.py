@@ -34,8 +34,8 @@ def remembered_draws(scenario: Any) -> int:
 def sites(scenario: Any) -> slice:
     """Return the positions of the agents that the workload drives; at most one group of devices is driven by it."""
     of_sites = [device.input == "workload" for device in scenario.devices for _ in range(device.count)]
-    at = np.flatnonzero(of_sites)
-    return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
+    positions = np.flatnonzero(of_sites)
+    return slice(int(positions[0]), int(positions[-1]) + 1) if len(positions) else slice(0, 0)
 
 
 @cached_on_owner
@@ -56,10 +56,10 @@ def excess(amount: Array, limit: float) -> Array:
 
 def ramp_excess(scenario: Any, state: Any) -> Array:
     """What the ramp of each site exceeds the scenario's limit by, as a share of it, (row, n_site)."""
-    at, begin, limit = sites(scenario), state.p_window_kw, scenario.cost.ramp_limit_kw_per_s
+    site_slice, begin, limit = sites(scenario), state.p_window_kw, scenario.cost.ramp_limit_kw_per_s
     if begin is None or limit is None:
         raise ValueError(f"scenario {scenario.name!r} charges no ramps; give cost.ramp_limit_kw_per_s and its weight")
-    return excess(ramps_kw_per_s(scenario, state.p_kw[..., at], begin[0][..., at]), limit)
+    return excess(ramps_kw_per_s(scenario, state.p_kw[..., site_slice], begin[0][..., site_slice]), limit)
 
 
 def voltage_step_excess(scenario: Any, v_pu: Array, v_last_pu: Array) -> Array:

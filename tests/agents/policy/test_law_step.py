@@ -15,7 +15,7 @@ def steps(preset, array, joint):
     buses = [scenario.feeder.index(bus) for device in scenario.devices for bus in device.buses or ()]
     site = site_of(scenario, Law(floor_pu=0.003))  # smooth, so that differences are near derivatives
     columns = Columns(scenario, array)
-    now, past = columns.own(columns.of(joint)), Past()
+    now, past = columns.physical(columns.of(joint)), Past()
     past.steps = 1  # the first begins elsewhere
     return LawStep(site, commission(site, np.array([buses])), array)(now, past)
 

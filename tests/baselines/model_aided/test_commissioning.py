@@ -22,7 +22,7 @@ def test_the_regression_is_that_of_its_definition(preset):
     flow = MomentFlow(site, buses[0])
     draw = site.points.p_agent_kw
     moved = np.random.default_rng(0).normal(0.0, 20.0, draw.shape)
-    v = flow.at(np.broadcast_to(known.origin_kvar, draw.shape))
+    v = flow.voltages(np.broadcast_to(known.origin_kvar, draw.shape))
     there = v + moved @ known.by_q[0]
     again = regressed(site, known, there, there @ flow.seen.T, moved)
     noise = site.scenario.sensing.noise_pu**2 + (0.1 * site.law.floor_pu) ** 2

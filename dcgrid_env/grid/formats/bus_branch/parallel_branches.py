@@ -40,14 +40,14 @@ def _as_one(members: list[Branch], report: Report) -> Branch:
     if len(members) == 1:
         return first
     alike = [one if one.from_bus == first.from_bus else one.reversed() for one in members]
-    for own, one in zip(members[1:], alike[1:], strict=True):
+    for member, one in zip(members[1:], alike[1:], strict=True):
         turned = (one.shift_deg - first.shift_deg + 180.0) % 360.0 - 180.0
         if abs(one.tap - first.tap) > _SAME * first.tap or abs(turned) > _SAME:
             text = f"it stands beside {first.kind} {first.name} with another ratio or phase shift, so that a current "
-            report.add("refused", own.kind, own.name, text + "circulates: give both the same tap position")
+            report.add("refused", member.kind, member.name, text + "circulates: give both the same tap position")
             return first
         report.add(
-            "taken", own.kind, own.name, f"parallel to {first.kind} {first.name}: one branch, of their impedance"
+            "taken", member.kind, member.name, f"parallel to {first.kind} {first.name}: one branch, of their impedance"
         )
     shorted = [one for one in alike if one.z_pu == 0]
     if shorted:

@@ -108,9 +108,9 @@ def _slopes(
     y: sparse.csr_matrix, v: ComplexArray, current: ComplexArray, free: NDArray[np.intp], pq: NDArray[np.intp]
 ) -> Any:
     """Derivatives of the power at free buses with the angle at free and the magnitude at PQ buses."""
-    at, unit = sparse.diags(v), sparse.diags(v / abs(v))
-    by_angle: Any = (1j * at @ (sparse.diags(current) - y @ at).conj()).tocsr()
-    by_size: Any = sparse.csr_matrix(at @ (y @ unit).conj() + sparse.diags(current.conj()) @ unit)
+    voltage, unit = sparse.diags(v), sparse.diags(v / abs(v))
+    by_angle: Any = (1j * voltage @ (sparse.diags(current) - y @ voltage).conj()).tocsr()
+    by_size: Any = sparse.csr_matrix(voltage @ (y @ unit).conj() + sparse.diags(current.conj()) @ unit)
     blocks = [
         [by_angle[free][:, free].real, by_size[free][:, pq].real],
         [by_angle[pq][:, free].imag, by_size[pq][:, pq].imag],

@@ -107,7 +107,7 @@ def _imported(answer: dict[str, Any]) -> Imported:
     return Imported(Network(**tables), findings, {node: complex(*v) for node, v in answer["v_pu"].items()})
 
 
-def _tuples(values: Any) -> Any:
+def _tuples(values: object) -> Any:
     return tuple(map(_tuples, values)) if isinstance(values, list) else values
 
 

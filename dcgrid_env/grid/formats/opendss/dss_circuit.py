@@ -18,6 +18,8 @@ from dcgrid_env.grid.formats.opendss.script_counts import Counts
 from dcgrid_env.grid.formats.opendss.script_reader import Script
 from dcgrid_env.grid.topology import FeederError
 
+Engine = Any
+"""An engine of OpenDSSDirect.py, which is optional and has no types."""
 TOLERANCE = 1e-10
 """OpenDSS's tolerance of the solution that is compared with, p.u.; its default of 1e-4 is too coarse."""
 
@@ -33,7 +35,7 @@ class Terminal(NamedTuple):
 class DssCircuit:
     """Circuit in a separate OpenDSS engine; make one with :func:`loaded_circuit`."""
 
-    def __init__(self, engine: Any) -> None:
+    def __init__(self, engine: Engine) -> None:
         self.engine = engine
 
     @property
@@ -51,8 +53,8 @@ class DssCircuit:
 
     def _all(self, kind: str) -> Iterator[tuple[str, bool]]:
         for full in self.engine.Circuit.AllElementNames():
-            own, _, name = full.partition(".")
-            if own.lower() == kind:
+            element_kind, _, name = full.partition(".")
+            if element_kind.lower() == kind:
                 self.engine.Circuit.SetActiveElement(full)
                 yield name, bool(self.engine.CktElement.Enabled())
 
@@ -175,7 +177,7 @@ def loaded_circuit(master: Path, trust: bool) -> DssCircuit:
     return DssCircuit(engine)
 
 
-def script_of(engine: Any, master: Path) -> Script:
+def script_of(engine: Engine, master: Path) -> Script:
     """The script of a master file, by the names that an engine knows."""
     executive = engine.Executive
     commands = [executive.Command(k + 1) for k in range(executive.NumCommands())]
@@ -185,7 +187,7 @@ def script_of(engine: Any, master: Path) -> Script:
     return Script(master, commands, options, engine.Basic.Classes(), Counts(schema))
 
 
-def run_command(engine: Any, command: str, where: str) -> None:
+def run_command(engine: Engine, command: str, where: str) -> None:
     """Run one command; FeederError, naming its place in the script, if OpenDSS refuses it."""
     try:
         engine.Text.Command(command)
@@ -197,7 +199,7 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def new_engine() -> Any:
+def new_engine() -> Engine:
     """An OpenDSS engine that acts on nothing outside; FeederError where OpenDSSDirect.py is missing."""
     try:
         from opendssdirect import dss  # pyright: ignore[reportMissingImports]  (in the extra opendss only)

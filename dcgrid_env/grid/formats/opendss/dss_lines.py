@@ -80,17 +80,17 @@ def _length_m(circuit: DssCircuit) -> float:
     return rounded(circuit.figure("length") * _METRES.get(circuit.text("units").lower(), math.nan))
 
 
-def _columns(length_m: float, z: Any, b_us: Any, phases: str) -> dict[str, Any]:
+def _columns(length_m: float, z: NDArray[np.complexfloating], b_us: NDArray[Any], phases: str) -> dict[str, Any]:
     matrices = {"r_ohm": z.real, "x_ohm": z.imag, "b_us": b_us}
     return {"length_m": length_m, **{key: matrix_of(value, phases) for key, value in matrices.items()}}
 
 
-def matrix_of(values: Any, phases: str) -> Matrix:
+def matrix_of(values: NDArray[Any], phases: str) -> Matrix:
     """Figures over the phases that exist as three rows of three, symmetric and rounded to 12 digits."""
     least = _ROUNDING * float(np.abs(values).max())
     full = np.full((3, 3), _NO_PHASE)
-    at = ["abc".index(phase) for phase in phases]
-    full[np.ix_(at, at)] = np.where(np.abs(values) > least, 0.5 * (values + values.T), 0.0)
+    positions = ["abc".index(phase) for phase in phases]
+    full[np.ix_(positions, positions)] = np.where(np.abs(values) > least, 0.5 * (values + values.T), 0.0)
     return tuple(tuple(rounded(value) for value in row) for row in full.tolist())
 
 
@@ -99,7 +99,7 @@ def rounded(value: float) -> float:
     return float(f"{value:.12g}")
 
 
-def _as_switch(report: Report, kind: str, line: Joint, is_switch: bool, z: Any, b_us: Any) -> Joint:
+def _as_switch(report: Report, kind: str, line: Joint, is_switch: bool, z: np.ndarray, b_us: np.ndarray) -> Joint:
     """Make a switch of a line that is one, or that is open, and report what is lost."""
     one = z[0, 0]
     alike = np.allclose(z, one * np.eye(len(z)), rtol=0.0, atol=1e-9 * abs(one))
@@ -135,17 +135,17 @@ def _joined(first: Joint, second: Joint) -> Joint:
     of_other_phases = len(phases) == len(first.phases + second.phases)
     if first.kind == second.kind == "switch" and first.values == second.values and of_other_phases:
         return replace(first, name=name, phases=phases)
-    at = ["abc".index(phase) for phase in phases]
+    positions = ["abc".index(phase) for phase in phases]
     y, b_us = np.zeros((2, 3, 3), np.complex128), np.zeros((3, 3))
     for k, line in enumerate((first, second)):
-        own = ["abc".index(phase) for phase in line.phases]
-        z, own_b_us = _matrices(line)
-        y[k][np.ix_(own, own)] = np.linalg.inv(z)
-        b_us[np.ix_(own, own)] += own_b_us
-    z = np.linalg.inv(y.sum(axis=0)[np.ix_(at, at)])
-    values = _columns(first.values.get("length_m", math.nan), z, b_us[np.ix_(at, at)], phases)
-    balanced = np.exp(-2j / 3 * np.pi * np.array(at))
-    shares = np.abs(y[:, :, at] @ z @ balanced)  # by line and phase
+        line_positions = ["abc".index(phase) for phase in line.phases]
+        z, line_b_us = _matrices(line)
+        y[k][np.ix_(line_positions, line_positions)] = np.linalg.inv(z)
+        b_us[np.ix_(line_positions, line_positions)] += line_b_us
+    z = np.linalg.inv(y.sum(axis=0)[np.ix_(positions, positions)])
+    values = _columns(first.values.get("length_m", math.nan), z, b_us[np.ix_(positions, positions)], phases)
+    balanced = np.exp(-2j / 3 * np.pi * np.array(positions))
+    shares = np.abs(y[:, :, positions] @ z @ balanced)  # by line and phase
     ratings = [float(line.values["rating_a"]) for line in (first, second)]
     most = [rating / shares[k].max() for k, rating in enumerate(ratings)]
     values["rating_a"] = rounded(min(most)) if not any(map(math.isnan, most)) else math.nan
@@ -157,6 +157,6 @@ def _matrices(line: Joint) -> tuple[NDArray[Any], NDArray[Any]]:
     size = len(line.phases)
     if line.kind == "switch":
         return complex(line.values["r_ohm"], line.values["x_ohm"]) * np.eye(size), np.zeros((size, size))
-    at = ["abc".index(phase) for phase in line.phases]
-    r, x, b_us = (np.array(line.values[key], float)[np.ix_(at, at)] for key in ("r_ohm", "x_ohm", "b_us"))
+    positions = ["abc".index(phase) for phase in line.phases]
+    r, x, b_us = (np.array(line.values[key], float)[np.ix_(positions, positions)] for key in ("r_ohm", "x_ohm", "b_us"))
     return r + 1j * x, b_us

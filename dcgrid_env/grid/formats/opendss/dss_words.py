@@ -39,18 +39,18 @@ def words_of(line: str) -> list[Word]:
     if any((ord(character) < 32 and character != "\t") or ord(character) == 127 for character in line):
         raise ValueError("a control character; delete it")
     words: list[Word] = []
-    at = 0
-    while (at := _skipped(line, at, _BLANK + ",")) < len(line) and not _is_comment(line, at):
-        if line[at] == "=":
+    index = 0
+    while (index := _skipped(line, index, _BLANK + ",")) < len(line) and not _is_comment(line, index):
+        if line[index] == "=":
             raise ValueError("= without a name before it; write name=value")
-        text, quote, at = _value(line, at)
-        after = _skipped(line, at, _BLANK)
+        text, quote, index = _value(line, index)
+        after = _skipped(line, index, _BLANK)
         if after < len(line) and line[after] == "=":
             if quote:
                 raise ValueError(f"the name {text!r} stands in quotes; write it without")
-            name, at = text, _skipped(line, after + 1, _BLANK)
-            empty = at >= len(line) or line[at] in ",=" or _is_comment(line, at)
-            text, quote, at = ("", '"', at) if empty else _value(line, at)
+            name, index = text, _skipped(line, after + 1, _BLANK)
+            empty = index >= len(line) or line[index] in ",=" or _is_comment(line, index)
+            text, quote, index = ("", '"', index) if empty else _value(line, index)
             words.append(Word(name, text, quote))
         else:
             words.append(Word("", text, quote))
@@ -60,30 +60,30 @@ def words_of(line: str) -> list[Word]:
     return words
 
 
-def _skipped(line: str, at: int, characters: str) -> int:
-    while at < len(line) and line[at] in characters:
-        at += 1
-    return at
+def _skipped(line: str, index: int, characters: str) -> int:
+    while index < len(line) and line[index] in characters:
+        index += 1
+    return index
 
 
-def _is_comment(line: str, at: int) -> bool:
-    return line[at] == "!" or line.startswith("//", at)
+def _is_comment(line: str, index: int) -> bool:
+    return line[index] == "!" or line.startswith("//", index)
 
 
-def _value(line: str, at: int) -> tuple[str, str, int]:
+def _value(line: str, index: int) -> tuple[str, str, int]:
     """A value that begins at a place, its quote and the place behind it."""
-    quote = line[at]
+    quote = line[index]
     if quote not in CLOSING:
-        end = at
+        end = index
         while end < len(line) and line[end] not in _BLANK + ",=" and not _is_comment(line, end):
             if line[end] in "\"'()[]{}":
-                raise ValueError(f"{line[end]} within the word {line[at:].split()[0]!r}; separate words by blanks")
+                raise ValueError(f"{line[end]} within the word {line[index:].split()[0]!r}; separate words by blanks")
             end += 1
-        return line[at:end], "", end
-    end = line.find(CLOSING[quote], at + 1)
+        return line[index:end], "", end
+    end = line.find(CLOSING[quote], index + 1)
     if end < 0:
         raise ValueError(f"{quote} is not closed on its line")
-    text = line[at + 1 : end]
+    text = line[index + 1 : end]
     if quote in text:
         raise ValueError(f"{quote} stands within {quote} {CLOSING[quote]}; use brackets of another kind inside")
     return text, quote, end + 1

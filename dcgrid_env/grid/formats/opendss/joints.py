@@ -44,16 +44,16 @@ class Supply:
 
 def supply_of(source: str, joints: Sequence[Joint]) -> Supply:
     """Follow the closed joints from the source bus; where a loop could be named by several, by a switch."""
-    at: dict[str, list[Joint]] = {}
+    joints_of_bus: dict[str, list[Joint]] = {}
     for joint in sorted(joints, key=lambda joint: joint.kind == "switch"):
         for end in set(joint.ends) if joint.closed else ():
-            at.setdefault(end, []).append(joint)
+            joints_of_bus.setdefault(end, []).append(joint)
     depth, phases, loops = {source: 0}, {source: "abc"}, []
     fed_by: dict[str, tuple[str, Joint]] = {}
     used: set[int] = set()
     queue = [source]
     for bus in queue:
-        for joint in at.get(bus, ()):
+        for joint in joints_of_bus.get(bus, ()):
             if id(joint) in used:
                 continue
             used.add(id(joint))

@@ -10,6 +10,7 @@ import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch import Branch
 from dcgrid_env.grid.formats.import_report import Report
+from dcgrid_env.grid.formats.pandapower.net_schema import PandapowerNet
 
 _FROM, _TO, _R, _X, _B, _TAP, _SHIFT, _STATUS = 0, 1, 2, 3, 4, 8, 9, 10
 _R_ASYM, _X_ASYM, _G, _G_ASYM, _B_ASYM = 21, 22, 23, 24, 25
@@ -40,7 +41,7 @@ class ModelRows:
         Rows of the model of buses that are out of service.
     """
 
-    def __init__(self, net: Any) -> None:
+    def __init__(self, net: PandapowerNet) -> None:
         self.model_bus, self.model_branch = net._ppc["bus"], np.real(net._ppc["branch"])
         lookups = net._pd2ppc_lookups
         index = net.bus.index.tolist()
@@ -63,7 +64,7 @@ class ModelRows:
             self.of_model[row] = 0  # nothing is drawn there, and its line ends before it
 
 
-def read_branches(net: Any, rows: ModelRows, report: Report) -> list[Branch]:
+def read_branches(net: PandapowerNet, rows: ModelRows, report: Report) -> list[Branch]:
     """Return branches in the model's order; a branch that differs by direction is refused."""
     branches = []
     ratings = _ratings(net, rows)
@@ -93,7 +94,7 @@ def read_branches(net: Any, rows: ModelRows, report: Report) -> list[Branch]:
     return branches
 
 
-def _elements(net: Any) -> Iterator[tuple[int, str, str]]:
+def _elements(net: PandapowerNet) -> Iterator[tuple[int, str, str]]:
     """Row of the model's branches, kind and name of each element."""
     sides = ("hv", "mv", "lv")
     for kind, (begin, end) in net._pd2ppc_lookups["branch"].items():
@@ -109,7 +110,7 @@ def _elements(net: Any) -> Iterator[tuple[int, str, str]]:
         yield from ((begin + k, kind, name) for k, name in enumerate(names))
 
 
-def _ratings(net: Any, rows: ModelRows) -> dict[tuple[str, str], float]:
+def _ratings(net: PandapowerNet, rows: ModelRows) -> dict[tuple[str, str], float]:
     """Largest current of lines and transformers, per unit of their to bus, where it is known."""
     base_mva, found = float(net.sn_mva), {}
     line, trafo = net.line, net.trafo

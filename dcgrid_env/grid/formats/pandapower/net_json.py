@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.grid.formats.import_report import Report
-from dcgrid_env.grid.formats.pandapower.net_schema import LARGEST_INDEX, REFUSED, SCHEMA
+from dcgrid_env.grid.formats.pandapower.net_schema import LARGEST_INDEX, REFUSED, SCHEMA, PandapowerNet
 from dcgrid_env.grid.topology import FeederError
 
 _MAX_BYTES = 512 * 2**20
@@ -21,7 +21,7 @@ _PLAIN_TABLES = (*SCHEMA, *REFUSED, "bus_dc", "trafo_characteristic_table", "shu
 _NO_MATTER = {"std_types", "measurement", "pwl_cost", "poly_cost", "group", "user_pf_options", "controller"}
 
 
-def net_from_json(path: Path, report: Report) -> Any:
+def net_from_json(path: Path, report: Report) -> PandapowerNet:
     """The net of a file; FeederError for a file that holds none, naming table, row and column."""
     members = _members(path)
     tables = {name: _table(str(path), name, members[name]) for name in _PLAIN_TABLES if _is_table(members.get(name))}
@@ -56,7 +56,7 @@ def _unique(where: object, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return made
 
 
-def _is_table(member: Any) -> bool:
+def _is_table(member: object) -> bool:
     return isinstance(member, dict) and member.get("_class") == "DataFrame"
 
 
@@ -86,7 +86,7 @@ def _table(file: str, name: str, member: dict[str, Any]) -> dict[str, Any]:
     return {"columns": columns, "index": index, "data": data}
 
 
-def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, Any]]) -> Any:
+def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, Any]]) -> PandapowerNet:
     """An empty net with the tables in it."""
     import pandapower
     import pandas

@@ -20,7 +20,7 @@ from dcgrid_env.grid.formats.bus_branch.bus_naming import errors_naming, named_b
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
-from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, check_net
+from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, PandapowerNet, check_net
 from dcgrid_env.grid.formats.pandapower.net_source import loaded_net
 from dcgrid_env.grid.topology import FeederError
 
@@ -31,7 +31,7 @@ _BS, _GS, _PD, _QD, _VALUES = 5, 4, 2, 3, (13, 14, 16, 17)
 
 
 def read_pandapower(
-    source: Any,
+    source: object,
     *,
     arguments: Mapping[str, Any] | None = None,
     at: str | None = None,
@@ -93,7 +93,7 @@ def read_pandapower(
         )
 
 
-def _solve(called: str, net: Any) -> bool:
+def _solve(called: str, net: PandapowerNet) -> bool:
     """Run pandapower's power flow, which builds its model; whether it found a solution."""
     import pandapower
 
@@ -133,20 +133,20 @@ def quiet() -> Iterator[None]:
         log.setLevel(level)
 
 
-def _grid(called: str, net: Any, rows: ModelRows, bus_names: bool) -> BusBranchGrid:
+def _grid(called: str, net: PandapowerNet, rows: ModelRows, bus_names: bool) -> BusBranchGrid:
     """Buses with their base voltages and coordinates; those within pandapower's model come after its own."""
     index = net.bus.index.tolist()
     names = net.bus.name.tolist() if bus_names else index
-    own = named_buses(called, [str(name) if name is not None else "" for name in names])
+    named = named_buses(called, [str(name) if name is not None else "" for name in names])
     within = tuple(rows.within.values())
     base_kv = np.concatenate([net.bus.vn_kv.to_numpy(dtype=float), rows.model_bus[list(rows.within), 9].real])
-    grid = empty_grid(str(net.name or called), float(net.sn_mva), named_buses(called, own + within), base_kv)
+    grid = empty_grid(str(net.name or called), float(net.sn_mva), named_buses(called, named + within), base_kv)
     for i, bus in enumerate(index):
         grid.x[i], grid.y[i] = _place(net, bus, i)
     return grid
 
 
-def _place(net: Any, bus: int, row: int) -> tuple[float, float]:
+def _place(net: PandapowerNet, bus: int, row: int) -> tuple[float, float]:
     """Coordinates of a bus, NaN where none can be read."""
     import json
 
@@ -161,7 +161,7 @@ def _place(net: Any, bus: int, row: int) -> tuple[float, float]:
     return (x, y) if np.isfinite(x) and np.isfinite(y) else (np.nan, np.nan)
 
 
-def _report_what_is_refused(net: Any, report: Report) -> None:
+def _report_what_is_refused(net: PandapowerNet, report: Report) -> None:
     for name, what in REFUSED.items():
         table = net.get(name, ())
         if len(table):
@@ -170,7 +170,7 @@ def _report_what_is_refused(net: Any, report: Report) -> None:
             report.add_all("nothing lost", name, map(str, table.index[~live]), "out of service: it is left out")
 
 
-def _add_switches(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
+def _add_switches(net: PandapowerNet, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
     table = net.switch
     for i, bus, element, et, closed in zip(table.index, table.bus, table.element, table.et, table.closed, strict=True):
         if not closed:
@@ -181,7 +181,7 @@ def _add_switches(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report
             grid.switches.append(ClosedSwitch(str(i), rows.of_bus[bus], rows.of_bus[element]))
 
 
-def _add_loads(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
+def _add_loads(net: PandapowerNet, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
     """Put what buses draw into the grid, by pandapower's sums: their power, and how it depends on the voltage."""
     model = rows.model_bus.real
     p, q = 1000.0 * model[:, _PD], 1000.0 * model[:, _QD]
@@ -205,7 +205,7 @@ def _add_loads(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report) -
         report.add_all("lost", "load", map(str, names), "its share of constant current becomes constant power")
 
 
-def _add_sources(net: Any, grid: BusBranchGrid, rows: ModelRows, report: Report, fix: bool) -> None:
+def _add_sources(net: PandapowerNet, grid: BusBranchGrid, rows: ModelRows, report: Report, fix: bool) -> None:
     """Put external grids in as sources, and generators as what they may be; ``fix`` gives them their solved power."""
     for kind in ("ext_grid", "gen"):
         table = net[kind]

@@ -8,6 +8,8 @@ import numpy as np
 
 from dcgrid_env.grid.topology import FeederError
 
+PandapowerNet = Any
+"""A ``pandapowerNet``; pandapower is optional and its tables have no types."""
 _LARGEST = 1e12
 LARGEST_INDEX = 10_000_000
 """Largest index of an element: pandapower makes arrays of that length."""
@@ -102,7 +104,7 @@ _WANTED = {
 }
 
 
-def check_net(source: str, net: Any) -> None:
+def check_net(source: str, net: PandapowerNet) -> None:
     """FeederError at the first cell of a net that cannot be used, naming table, index and column."""
     tables = [name for name in SCHEMA if len(net[name])]
     for name in (*tables, *(name for name in REFUSED if name in net and len(net[name]))):
@@ -161,7 +163,7 @@ def _all_good(kind: str, cells: np.ndarray, empty: bool, buses: set[int]) -> boo
     return bool((((cells >= low) & (cells <= high)) | (np.isnan(cells) if empty else False)).all())
 
 
-def _is_good(kind: str, cell: Any, buses: set[int]) -> bool:
+def _is_good(kind: str, cell: object, buses: set[int]) -> bool:
     if kind == "bool":
         return isinstance(cell, bool | np.bool_)
     if isinstance(cell, bool | np.bool_) or not isinstance(cell, int | float | np.number):
@@ -182,7 +184,7 @@ def _check_index(source: str, name: str, index: Any) -> None:
         seen.add(i)
 
 
-def _check_switches(source: str, net: Any) -> None:
+def _check_switches(source: str, net: PandapowerNet) -> None:
     table = net.switch
     of = {"b": ("bus", ()), "l": ("line", ("from_bus", "to_bus")), "t": ("trafo", ("hv_bus", "lv_bus")),
           "t3": ("trafo3w", ("hv_bus", "mv_bus", "lv_bus"))}  # fmt: skip
@@ -197,7 +199,7 @@ def _check_switches(source: str, net: Any) -> None:
             raise FeederError(f"{source}, table switch, index {i}: {text}")
 
 
-def _check_ends(source: str, net: Any) -> None:
+def _check_ends(source: str, net: PandapowerNet) -> None:
     for name, columns in (("line", ("from_bus", "to_bus")), ("trafo", ("hv_bus", "lv_bus"))):
         table = net[name]
         for i, a, b in zip(table.index, table[columns[0]], table[columns[1]], strict=True):

@@ -8,15 +8,17 @@ import importlib
 import inspect
 from collections.abc import Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_json import net_from_json
+from dcgrid_env.grid.formats.pandapower.net_schema import PandapowerNet
 from dcgrid_env.grid.topology import FeederError
 
 
-def loaded_net(source: Any, arguments: Mapping[str, Any], trust: bool, report: Report) -> tuple[str, Any]:
+def loaded_net(source: object, arguments: Mapping[str, Any], trust: bool, report: Report) -> tuple[str, Any]:
     """Return the name of a net and a separate copy of the net.
 
     Raises FeederError if the net cannot be loaded or pandapower is not installed.
@@ -39,7 +41,7 @@ def loaded_net(source: Any, arguments: Mapping[str, Any], trust: bool, report: R
     return str(source.name or "net"), copy.deepcopy(source)
 
 
-def _from_file(path: Path, trust: bool, report: Report) -> Any:
+def _from_file(path: Path, trust: bool, report: Report) -> PandapowerNet:
     if not trust:
         return net_from_json(path, report)
     import pandapower
@@ -50,7 +52,7 @@ def _from_file(path: Path, trust: bool, report: Report) -> Any:
         raise FeederError(f"{path}: pandapower cannot read it ({type(error).__name__}: {str(error)[:200]})") from None
 
 
-def _made(name: str, arguments: Mapping[str, Any]) -> Any:
+def _made(name: str, arguments: Mapping[str, Any]) -> PandapowerNet:
     """The network that a function of ``pandapower.networks`` makes, or SimBench's of a code."""
     import pandapower.networks
 
@@ -80,7 +82,7 @@ def _made(name: str, arguments: Mapping[str, Any]) -> Any:
     return made
 
 
-def _functions(module: Any) -> dict[str, Any]:
+def _functions(module: ModuleType) -> dict[str, Any]:
     """Functions that make networks, by name."""
     return {
         name: one
@@ -89,7 +91,7 @@ def _functions(module: Any) -> dict[str, Any]:
     }
 
 
-def _simbench(code: str) -> Any:
+def _simbench(code: str) -> PandapowerNet:
     try:
         # Optional, and not in the extra `dev`: a plain import would be an error to a type checker there.
         simbench = importlib.import_module("simbench")

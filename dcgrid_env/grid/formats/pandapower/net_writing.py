@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dcgrid_env.core.files import write_text
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.bus_branch import BalancedFeeder, Branch, BusBranchGrid, described
+from dcgrid_env.grid.formats.pandapower.net_schema import PandapowerNet
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
 
@@ -25,7 +25,7 @@ def write_pandapower(feeder: BalancedFeeder, path: str | Path) -> None:
     write_text(Path(path), pandapower.to_json(pandapower_net(feeder)))
 
 
-def pandapower_net(feeder: BalancedFeeder) -> Any:
+def pandapower_net(feeder: BalancedFeeder) -> PandapowerNet:
     """Return a pandapower net of a feeder, at the base voltage of each bus.
 
     Indices are bus names if all of these are whole numbers of 0 or more. A branch without impedance becomes a closed
@@ -46,20 +46,20 @@ def pandapower_net(feeder: BalancedFeeder) -> Any:
         for x, y in zip(grid.x.tolist(), grid.y.tolist(), strict=True)
     ]
     pp.create_ext_grid(net, index[0], vm_pu=grid.sources[0].v_pu)
-    at = np.array(index)
+    bus = np.array(index)
     loaded = (grid.p_kw != 0) | (grid.q_kvar != 0)
     if loaded.any():
-        pp.create_loads(net, at[loaded].tolist(), p_mw=grid.p_kw[loaded] / 1000.0, q_mvar=grid.q_kvar[loaded] / 1000.0)
+        pp.create_loads(net, bus[loaded].tolist(), p_mw=grid.p_kw[loaded] / 1000.0, q_mvar=grid.q_kvar[loaded] / 1000.0)
     shunted = (grid.shunt_kw != 0) | (grid.shunt_kvar != 0)
     if shunted.any():
         p_mw, q_mvar = grid.shunt_kw[shunted] / 1000.0, -grid.shunt_kvar[shunted] / 1000.0
-        pp.create_shunts(net, at[shunted].tolist(), q_mvar=q_mvar, p_mw=p_mw)
+        pp.create_shunts(net, bus[shunted].tolist(), q_mvar=q_mvar, p_mw=p_mw)
     _add_lines(net, grid, index, [b for b in grid.branches if b.kind == "line"])
     _add_transformers(net, feeder.name, grid, index, [b for b in grid.branches if b.kind != "line"])
     return net
 
 
-def _add_lines(net: Any, grid: BusBranchGrid, index: list[int], lines: list[Branch]) -> None:
+def _add_lines(net: PandapowerNet, grid: BusBranchGrid, index: list[int], lines: list[Branch]) -> None:
     import pandapower as pp
 
     for b in lines:
@@ -83,7 +83,9 @@ def _add_lines(net: Any, grid: BusBranchGrid, index: list[int], lines: list[Bran
     )
 
 
-def _add_transformers(net: Any, feeder: str, grid: BusBranchGrid, index: list[int], branches: list[Branch]) -> None:
+def _add_transformers(
+    net: PandapowerNet, feeder: str, grid: BusBranchGrid, index: list[int], branches: list[Branch]
+) -> None:
     import pandapower as pp
 
     without = [b.name for b in branches if b.z_pu == 0]

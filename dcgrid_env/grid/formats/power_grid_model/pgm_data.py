@@ -119,7 +119,7 @@ class _Look:
             if component == "node" and field == "name" and isinstance(value, str) and isinstance(cells.get("id"), int):
                 self.names[cells["id"]] = value
 
-    def _cell(self, where: str, dtype: np.dtype[Any], value: Any, infinite: bool) -> None:
+    def _cell(self, where: str, dtype: np.dtype[Any], value: object, infinite: bool) -> None:
         if value is None:
             return
         if dtype.shape:

@@ -82,14 +82,14 @@ def read_power_grid_model(
         _add_loads(grid, data, rows, report)
         _add_rest(data, report)
         chosen = next((s.name for s in grid.sources if grid.buses[_node_of(grid, s)] == source), source)
-        at = next((grid.buses[s.bus] for s in grid.sources if s.name == chosen), chosen)
+        source_bus = next((grid.buses[s.bus] for s in grid.sources if s.name == chosen), chosen)
         facts = f"power-grid-model file {path.name}"
 
         def voltages() -> dict[str, float]:
             return {grid.buses[rows[node]]: v for node, v in _solved(data, frequency_hz).items()}
 
         return imported(
-            grid, report, voltages, solver="power-grid-model", source=at, allow=allow, source_of_facts=facts
+            grid, report, voltages, solver="power-grid-model", source=source_bus, allow=allow, source_of_facts=facts
         )
 
 

@@ -64,7 +64,7 @@ def test_rows_of_a_three_phase_feeder_are_those_of_its_matrices(monkeypatch):
     scenario = chosen.replace(
         datacenters={"buses": [feeder.bus_ids[i] for i in chosen.candidates[: chosen.datacenters.count]]}
     )
-    some = linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar, at=[5, 17])
+    some = linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar, nodes=[5, 17])
     every = linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar)
     np.testing.assert_allclose(some.by_p_pu_per_mw, every.by_p_pu_per_mw[[5, 17]], rtol=1e-7, atol=1e-9)
     dense = connections.own_distance(scenario)
