@@ -60,13 +60,6 @@ def check_ramp_limit(scenario: Any) -> None:
         raise FieldError("Scenario", "cost.ramp_window_s", window_s, remedy)
 
 
-NAMES_OF_THE_GRID = (
-    "v_deviation", "v_change", "p", "q", "q_limit", "r", "x", "voltage", "violation", "effort", "step", "loss",
-    "unbalance", "switching", "ramp_excess", "voltage_step_excess", "overload", "loading",
-)  # fmt: skip
-"""Fields and cost terms that every agent has, which no device may call its own."""
-
-
 def check_groups(devices: tuple[Any, ...], horizon: int, dt_s: float) -> None:
     """Raise FieldError for two groups of a kind or of one source, or a name that is the grid's or another group's."""
     kinds = [device.kind for device in devices]
@@ -76,11 +69,11 @@ def check_groups(devices: tuple[Any, ...], horizon: int, dt_s: float) -> None:
     for source in ("workload", "injection"):
         if sum(device.input == source for device in devices) > 1:
             raise _refused(f"more than one group is driven by {source}; give one, with a rating for each slot")
-    terms: dict[str, str] = {}
+    of_grid, terms = {term.name for term in TERMS if term.amount is not None}, dict[str, str]()
     for device in devices:
         cost_names = [term.name for term in device.cost_terms(horizon, dt_s)]
         for name in (*cost_names, *(field.name for field in device.fields(horizon, dt_s))):
-            if name in NAMES_OF_THE_GRID:
+            if name in of_grid:
                 raise _refused(f"{device.kind!r} calls something {name!r}, which is the grid's; rename it")
         for name in cost_names:
             if terms.setdefault(name, device.kind) != device.kind:

@@ -26,6 +26,7 @@ from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.costs.overload import loading_of_agents
+from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.scenario import Scenario
 
 _LARGEST_LOADING = 4.0
@@ -152,9 +153,17 @@ def common_fields(scenario: Scenario) -> tuple[str, ...]:
 
 @cached_on_owner
 def device_fields(scenario: Scenario) -> tuple[tuple[Field, ...], ...]:
-    """The fields of each device, those that are deviations of voltages in bands."""
-    band = scenario.cost.band_pu or 1.0
-    of_devices = (device.fields(scenario.horizon, scenario.dt_s) for device in scenario.devices)
+    """The fields of each device, those that are deviations of voltages in bands.
+
+    ScenarioError for a field, or a cost term, with the name of a field of the grid.
+    """
+    band, of_grid = scenario.cost.band_pu or 1.0, {field.name for field in FIELDS}
+    lengths = scenario.horizon, scenario.dt_s
+    of_devices = [device.fields(*lengths) for device in scenario.devices]
+    for device, fields in zip(scenario.devices, of_devices, strict=True):
+        for name in (*(field.name for field in fields), *(term.name for term in device.cost_terms(*lengths))):
+            if name in of_grid:
+                raise ScenarioError(f"{device.kind!r} calls something {name!r}, which is the grid's; rename it")
     return tuple(
         tuple(_in_bands(field, band) if field.of_band else field for field in fields_of_device)
         for fields_of_device in of_devices

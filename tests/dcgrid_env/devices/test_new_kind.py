@@ -26,6 +26,8 @@ from dcgrid_env.agents import Network, Policy
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.devices import Channel, device_kind
+from dcgrid_env.engine.cost.observation import FIELDS
+from dcgrid_env.scenario.costs.grid_terms import TERMS
 from helpers.needs import NEEDING_A_DEVICE
 
 SPEC = importlib.util.spec_from_file_location("battery_of_the_tests", Path(__file__).with_name("battery.py"))
@@ -262,7 +264,7 @@ def test_a_class_that_is_no_device_is_refused_by_name(changes, message):
         register_device(other)
 
 
-@pytest.mark.parametrize("name", ["voltage", "loss"])
+@pytest.mark.parametrize("name", [*(term.name for term in TERMS if term.amount), *(field.name for field in FIELDS)])
 def test_what_is_the_grids_no_device_may_call_its_own(name):
     class Greedy(BATTERIES):
         kind = "greedy"
@@ -270,9 +272,9 @@ def test_what_is_the_grids_no_device_may_call_its_own(name):
         def cost_terms(self, horizon, dt_s):
             return tuple(term._replace(name=name) for term in super().cost_terms(horizon, dt_s))
 
-    base = make_scenario("toy6")
+    base, greedy = make_scenario("toy6"), Greedy(buses=(2,), p_rated_kw=1.0, energy_kwh=1.0)
     with pytest.raises(ScenarioError, match=f"'greedy' calls something '{name}', which is the grid's; rename it"):
-        base.replace(devices=(*base.devices, Greedy(buses=(2,), p_rated_kw=1.0, energy_kwh=1.0)))
+        dcgrid_env.parallel_env(base.replace(devices=(*base.devices, greedy)))
 
 
 def test_a_scenario_without_data_centres_runs_and_is_measured():
