@@ -16,7 +16,7 @@ COLUMNS = (
     dataclasses.replace(METRICS["voltage_deviation_mean_pu"], decimals=5),  # variants differ by little
     METRICS["outside_bus_seconds_pct"],
     METRICS["cost_violation"],
-    Metric("J_but_delay", "J but for waiting", "", 4, "lower"),
+    Metric("J_but_delay", "J without delay", "", 4, "lower"),
     METRICS["delay_mean_s"],
 )
 """Columns that are means over episodes."""

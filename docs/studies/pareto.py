@@ -147,18 +147,17 @@ def droop_table(front: Front) -> Table:
 def markdown(front: Front, made_by: str, image: str) -> str:
     """The page."""
     about = (
-        "Each policy is trained for the least cost but for waiting, at no more than so much mean delay; the price of "
-        "waiting is found while it is trained (a multiplier that rises while the limit is exceeded on the training "
-        "split), and the policy kept is the best on the validation split. Here they are on the test split, which "
-        "neither has seen, so the delay need not be the limit exactly. The last one has no limit, but the scenario's "
-        "own price of waiting."
+        "Each policy is trained for the lowest cost without the delay terms, under a limit on the mean delay. A "
+        "multiplier on the delay rises while the limit is exceeded on the training split. The policy kept is the best on the "
+        "validation split. The table shows the test split, so the mean delay can differ from the limit. The policy "
+        "without a limit pays for waiting as J does."
     )
     under = (
-        "Under it the droop law as tuned but for its active gain k_p, and for alpha, the share of the backlog that is "
-        f"asked back for in a second: the tuned one, {BETWEEN_PER_S:g}, and the paper's {PAPERS_ALPHA_PER_S:g}. "
-        "The one-step predictive control knows the feeder and all that happens on it; the policies see what a bus sees."
+        "The second table is the droop law at several active gains k_p and three shares alpha of the backlog that it "
+        f"asks back per second: the tuned one, {BETWEEN_PER_S:g}, and the paper's {PAPERS_ALPHA_PER_S:g}. One-step MPC "
+        "knows the whole feeder; policies and droop observe their own bus."
     )
-    each = commands("Each run of the first seed by itself:", ((one.label, one.command) for one in front.learned))
+    each = commands("The training of the first seed of each row:", ((one.label, one.command) for one in front.learned))
     parts = (wrapped(about), wrapped(under), f"![{front.scenario}: voltage against delay]({image})")
     return page("Voltage against delay", made_by, *parts, learned_table(front).markdown(), each,
                 droop_table(front).markdown())  # fmt: skip
@@ -167,7 +166,7 @@ def markdown(front: Front, made_by: str, image: str) -> str:
 PANELS = (
     ("voltage_deviation_mean_pu", 1e3, "mean |V - 1| (0.001 p.u.)"),
     ("outside_bus_seconds_pct", 1.0, "bus-seconds outside the band (%)"),
-    ("J_but_delay", 1.0, "J but for waiting"),
+    ("J_but_delay", 1.0, "J without delay"),
 )
 """Metric, factor and name of each panel of the front; the policies are trained for the last metric."""
 LINEAR_S = 0.1
@@ -219,7 +218,7 @@ def _front(ax: Axes, front: Front, metric: str, factor: float) -> None:
             means = one.tested.mean.means
             ax.plot(means["delay_mean_s"], factor * means[metric], linestyle="none", marker="o", markersize=8,
                     markerfacecolor="white", markeredgecolor=FRONT_COLOUR, markeredgewidth=1.8, zorder=6,
-                    label="learned, waiting priced as in J")  # fmt: skip
+                    label="learned, delay priced as in J")  # fmt: skip
             _seeds(ax, one, metric, factor)
 
 
@@ -264,5 +263,5 @@ class Pareto(Study):
             found = front(scenario, self.episodes, runs)
         write_figure(self.out / "images" / "pareto.png", pareto_figure(found), dpi=130)
         write_text(self.out / "pareto.md", markdown(found, meta()["command"], "images/pareto.png"))
-        console.print(brief(learned_table(found), "J", "J but for waiting", "mean delay, s").rich(console.width))
+        console.print(brief(learned_table(found), "J", "J without delay", "mean delay, s").rich(console.width))
         say(console, f"wrote {self.out / 'pareto.md'} and {self.out / 'images' / 'pareto.png'}")
