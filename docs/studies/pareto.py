@@ -148,9 +148,9 @@ def markdown(front: Front, made_by: str, image: str) -> str:
     """The page."""
     about = (
         "Each policy is trained for the lowest cost without the delay terms, under a limit on the mean delay. A "
-        "multiplier on the delay rises while the limit is exceeded on the training split. The policy kept is the best on "
-        "the validation split. The table shows the test split, so the mean delay can differ from the limit. The policy "
-        "without a limit pays for waiting as J does."
+        "multiplier on the delay rises while the limit is exceeded on the training split. The policy kept is the best "
+        "on the validation split. The table shows the test split, so the mean delay can differ from the limit. The "
+        "policy without a limit pays for waiting as J does."
     )
     under = (
         "The second table is the droop law at several active gains k_p and three shares alpha of the backlog that it "
