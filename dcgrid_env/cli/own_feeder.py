@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dcgrid_env.devices.device import Device
-
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
+    from dcgrid_env.devices.device import Device
 
 
 class Asked(NamedTuple):

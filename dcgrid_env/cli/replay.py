@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import tyro
 
-from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.opening import offer
@@ -20,6 +19,7 @@ from dcgrid_env.cli.terminal import plain_console, say
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario, Series
+    from dcgrid_env.baselines.controller import Controller
 
 COMPARED = "none,droop"
 """Default controllers with ``--scenario``."""

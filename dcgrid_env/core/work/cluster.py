@@ -176,7 +176,7 @@ def _require_same_code(found: Cluster) -> None:
     if not nodes:
         raise ValueError(f"ray: the cluster at {found.address!r} has no node with a core for work; add one")
     ask, others = ray.remote(_asked()), []
-    for node, answer in [(node, _sent(ask, node)) for node in nodes]:
+    for node, answer in [(node, _sent(ask, node)) for node in nodes]:  # all are asked before the first answer
         has = _answered(found, ask, node, answer)
         differ = [f"{what} {has[what]}, here {here}" for what, here in expected.items() if has and has[what] != here]
         if differ:

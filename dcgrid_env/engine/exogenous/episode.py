@@ -215,7 +215,7 @@ def exogenous(
     noise: np.ndarray,
     p_ref: np.ndarray,
 ) -> Exogenous:
-    """What comes from outside in the interval that ends at each row's ``step``; its loads are still to be drawn.
+    """External inputs of the interval that ends at each row's ``step``, with loads that are not drawn yet.
 
     Parameters
     ----------

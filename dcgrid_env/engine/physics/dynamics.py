@@ -36,7 +36,7 @@ from dcgrid_env.scenario.scenario import Scenario
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, GridStep]:
     """Solve t = 0 with every channel at its initial setpoint: highest clocks, no reactive power.
 
-    The loads of ``exogenous`` are drawn. The taps of regulators that are controlled have settled.
+    The loads of ``exogenous`` must be drawn. The taps of regulators that are controlled have settled.
     """
     xp = namespace(exogenous.p_load_kw)
     params = parameters(scenario, exogenous.p_load_kw)
@@ -166,7 +166,9 @@ def _solved(
     if exogenous.to_draw is not None:
         if in_one_pass := _grid_pass(scenario):
             return in_one_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
-        exogenous, noise = drawing().drawn(scenario, exogenous)
+        from dcgrid_env.engine.physics.loads import drawn  # brings the compiler with it
+
+        exogenous, noise = drawn(scenario, exogenous)
     solve, changing = _grid(scenario)
     legs = exogenous.nodes if exogenous.legs is None else exogenous.legs
     p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
@@ -274,16 +276,8 @@ def _grid_pass(scenario: Scenario) -> Callable[..., GridStep] | None:
 
 
 @cache
-def drawing() -> Any:
-    """How loads are drawn, imported on first use: it brings the compiler with it."""
-    from dcgrid_env.engine.physics import loads
-
-    return loads
-
-
-@cache
 def step_kernels() -> Any:
-    """The compiled kernels of a step, imported on first use as ``drawing`` is."""
+    """The compiled kernels of a step, imported on first use: they bring the compiler with them."""
     from dcgrid_env.engine.physics import step_kernels as kernels
 
     return kernels

@@ -60,7 +60,10 @@ def _load_of(feeder: AnyFeeder, scenario: Scenario) -> LoadNoise:
 
 
 def drawn(scenario: Scenario, exogenous: Exogenous) -> tuple[Exogenous, np.ndarray]:
-    """Draw the loads of an interval; return the interval with them, and the load noise at its end, (row, n_bus)."""
+    """Draw the loads of an interval; return the interval with them, and the load noise at its end, (row, n_bus).
+
+    ValueError if they are drawn already.
+    """
     feeder, to_draw = scenario.feeder, exogenous.to_draw
     if to_draw is None:
         raise ValueError("the loads of this interval are drawn already")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class LoadsToDraw(NamedTuple):
-    """What the other loads of an interval are drawn from: see ``loads.drawn``."""
+    """Inputs of ``loads.drawn``, which draws the other loads of an interval."""
 
     key: np.ndarray
     """(row,) uint64."""
@@ -57,7 +57,7 @@ class Exogenous(NamedTuple):
     trip_widths: TripWidths | None = None
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
     to_draw: LoadsToDraw | None = None
-    """For loads that are not drawn yet, and None."""
+    """Inputs of loads that are not drawn yet, which are None then; None once they are drawn."""
 
 
 class GridStep(NamedTuple):
@@ -65,7 +65,7 @@ class GridStep(NamedTuple):
 
     solution: Any
     """The power flow at its end."""
-    noise: Any = None
+    noise: Array = None
     """The load noise at its end, (row, n_bus); None where the loads were drawn before."""
     figures: VoltageFigures | None = None
     """Figures of the solution's voltages, where the solver has them."""
