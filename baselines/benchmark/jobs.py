@@ -197,7 +197,9 @@ def _add(digest: Any, value: object, places: dict[int, tuple[int, Any]]) -> None
     if isinstance(value, str | bytes | int | float | complex | np.generic | PurePath | None):
         digest.update(f"{value!r};".encode())
     elif isinstance(value, CODE):
-        digest.update(f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')};".encode())
+        # SciPy's ufuncs have no __qualname__, NumPy's have one from 2.2 on.
+        name = getattr(value, "__qualname__", value.__name__ if isinstance(value, np.ufunc) else "")
+        digest.update(f"{getattr(value, '__module__', '')}.{name};".encode())
     elif isinstance(value, tuple):
         _add_all(digest, value, places)
     elif id(value) in places:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.special
 
 from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import Network, Policy
@@ -170,6 +171,7 @@ def test_code_that_a_controller_holds_is_fed_by_its_name():
     assert controller_hash(one) == controller_hash(controller(np, np.tanh, len, Slotted, policy))
     assert controller_hash(one) != controller_hash(two)
     assert controller_hash(one) != controller_hash(controller(np, np.maximum, len, Slotted, policy))
+    assert controller_hash(controller(scipy.special.expit)) != controller_hash(controller(scipy.special.erf))
 
 
 def test_another_policy_under_the_same_name_is_another_unit(tmp_path):

@@ -205,6 +205,14 @@ def test_help_names_scenario_files(line, capsys, monkeypatch):
     assert "path/to/file.toml" in stopped(capsys, *line.split(), "--help")[1].out
 
 
+@pytest.mark.parametrize("line", ["list fields", "verify folder", "ship --name new folder"])
+def test_options_after_a_list_of_arguments_are_options(line, capsys):
+    assert stopped(capsys, *line.split(), "--help")[0] == 0
+    code, said = stopped(capsys, *line.split(), "--unknown")
+    assert code == 2
+    assert "Unrecognized options: --unknown" in said.err
+
+
 @pytest.mark.parametrize("second", [["--set", "background.load_sigma=0.1"], ["--set=background.load_sigma=0.1"]])
 def test_overrides_given_in_two_places_are_refused(second, capsys):
     code, said = stopped(capsys, "run", "--set", "horizon=5", *second)

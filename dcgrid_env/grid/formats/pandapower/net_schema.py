@@ -89,7 +89,7 @@ _WORDS = {
     ("trafo", "tap_changer_type"): ("Ratio", "Symmetrical", "Ideal", "Tabular"),
     ("trafo3w", "tap_changer_type"): ("Ratio", "Symmetrical", "Ideal", "Tabular"),
 }
-"""Allowed texts of text columns; pandapower handles empty cells."""
+"""Allowed texts of text columns; pandapower handles empty cells, which are "" where 3.2 creates several at once."""
 _OPTIONAL_COLUMNS = {
     "tap_neutral", "tap_min", "tap_max", "tap_pos", "tap_step_percent", "tap_step_degree", "vn_kv", "max_i_ka",
     "va_degree", "gf_pu", "bf_pu", "gt_pu", "bt_pu", "z_ohm", "df", "g_us_per_km", *_SHARE,
@@ -124,7 +124,7 @@ def check_net(source: str, net: PandapowerNet) -> None:
     for (name, column), words in _WORDS.items():
         if column in net[name].columns:
             for i, cell in zip(net[name].index, net[name][column], strict=True):
-                if cell is not None and cell == cell and cell not in words:
+                if cell not in (None, "", *words) and cell == cell:
                     text = f"{column} is {str(cell)[:60]!r}; it is {' or '.join(words)}"
                     raise FeederError(f"{source}, table {name}, index {i}: {text}")
     _check_switches(source, net)
