@@ -1,8 +1,10 @@
 """Online feedback optimisation: one projected primal-dual step a second on the measured voltages.
 
-With e = V - 1 at every bus, S the model's slopes (``model``) and x = (work served, reactive injection) as dispatched:
+With e = V - 1 at every bus, e* = V - V* (V* its target, 1 p.u. unless the cost has a voltage profile), b the band around
+the target in which no deviation is charged, S the model's slopes (``model``) and x = (work served, reactive injection) as dispatched:
 
-    l   <- clip((1 - s) l   + s k e,            -w_v, w_v)        multiplier of mean|e|,  w_v its weight for a bus
+    l   <- clip(soft((1 - s) l + s k e*, s k b), -w_v, w_v)       multiplier of mean max(|e*| - b, 0),  w_v its weight
+                                                                  for a bus; soft(x, y) = sign(x) max(|x| - y, 0)
     m_+ <- clip((1 - s) m_+ + s k (e - band),      0, w_o)        of the excess above the band; m_- of that below it
     x   <- project(x - g D (S' (l + m_+ - m_-) + grad f(x)))      f: the prices of waiting work and reactive effort
 
@@ -36,7 +38,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import Scenario, voltage_targets
 from dcgrid_env.baselines.model_based.linear_model import Estimate, ModelController
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
@@ -78,6 +80,7 @@ class FeedbackOptimisation(ModelController):
         self._backlog_price = (w.backlog + w.leftover) * s.dt_s / (dc.p_rated_kw.sum() or 1.0)  # of each kW held back
         self._effort_price = w.effort / s.n_agents / self._rated_kva
         self._size = np.concatenate((dc.p_dynamic_kw, self._q_scale))
+        self._target_pu = voltage_targets(s)[s.feeder.load_slice] - 1.0
         self._multipliers: tuple[np.ndarray, ...] | None = None
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +111,9 @@ class FeedbackOptimisation(ModelController):
         voltage, violation = self._weights
         keep, by, band = 1.0 - self.dual_step, self.dual_step * self._slope, self.scenario.cost.band_pu
         apart, above, below = self._multipliers or (np.zeros_like(e),) * 3
-        apart = np.clip(keep * apart + by * e, -voltage, voltage)
+        apart = keep * apart + by * (e - self._target_pu)
+        charged = np.maximum(np.abs(apart) - by * self.scenario.cost.uncharged_pu, 0.0)
+        apart = np.clip(np.copysign(charged, apart), -voltage, voltage)
         above = np.clip(keep * above + by * (e - band), 0.0, violation)
         below = np.clip(keep * below - by * (e + band), 0.0, violation)
         self._multipliers = (apart, above, below)
