@@ -1,12 +1,13 @@
 """Online feedback optimisation: one projected primal-dual step a second on the measured voltages.
 
-With e = V - 1 at every bus, e* = V - V* (V* its target, 1 p.u. unless the cost has a voltage profile), b the band around
-the target in which no deviation is charged, S the model's slopes (``model``) and x = (work served, reactive injection) as dispatched:
+With e = V - 1 at every bus, S the model's slopes (``model``) and x = (work served, reactive injection) as dispatched:
 
-    l   <- clip(soft((1 - s) l + s k e*, s k b), -w_v, w_v)       multiplier of mean max(|e*| - b, 0),  w_v its weight
-                                                                  for a bus; soft(x, y) = sign(x) max(|x| - y, 0)
+    l   <- clip((1 - s) l   + s k e,            -w_v, w_v)        multiplier of mean|e|,  w_v its weight for a bus
     m_+ <- clip((1 - s) m_+ + s k (e - band),      0, w_o)        of the excess above the band; m_- of that below it
     x   <- project(x - g D (S' (l + m_+ - m_-) + grad f(x)))      f: the prices of waiting work and reactive effort
+
+If the cost has a voltage profile with a band b, e in the first line is the distance from the target of each bus, and
+max(|.| - s k b, 0) with the sign as before is clipped: the multiplier of mean max(|e| - b, 0).
 
 These are projected primal-dual steps on a regularised Lagrangian in which the network's response is measured and not
 computed (E. Dall'Anese and A. Simonetto, "Optimal power flow pursuit", IEEE Trans. Smart Grid 9(2), 2018; A. Hauswirth,

@@ -72,7 +72,7 @@ def voltage_targets(scenario: Any) -> np.ndarray:
             targets[rows] = _on_feeder(scenario, member)
     else:
         targets = _on_feeder(scenario, feeder)
-    if cost.reference == "profile" and cost.profile_pu is not None:
+    if isinstance(cost.profile_pu, tuple):
         for position, target in _named(feeder, cost.profile_pu):
             targets[..., position] = target
     return read_only(targets)
@@ -81,8 +81,10 @@ def voltage_targets(scenario: Any) -> np.ndarray:
 def _on_feeder(scenario: Any, feeder: Any) -> np.ndarray:
     """Targets of a feeder's nodes as far as ``profile_pu`` does not give them, p.u., (n_node,)."""
     cost, source_pu = scenario.cost, float(scenario.source_voltage_pu)
-    if cost.reference == "nominal" or isinstance(cost.profile_pu, float):
-        return np.full(feeder.n_node, 1.0 if cost.reference == "nominal" else cost.profile_pu)
+    if cost.reference == "nominal":
+        return np.ones(feeder.n_node)
+    if isinstance(cost.profile_pu, float):
+        return np.full(feeder.n_node, cost.profile_pu)
     planned = _planned_pu(feeder, source_pu, scenario.power_flow, scenario.background.capacitors)
     if planned is None:
         raise ScenarioError(
