@@ -6,18 +6,18 @@
               b_k = work_k - sum_{j <= k} d_j >= 0                      what waits; nothing is served before it arrives
               low <= d <= high,  |q| <= q_high,  (base_k + d)^2 + q^2 <= s_rated^2
 
-the benchmark's own cost (see ``engine.cost.reward``). If the cost has a voltage profile, the first term is
-w_v mean max(|e_k - target| - uncharged, 0). Powers are shares of a device's own size throughout. It is solved
-for all rows at once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and
-statistical learning via the alternating direction method of multipliers", 2011), split as
+the benchmark's own cost (see ``engine.cost.reward``). If the cost has a voltage profile, the first term is w_v mean
+max(|e_k - target| - uncharged, 0). Powers are shares of a device's own size throughout. It is solved for all rows at
+once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and statistical learning
+via the alternating direction method of multipliers", 2011), split as
 
     e = offset + slopes x,   y = x,   b = work - cumulated d
 
 so each part has a solution in closed form: soft thresholds at the kinks of a bus's cost, the projection on box and
-circle, and one least-squares problem. The eigenvectors of the time axis split its inverse into one of the size of a single step for
-each. On states of validation episodes 100 rounds from the last second's solution moved on by a step leave the
-objective 0.04 % above the optimum of HiGHS on average, 0.35 % at most (12 steps of ieee33-weak; less on ieee123 and
-toy6). The number of rounds is fixed, so the solution of a row does not depend on the other rows.
+circle, and one least-squares problem. The eigenvectors of the time axis split its inverse into one of the size of a
+single step for each. On states of validation episodes 100 rounds from the last second's solution moved on by a step
+leave the objective 0.04 % above the optimum of HiGHS on average, 0.35 % at most (12 steps of ieee33-weak; less on
+ieee123 and toy6). The number of rounds is fixed, so the solution of a row does not depend on the other rows.
 """
 
 from __future__ import annotations

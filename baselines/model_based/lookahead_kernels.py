@@ -16,13 +16,14 @@ def rounds(
     """Do ``count`` rounds of the rows from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
 
     Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous, and ``kinks`` and ``rises`` those of
-    ``lookahead._kinks``. ``price`` (row, step, n_dc), ``effort`` (row, n_agent), and the weights ``by`` of a deviation and ``by_more`` of its excess are divided by the penalties.
+    ``lookahead._kinks``. ``price`` (row, step, n_dc), ``effort`` (row, n_agent), and the weights ``by`` of a deviation
+    and ``by_more`` of its excess are divided by the penalties.
     """
     for row in range(first, last):
         _row(
             count, relaxation, band_pu, by, by_more, kinks, rises, offset[row], slopes[row], base[row], low[row],
-            high[row], s_rated[row], q_high[row], work[row], price[row], effort[row], w_e, w_y[row], w_b[row], over_time,
-            inverse[row], sites[row], share[row], e[row], y[row], b[row], u_e[row], u_y[row], u_b[row],
+            high[row], s_rated[row], q_high[row], work[row], price[row], effort[row], w_e, w_y[row], w_b[row],
+            over_time, inverse[row], sites[row], share[row], e[row], y[row], b[row], u_e[row], u_y[row], u_b[row],
         )  # fmt: skip
     return 0
 

@@ -63,7 +63,7 @@ class Cost:
     voltage: VoltageCost = choice("l1", "l2", "bowl", "courant_beltrami", "bump", default="l1")
     """Form of the voltage cost."""
     reference: VoltageReference = choice("nominal", "profile", default="nominal")
-    """What the voltage cost is charged from: 1 p.u., or the utility's voltage profile, a target for each node."""
+    """Reference of the voltage cost: 1 p.u., or the utility's voltage profile with a target for each node."""
     profile_pu: float | tuple[tuple[str, float], ...] | None = None
     """Targets of the profile, p.u.: one number, or a mapping from buses or nodes to numbers. Targets that are not given
     are the voltages of the nominal loads with regulators settled and without devices; None for all of them."""

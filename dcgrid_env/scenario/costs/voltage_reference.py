@@ -3,10 +3,10 @@
     deviation = |V - 1|                                   cost.reference = "nominal"
     deviation = max(|V - V*| - profile_band_pu, 0)        cost.reference = "profile", V* the target of each node
 
-The target is ``cost.profile_pu`` where it names the node, or its bus. Elsewhere it is the voltage that the utility
-planned: that of the feeder's nominal loads, at the source voltage of the scenario, with regulators settled at the
-settings in their table, and without any device. Everything that charges or minimises the voltage cost takes the targets
-from here. The violation is always charged around 1 p.u.
+The target is ``cost.profile_pu`` if it is a number or names the node or its bus. Other nodes have the planned voltage:
+the power flow of the nominal loads at the scenario's source voltage, without devices, with capacitors as in the
+scenario. Regulators have settled at the settings in their table. Everything that charges or minimises the voltage cost
+takes the targets from here. The violation is always charged around 1 p.u.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def test_the_optimum_is_that_of_all_rows(seed, level, uncharged_pu):
         ({"d": -by_d, "q": -by_q, "w": -one}, BAND + apart),
     ]
     expected = _optimum(sizes, all_rows, prices, ranges)
-    fewer = voltage_rows(v_pu, d, q, BAND, *profile)
+    fewer = voltage_rows(v_pu, d, q, BAND, target_pu if profile else None, free_pu)
     assert sum(len(most) for _, most in fewer.limits) <= (4 if profile else 3) * size
     left = prices.copy()
     left[: sizes["d"]] += PRICE * fewer.by_d

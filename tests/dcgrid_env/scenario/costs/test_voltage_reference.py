@@ -218,16 +218,16 @@ def test_each_random_feeder_has_its_own_profile():
 def test_every_interface_pays_the_same():
     scenario = make_scenario("toy6", **PROFILE)
     action = np.full(action_layout(scenario).n, 0.3, np.float32)
-    single = gymnasium.make("dcgrid/Toy6-v0", disable_env_checker=True, **PROFILE)
+    single = gymnasium.make("dcgrid/Toy6-v0", disable_env_checker=True, cost={"reference": "profile"})
     single.reset(seed=0)
     info = single.step(action)[4]
     batch = DcgridVectorEnv(1, scenario)
     batch.reset(seed=[0])
     batch.step(action[None])
-    agents = parallel_env("toy6", **PROFILE)
+    agents: Any = parallel_env(scenario)
     agents.reset(seed=0)
     split = np.split(action, np.cumsum([agents.action_space(agent).shape[0] for agent in agents.agents])[:-1])
-    infos = agents.step(dict(zip(agents.agents, split, strict=True)))[4]
+    infos: Any = agents.step(dict(zip(agents.agents, split, strict=True)))[4]
     paid = [info["cost_voltage"], float(batch.transition.costs.voltage[0]), infos["dc_0"]["cost_voltage"]]
     assert paid == pytest.approx([paid[0]] * 3, rel=1e-6)
     assert paid[0] == pytest.approx(charged_by_hand(scenario, batch.transition.state.v_pu[0]), rel=1e-6)
