@@ -37,7 +37,7 @@ def voltage_deviation(scenario: Any, v_pu: Array, nodes: slice = slice(None)) ->
 
 
 def agents_deviation(scenario: Any, v_agent_pu: Array, v_pu: Array, nodes: Array | None) -> Array:
-    """The same at the agents, (row, n_agent): an agent's voltage and target are the means over its nodes.
+    """Deviation of each agent, p.u., (row, n_agent), whose voltage and target are the means over its nodes.
 
     ``nodes`` are as in ``Exogenous.nodes``, and ``v_pu`` (row, n_node) gives the shape that they are positions in.
     """
