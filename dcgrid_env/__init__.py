@@ -67,6 +67,7 @@ from dcgrid_env.powerflow import (
 )
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
+from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
@@ -179,6 +180,8 @@ __all__ = [
     "solver_for",
     "under_own_control",
     "virginia_2024",
+    "voltage_deviation",
+    "voltage_targets",
 ]
 
 _register()

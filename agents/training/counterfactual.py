@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Feeder, RandomFeeders, Scenario, action_layout, sensitivity_to_agents
+from dcgrid_env import Feeder, RandomFeeders, Scenario, action_layout, sensitivity_to_agents, voltage_deviation
 from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.devices import DataCenters, Work, work_classes_of
 
@@ -131,8 +131,9 @@ class Counterfactual:
 
     def _cost(self, v_pu: np.ndarray) -> np.ndarray:
         """Return the cost of voltages, (..., n_node), summed over the nodes."""
-        deviation = np.abs(v_pu - 1.0)
-        beyond = np.maximum(deviation - self.scenario.cost.band_pu, 0.0)
+        s = self.scenario
+        deviation = voltage_deviation(s, v_pu, s.feeder.load_slice)
+        beyond = np.maximum(np.abs(v_pu - 1.0) - s.cost.band_pu, 0.0)
         return self._voltage * deviation.sum(-1) + self._violation * beyond.sum(-1)
 
 

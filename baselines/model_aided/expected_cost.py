@@ -6,7 +6,8 @@
         w (2 Phi(e / s) - 1) + W (Phi((e - band) / s) - Phi(-(e + band) / s))
 
 Phi is the standard normal distribution. The error smooths both kinks, so the slope rises through the band's edge
-before the edge is reached. This is the price of uncertainty.
+before the edge is reached. This is the price of uncertainty. Deviations are those from 1 p.u. even if the scenario has
+another form or reference of the voltage cost.
 """
 
 from __future__ import annotations

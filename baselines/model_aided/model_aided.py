@@ -17,6 +17,7 @@ coming work. Each second it
 It knows more than a law of local measurements does and less than MPC, which sees all voltages: its scope is
 ``model-aided``. Under a delay of the measurement it takes the powers of that time; a hidden p_ref is taken at its mean.
 Equipment that is an agent follows its own control. Cost terms other than voltage, backlog and effort have no effect.
+The law minimises abs(V - 1) even if the scenario has another form or reference of the voltage cost.
 """
 
 from __future__ import annotations

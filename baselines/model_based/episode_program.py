@@ -7,6 +7,7 @@ On the power flow linearised around a trajectory:
               q, g   reactive injection of each agent and its magnitude, within the limit
               e, w   deviation of each bus's voltage, and its excess over the band
     with      |v_t + J_p (d_t - d0_t) + J_q (q_t - q0_t) - 1| <= e_t,  w_t >= e_t - band,
+                  (where the cost has a voltage profile: e_t is what goes beyond the band around it)
               cos(theta) p + sin(theta) g <= s_rated     for tangents theta of the capability circle
 
 so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Storages
@@ -25,7 +26,7 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
 
-from dcgrid_env import Forecast, Scenario, acting_relays
+from dcgrid_env import Forecast, Scenario, acting_relays, voltage_targets
 from dcgrid_env.baselines.model_based.relay_rows import PRICE, RelayRows
 from dcgrid_env.baselines.model_based.storage_rows import StorageRows
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
@@ -67,7 +68,9 @@ class EpisodeProgram(Trajectory):
         s, self._before = self.scenario, self._done
         solution, ranges = self._around(), self._ranges(inf_w=not self.keep_band)
         d, q = (rows.reshape(s.horizon, -1, 2) for rows in (self._part(ranges, "d"), self._part(ranges, "q")))
-        voltages = voltage_rows(self._linear(solution.v_pu[..., s.feeder.load_slice]), d, q, s.cost.band_pu)
+        targets = None if s.cost.reference == "nominal" else voltage_targets(s)[s.feeder.load_slice]
+        v_pu = self._linear(solution.v_pu[..., s.feeder.load_slice])
+        voltages = voltage_rows(v_pu, d, q, s.cost.band_pu, targets, s.cost.uncharged_pu)
         limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._same_taps(solution))]
         prices = self._prices()
         price = self._part(prices, "e")[0]

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout
+from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout, voltage_targets
 from dcgrid_env.baselines.model_based.episode_program import TANGENTS
 from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
@@ -41,6 +41,9 @@ class EquipmentProgram(Trajectory):
     def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool) -> None:
         super().__init__(scenario, episode)
         self.keep_band = keep_band
+        self.target_pu, free_pu = voltage_targets(scenario)[scenario.feeder.load_slice], scenario.cost.uncharged_pu
+        self.edges_pu = (free_pu, -free_pu) if free_pu else (0.0,)
+        """Distances from the targets at which the cost of a deviation has a kink."""
         self.groups: list[Any] = [device for device in scenario.devices if device.kind in CHANNELS]
         channels = [device.channels[0] for device in self.groups]
         self.lowest, self.highest, self.rest = (
@@ -82,7 +85,8 @@ class EquipmentProgram(Trajectory):
         c, constant = self._linear_costs(v_pu, dense, quantities)
         h, bounds = self._of_voltages(v_pu)
         other, h_other, k_other = self._of_steps(quantities, k)
-        rows = Rows(dense, quantities, (1.0, 1.0, -1.0), other, 2 * k - 1)
+        times = (*(1.0 for _ in self.edges_pu), 1.0, -1.0)
+        rows = Rows(dense, quantities, times, other, 2 * k - 1)
         h, limits = np.concatenate((h, h_other)), np.concatenate((bounds, k_other))
         start = np.concatenate((np.zeros((steps, n_dc)), self.q_kvar, self.position[:, :n_u]), axis=1).ravel()
         try:
@@ -141,7 +145,10 @@ class EquipmentProgram(Trajectory):
     def _linear_costs(
         self, v_pu: np.ndarray, dense: np.ndarray, quantities: sparse.csr_array
     ) -> tuple[np.ndarray, float]:
-        """Of |x| = 2 max(x, 0) - x the last part, with x the deviation, and what is no hinge, and the constant."""
+        """Of |x| = 2 max(x, 0) - x the last part, with x the deviation, and what is no hinge, and the constant.
+
+        With a band b around a profile it is max(|x| - b, 0) = max(x - b, 0) + max(x + b, 0) - (x + b).
+        """
         s, w, n_dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.count
         price = w.voltage / v_pu.size
         c = (quantities.T @ (-price * dense.sum(axis=1)).ravel()).reshape(s.horizon, -1)
@@ -149,7 +156,7 @@ class EquipmentProgram(Trajectory):
         backlog[-1] += w.leftover
         c[:, :n_dc] += backlog[:, None] / (s.datacenters.parameters.p_rated_kw.sum() or 1.0) / s.horizon
         c[:, n_dc : n_dc + self.n] += self._effort()
-        constant = price * float((1.0 - v_pu).sum())
+        constant = price * float((self.target_pu - v_pu - s.cost.uncharged_pu).sum())
         if self.n_further:
             c[-1, n_dc + self.n :] += self._switching()
             return c.ravel(), constant - self._switching() * float(self.rest.sum())
@@ -165,11 +172,13 @@ class EquipmentProgram(Trajectory):
         return self.scenario.cost.weights.switching / len(self.rest) / self.scenario.horizon
 
     def _of_voltages(self, v_pu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Prices and limits of the voltages' hinges: above 1 p.u., above the band, below it."""
+        """Prices and limits of the voltages' hinges: above their targets, above the band, below it."""
         w, band = self.scenario.cost.weights, self.scenario.cost.band_pu
         beyond = np.inf if self.keep_band else max(w.violation / v_pu.size, 1e-12)
-        h = np.repeat([max(2.0 * w.voltage / v_pu.size, 1e-12), beyond, beyond], v_pu.size)
-        return h, np.concatenate(((1.0 - v_pu).ravel(), (1.0 + band - v_pu).ravel(), (v_pu - 1.0 + band).ravel()))
+        edges = [self.target_pu + edge - v_pu for edge in self.edges_pu]
+        price = max(2.0 * w.voltage / v_pu.size / len(edges), 1e-12)
+        h = np.repeat([*(price for _ in edges), beyond, beyond], v_pu.size)
+        return h, np.concatenate([side.ravel() for side in (*edges, 1.0 + band - v_pu, v_pu - 1.0 + band)])
 
     def _of_steps(self, quantities: sparse.csr_array, k: int) -> tuple[Any, np.ndarray, np.ndarray]:
         """The other rows, with their prices and limits: of backlogs, work, reactive power, positions and moves."""

@@ -6,6 +6,9 @@ With e = V - 1 at every bus, S the model's slopes (``model``) and x = (work serv
     m_+ <- clip((1 - s) m_+ + s k (e - band),      0, w_o)        of the excess above the band; m_- of that below it
     x   <- project(x - g D (S' (l + m_+ - m_-) + grad f(x)))      f: the prices of waiting work and reactive effort
 
+If the cost has a voltage profile with a band b, e in the first line is the distance from the target of each bus, and
+max(|.| - s k b, 0) with the sign as before is clipped: the multiplier of mean max(|e| - b, 0).
+
 These are projected primal-dual steps on a regularised Lagrangian in which the network's response is measured and not
 computed (E. Dall'Anese and A. Simonetto, "Optimal power flow pursuit", IEEE Trans. Smart Grid 9(2), 2018; A. Hauswirth,
 Z. He, S. Bolognani, G. Hug and F. Doerfler, "Optimization algorithms as robust feedback controllers", Annual Reviews in
@@ -36,7 +39,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import Scenario, voltage_targets
 from dcgrid_env.baselines.model_based.linear_model import Estimate, ModelController
 from dcgrid_env.baselines.parameter_checks import require_non_negative
 
@@ -78,6 +81,7 @@ class FeedbackOptimisation(ModelController):
         self._backlog_price = (w.backlog + w.leftover) * s.dt_s / (dc.p_rated_kw.sum() or 1.0)  # of each kW held back
         self._effort_price = w.effort / s.n_agents / self._rated_kva
         self._size = np.concatenate((dc.p_dynamic_kw, self._q_scale))
+        self._target_pu = voltage_targets(s)[s.feeder.load_slice] - 1.0
         self._multipliers: tuple[np.ndarray, ...] | None = None
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
@@ -108,7 +112,9 @@ class FeedbackOptimisation(ModelController):
         voltage, violation = self._weights
         keep, by, band = 1.0 - self.dual_step, self.dual_step * self._slope, self.scenario.cost.band_pu
         apart, above, below = self._multipliers or (np.zeros_like(e),) * 3
-        apart = np.clip(keep * apart + by * e, -voltage, voltage)
+        apart = keep * apart + by * (e - self._target_pu)
+        charged = np.maximum(np.abs(apart) - by * self.scenario.cost.uncharged_pu, 0.0)
+        apart = np.clip(np.copysign(charged, apart), -voltage, voltage)
         above = np.clip(keep * above + by * (e - band), 0.0, violation)
         below = np.clip(keep * below - by * (e + band), 0.0, violation)
         self._multipliers = (apart, above, below)

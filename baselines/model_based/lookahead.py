@@ -6,17 +6,18 @@
               b_k = work_k - sum_{j <= k} d_j >= 0                      what waits; nothing is served before it arrives
               low <= d <= high,  |q| <= q_high,  (base_k + d)^2 + q^2 <= s_rated^2
 
-the benchmark's own cost (see ``engine.cost.reward``). Powers are shares of a device's own size throughout. It is solved
-for all rows at once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and
-statistical learning via the alternating direction method of multipliers", 2011), split as
+the benchmark's own cost (see ``engine.cost.reward``). If the cost has a voltage profile, the first term is w_v mean
+max(|e_k - target| - uncharged, 0). Powers are shares of a device's own size throughout. It is solved for all rows at
+once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and statistical learning
+via the alternating direction method of multipliers", 2011), split as
 
     e = offset + slopes x,   y = x,   b = work - cumulated d
 
-so each part has a solution in closed form: soft thresholds at 0 and at the band, the projection on box and circle, and
-one least-squares problem. The eigenvectors of the time axis split its inverse into one of the size of a single step for
-each. On states of validation episodes 100 rounds from the last second's solution moved on by a step leave the
-objective 0.04 % above the optimum of HiGHS on average, 0.35 % at most (12 steps of ieee33-weak; less on ieee123 and
-toy6). The number of rounds is fixed, so the solution of a row does not depend on the other rows.
+so each part has a solution in closed form: soft thresholds at the kinks of a bus's cost, the projection on box and
+circle, and one least-squares problem. The eigenvectors of the time axis split its inverse into one of the size of a
+single step for each. On states of validation episodes 100 rounds from the last second's solution moved on by a step
+leave the objective 0.04 % above the optimum of HiGHS on average, 0.35 % at most (12 steps of ieee33-weak; less on
+ieee123 and toy6). The number of rounds is fixed, so the solution of a row does not depend on the other rows.
 """
 
 from __future__ import annotations
@@ -55,6 +56,10 @@ class Program(NamedTuple):
     effort: np.ndarray
     """Weight of an agent's reactive magnitude, (n_agent,)."""
     band_pu: float
+    target: np.ndarray | None = None
+    """Target of each bus less 1 p.u., (m,), which the deviation is charged from; None for 0."""
+    uncharged_pu: float = 0.0
+    """Half the width of the band around the targets in which no deviation is charged."""
 
 
 class Iterate(NamedTuple):
@@ -109,14 +114,28 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
         for values in (system.w_y, system.w_b, system.over_time, system.inverse, system.sites, system.share)
     ]
     by, by_more = p.voltage / system.w_e, p.violation / system.w_e
+    kinks = _kinks(p, by, by_more)
 
     def part(first: int, last: int) -> int:
         return kernel(
-            first, last, rounds, RELAXATION, p.band_pu, by, by_more, *data, system.w_e, *matrices, *done
+            first, last, rounds, RELAXATION, p.band_pu, by, by_more, *kinks, *data, system.w_e, *matrices, *done
         )  # fmt: skip
 
     over_rows(part, len(p.offset))
     return done
+
+
+def _kinks(p: Program, by: float, by_more: float) -> tuple[np.ndarray, np.ndarray]:
+    """Kinks of the cost of each bus's deviation in their order, and the rise of its slope there, (m, 4) each.
+
+    Without targets, (0, 4) each: the kernel knows that cost.
+    """
+    if p.target is None:
+        return np.empty((0, 4)), np.empty((0, 4))
+    edge = np.full(len(p.target), p.band_pu)
+    kinks = np.stack((p.target - p.uncharged_pu, p.target + p.uncharged_pu, -edge, edge), axis=1)
+    order = np.argsort(kinks, axis=1)
+    return np.take_along_axis(kinks, order, axis=1), np.array([by, by, by_more, by_more])[order]
 
 
 def moved_on(iterate: Iterate) -> Iterate:

@@ -10,27 +10,28 @@ from dcgrid_env.core.compiled import compiled
 
 @compiled(nogil=True, fastmath={"reassoc", "contract"})
 def rounds(
-    first, last, count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work,
-    price, effort, w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
+    first, last, count, relaxation, band_pu, by, by_more, kinks, rises, offset, slopes, base, low, high, s_rated,
+    q_high, work, price, effort, w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
 ):  # fmt: skip
     """Do ``count`` rounds of the rows from ``first`` to before ``last``, writing to the iterate ``e .. u_b``.
 
-    Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous. ``price`` (row, step, n_dc), ``effort``
-    (row, n_agent), and the weights ``by`` of a deviation and ``by_more`` of its excess are divided by the penalties.
+    Arrays are those of ``Program``, ``_System`` and ``Iterate``, contiguous, and ``kinks`` and ``rises`` those of
+    ``lookahead._kinks``. ``price`` (row, step, n_dc), ``effort`` (row, n_agent), and the weights ``by`` of a deviation
+    and ``by_more`` of its excess are divided by the penalties.
     """
     for row in range(first, last):
         _row(
-            count, relaxation, band_pu, by, by_more, offset[row], slopes[row], base[row], low[row], high[row],
-            s_rated[row], q_high[row], work[row], price[row], effort[row], w_e, w_y[row], w_b[row], over_time,
-            inverse[row], sites[row], share[row], e[row], y[row], b[row], u_e[row], u_y[row], u_b[row],
+            count, relaxation, band_pu, by, by_more, kinks, rises, offset[row], slopes[row], base[row], low[row],
+            high[row], s_rated[row], q_high[row], work[row], price[row], effort[row], w_e, w_y[row], w_b[row],
+            over_time, inverse[row], sites[row], share[row], e[row], y[row], b[row], u_e[row], u_y[row], u_b[row],
         )  # fmt: skip
     return 0
 
 
 @compiled(fastmath={"reassoc", "contract"})
 def _row(
-    count, relaxation, band_pu, by, by_more, offset, slopes, base, low, high, s_rated, q_high, work, price, effort,
-    w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
+    count, relaxation, band_pu, by, by_more, kinks, rises, offset, slopes, base, low, high, s_rated, q_high, work,
+    price, effort, w_e, w_y, w_b, over_time, inverse, sites, share, e, y, b, u_e, u_y, u_b,
 ):  # fmt: skip
     """The rounds of one row; arrays as above without the row."""
     steps, n_bus = offset.shape
@@ -54,7 +55,7 @@ def _row(
         _over_modes(over_time, time_over, inverse, sites, share, right, modes, of_sites, x)
         waits[:] = 0.0
         for k in range(steps):
-            _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line)
+            _bus_step(k, relaxation, kept, band_pu, by, by_more, kinks, rises, offset, slopes, x, e, u_e, line)
             _bus_terms(k, w_e, slopes, line, right)
             for i in range(n):
                 u_y[k, i] += relaxation * x[i, k] + kept * y[k, i]
@@ -67,8 +68,25 @@ def _row(
                 u_b[k, i] = to - new
 
 
+@compiled(inner=True)
+def _at_kinks(k, relaxation, kept, steepest, kinks, rises, offset, e, u_e, line):
+    """The same for deviations in ``line`` whose cost has these kinks and rises of slope, and begins at -steepest."""
+    for m in range(len(kinks)):
+        to = relaxation * line[m] + kept * e[k, m] + u_e[k, m]
+        slope = -steepest
+        new = to - slope
+        for j in range(kinks.shape[1]):
+            if new <= kinks[m, j]:
+                break
+            slope += rises[m, j]
+            new = max(to - slope, kinks[m, j])
+        e[k, m] = new
+        u_e[k, m] = to - new
+        line[m] = new - (to - new) - offset[k, m]
+
+
 @compiled(inner=True, fastmath={"reassoc", "contract"})
-def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u_e, line):
+def _bus_step(k, relaxation, kept, band_pu, by, by_more, kinks, rises, offset, slopes, x, e, u_e, line):
     """The deviations of a step and their multipliers after a round, and into ``line`` what the next one begins from."""
     n, n_bus = slopes.shape
     for m in range(n_bus):
@@ -77,6 +95,9 @@ def _bus_step(k, relaxation, kept, band_pu, by, by_more, offset, slopes, x, e, u
         power = x[i, k]
         for m in range(n_bus):
             line[m] += power * slopes[i, m]
+    if len(kinks):
+        _at_kinks(k, relaxation, kept, by + by_more, kinks, rises, offset, e, u_e, line)
+        return
     for m in range(n_bus):
         to = relaxation * line[m] + kept * e[k, m] + u_e[k, m]
         size = max(abs(to) - by, 0.0)

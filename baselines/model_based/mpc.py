@@ -28,7 +28,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import Scenario, voltage_targets
 from dcgrid_env.baselines.model_based.linear_model import Estimate, ModelController
 from dcgrid_env.baselines.model_based.lookahead import Iterate, Program, moved_on, solve
 
@@ -73,6 +73,8 @@ class Mpc(ModelController):
         price[-1] += w.leftover
         self._price = price * dc.p_dynamic_kw * s.dt_s / (dc.p_rated_kw.sum() or 1.0)
         self._effort = w.effort / s.n_agents * self._size / self._rated_kva
+        is_nominal = s.cost.reference == "nominal"
+        self._target_pu = None if is_nominal else voltage_targets(s)[s.feeder.load_slice] - 1.0
         self._solution: Iterate | None = None
         self._drawn_kw: np.ndarray | float = 0.0
         self._drawn_steps = 0
@@ -133,6 +135,8 @@ class Mpc(ModelController):
             violation=w.violation / n_node,
             effort=self._effort,
             band_pu=s.cost.band_pu,
+            target=self._target_pu,
+            uncharged_pu=s.cost.uncharged_pu,
         )
 
     def _limit_kvar(self, now: Estimate) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 A voltage that is on one side of 1 p.u. for all d and q within their ranges costs in proportion to them. It needs no
 unknown e for its magnitude. A voltage that is always within the band needs no unknown w for its excess. On a feeder
-with many nodes about half of the rows remain.
+with many nodes about half of the rows remain. If the cost has a voltage profile, deviations are those from the target
+of each node beyond the band around it, and excesses remain those around 1 p.u.
 """
 
 from __future__ import annotations
@@ -49,22 +50,57 @@ class VoltageRows(NamedTuple):
     """Their sum where d and q are 0, p.u."""
 
 
-def voltage_rows(v_pu: Linear, d: np.ndarray, q: np.ndarray, band_pu: float) -> VoltageRows:
-    """The rows for voltages, with d and q within ranges as ``Linear.reach`` takes them."""
-    low, high = (side.ravel() - 1.0 for side in v_pu.reach(d, q))
-    apart = v_pu.at_zero.ravel() - 1.0
-    sign = (low >= 0.0).astype(float) - (high <= 0.0)
-    either, may_leave = sign == 0.0, np.maximum(-low, high) > band_pu
+def voltage_rows(
+    v_pu: Linear,
+    d: np.ndarray,
+    q: np.ndarray,
+    band_pu: float,
+    target_pu: np.ndarray | None = None,
+    uncharged_pu: float = 0.0,
+) -> VoltageRows:
+    """The rows for voltages.
+
+    Parameters
+    ----------
+    v_pu
+        The voltages, p.u.
+    d, q
+        Ranges of d and q, as ``Linear.reach`` takes them.
+    band_pu
+        Half the width of the band around 1 p.u., beyond which excesses are charged.
+    target_pu
+        What deviations are taken from, p.u., (n,); None for 1 p.u.
+    uncharged_pu
+        Half the width of the band around the targets in which no deviation is charged.
+    """
+    reach = [side.ravel() for side in v_pu.reach(d, q)]
+    target = 1.0 if target_pu is None else np.tile(target_pu, len(v_pu.at_zero))
+    low, high = (side - target for side in reach)
+    apart = v_pu.at_zero.ravel() - target
+    sign = (low >= uncharged_pu).astype(float) - (high <= -uncharged_pu)
+    either = sign == 0.0
     one = sparse.csr_array(sparse.identity(apart.size))
     limits = []
     for side in (1.0, -1.0):
         by_d, by_q = v_pu.rows(either, side)
-        limits.append(({"d": by_d, "q": by_q, "e": -one[either]}, -side * apart[either]))
-    picked = either & may_leave
-    limits.append(({"e": one[picked], "w": -one[picked]}, np.full(picked.sum(), band_pu)))
-    picked = ~either & may_leave
-    by_d, by_q = v_pu.rows(picked, sign)
-    limits.append(({"d": by_d, "q": by_q, "w": -one[picked]}, (band_pu - sign * apart)[picked]))
+        limits.append(({"d": by_d, "q": by_q, "e": -one[either]}, uncharged_pu - side * apart[either]))
+    if target_pu is None:
+        may_leave = np.maximum(-low, high) > band_pu
+        picked = either & may_leave
+        limits.append(({"e": one[picked], "w": -one[picked]}, np.full(picked.sum(), band_pu)))
+        limits.append(_beyond(v_pu, one, ~either & may_leave, sign, band_pu))
+    else:
+        above, below = reach[1] > 1.0 + band_pu, reach[0] < 1.0 - band_pu
+        limits += [_beyond(v_pu, one, *picked, band_pu) for picked in ((above, 1.0), (below, -1.0))]
     signs = sign.reshape(v_pu.at_zero.shape)
     by_d, by_q = (np.einsum("tn,tnu->tu", signs, slopes).ravel() for slopes in (v_pu.by_d, v_pu.by_q))
-    return VoltageRows(limits, by_d, by_q, float((sign * apart).sum()))
+    return VoltageRows(limits, by_d, by_q, float((sign * apart - np.abs(sign) * uncharged_pu).sum()))
+
+
+def _beyond(
+    v_pu: Linear, one: Any, picked: np.ndarray, sign: np.ndarray | float, band_pu: float
+) -> tuple[dict[str, Any], np.ndarray]:
+    """Rows of the excesses w of voltages beyond the band, of some voltages on the side that the sign is of."""
+    by_d, by_q = v_pu.rows(picked, sign)
+    apart = sign * (v_pu.at_zero.ravel() - 1.0)
+    return {"d": by_d, "q": by_q, "w": -one[picked]}, (band_pu - apart)[picked]

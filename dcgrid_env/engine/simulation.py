@@ -168,7 +168,7 @@ class Simulation:
         if s.cost.reward == "shared":
             paid = -cost_j
         else:
-            local_costs = reward.local_costs(s, state, solution, last)
+            local_costs = reward.local_costs(s, state, solution, last, drawn.placed.nodes)
             paid = -reward.total(reward.charged(s, local_costs, step, solution.converged))
         return Transition(
             observation=observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0]),

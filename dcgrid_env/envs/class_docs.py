@@ -145,7 +145,8 @@ The reward of a step is minus its cost, the sum of these terms times their weigh
 
 {table(("term", "weight", "charges"), COSTS, (19, 7, 54))}
 
-``cost.voltage`` replaces abs(V - 1) by another function of it. J, the cost of an
+``cost.voltage`` replaces abs(V - 1) by another function of it, and
+``cost.reference="profile"`` 1 p.u. by the utility's voltages. J, the cost of an
 episode, is the sum of all terms over its steps, divided by ``horizon``.""",
     "start": """\
 ``reset(seed=n)`` begins the first episode of seed n, which is the same in all

@@ -1,4 +1,4 @@
-"""Cost of a step: weights of the terms, voltage band, form of the voltage cost, and assignment of rewards."""
+"""Cost of a step: weights of the terms, voltage band, form and reference of the voltage cost, assignment of rewards."""
 
 from __future__ import annotations
 
@@ -18,11 +18,16 @@ from dcgrid_env.core.checked import (
     refuse,
     settle,
 )
+from dcgrid_env.grid.network import buses_as_text
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 
+VoltageReference = Literal["nominal", "profile"]
 VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
 RewardScope = Literal["shared", "local"]
 
+_TARGET_RANGE_PU = (0.8, 1.2)  # in which the cost of a voltage without a solution is above that of any other
+_TARGET = "give a number in [0.8, 1.2]"
+_TARGETS = f"{_TARGET}, a mapping from buses or nodes to such numbers, or None"
 
 _BY_DEFAULT_FIRST = sorted(TERMS, key=lambda term: term.weight == 0.0)
 _Weights: Any = namedtuple(
@@ -57,6 +62,14 @@ class Cost:
     """Half the width of the voltage band around 1 p.u."""
     voltage: VoltageCost = choice("l1", "l2", "bowl", "courant_beltrami", "bump", default="l1")
     """Form of the voltage cost."""
+    reference: VoltageReference = choice("nominal", "profile", default="nominal")
+    """Reference of the voltage cost: 1 p.u., or the utility's voltage profile with a target for each node."""
+    profile_pu: float | tuple[tuple[str, float], ...] | None = None
+    """Targets of the profile, p.u.: one number, or a mapping from buses or nodes to numbers. Targets that are not given
+    are the voltages of the nominal loads with regulators settled and without devices; None for all of them."""
+    profile_band_pu: float = number(0.0, 0.2, default=0.0083)
+    """Half the width of the band around the profile in which no deviation is charged; 0.0083 is 1 V on a base of
+    120 V."""
     reward: RewardScope = choice("shared", "local", default="shared")
     """Reward of an agent: the team's, or one for its own voltage, work and effort."""
     ramp_limit_kw_per_s: float | None = None
@@ -67,7 +80,7 @@ class Cost:
     """Limit on the change of a bus's voltage from a step to the next, p.u.; None for no limit."""
 
     def __post_init__(self) -> None:
-        settle(self, weights=lambda given: changed_weights(CostWeights(), given))
+        settle(self, weights=lambda given: changed_weights(CostWeights(), given), profile_pu=_targets)
         check_fields(self)
         if not isinstance(self.weights, CostWeights):
             raise refuse(self, "weights", "give CostWeights(voltage=..., ...) or a mapping such as {'backlog': 0.3}")
@@ -84,6 +97,38 @@ class Cost:
                 raise FieldError("Cost", f"weights.{term.name}", getattr(self.weights, term.name), remedy)
         if self.ramp_window_s is not None and self.ramp_limit_kw_per_s is None:
             raise refuse(self, "ramp_window_s", "give ramp_limit_kw_per_s too, or leave it out")
+        self._check_profile()
+
+    def _check_profile(self) -> None:
+        for name in ("profile_pu", "profile_band_pu"):
+            is_given = getattr(self, name) != type(self).__dataclass_fields__[name].default
+            if is_given and self.reference == "nominal":
+                raise refuse(self, name, "set reference to 'profile', which it belongs to, or leave it out")
+        pairs = self.profile_pu if isinstance(self.profile_pu, tuple) else ()
+        if not all(isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) for pair in pairs):
+            raise refuse(self, "profile_pu", _TARGETS)
+        for bus, target in pairs:
+            if not finite(target, *_TARGET_RANGE_PU):
+                raise FieldError("Cost", f"profile_pu.{bus}", target, _TARGET)
+        if not pairs and self.profile_pu is not None and not finite(self.profile_pu, *_TARGET_RANGE_PU):
+            raise refuse(self, "profile_pu", _TARGETS)
+
+    @property
+    def uncharged_pu(self) -> float:
+        """Distance from the reference up to which the voltage cost is 0, p.u."""
+        return self.profile_band_pu if self.reference == "profile" else 0.0
+
+
+def _targets(given: object) -> Any:
+    """Return pairs of a bus or node, as text, and its target from a mapping, None from an empty one.
+
+    A whole number is returned as a float, pairs in lists as tuples, and any other value unchanged.
+    """
+    if isinstance(given, Mapping):
+        return tuple(zip(buses_as_text(tuple(given)), map(as_plain, given.values()), strict=True)) or None
+    if isinstance(given, list | tuple):
+        return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in given)
+    return float(given) if isinstance(given, int) and not isinstance(given, bool) else given
 
 
 def changed_weights(weights: CostWeights, given: object) -> Any:

@@ -9,6 +9,7 @@
 | datacenters, inverters | a mapping of their fields | DataCenters, Inverters |
 | regulators, capacitors of ``grid_control`` | a word, or a mapping from banks to words | pairs of bank and word |
 | capacitor_settings | a mapping of fields | CapacitorControl |
+| profile_pu of ``cost`` | a number, or a mapping from buses or nodes to numbers | pairs of bus or node and number |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
 | sags | the name of a recorded sequence, or a list of mappings of the fields of Sag | tuple of Sag |
@@ -72,8 +73,11 @@ def to_plain(value: object) -> Plain:
         return {name: to_plain(field) for name, field in changed_fields(value).items()}
     if isinstance(value, RideThrough):
         return plain_rule(value)
-    if isinstance(value, Workload | Background | Sensing | Cost | CapacitorControl):
+    if isinstance(value, Workload | Background | Sensing | CapacitorControl):
         return _fields_to_plain(value)
+    if isinstance(value, Cost):
+        profile_pu = dict(value.profile_pu) if isinstance(value.profile_pu, tuple) else value.profile_pu
+        return _fields_to_plain(value) | {"profile_pu": profile_pu}
     if isinstance(value, GridControl):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return {key: to_plain(dict(given) if isinstance(given, tuple) else given) for key, given in fields.items()}
@@ -140,7 +144,7 @@ def reads_files(name: str, value: object) -> bool:
     """Whether the plain value of a field names a file or folder, whose content may differ from call to call."""
     name = name.rpartition(".")[2]
     if isinstance(value, Mapping):
-        return any(reads_files(key, item) for key, item in value.items())
+        return any(reads_files(str(key), item) for key, item in value.items())
     if name == "devices" and isinstance(value, list | tuple):
         return any(reads_files("device", item) for item in value)
     if name == "feeder":

@@ -22,6 +22,7 @@ from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.scenario.assembly import GROUPS, PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
+from dcgrid_env.scenario.costs.voltage_reference import check_profile
 from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.events import check_events
@@ -94,6 +95,8 @@ class Scenario(PickledByFields):
         check_random_feeders(self)
         with located(self.name, "grid_control"):
             check_grid_control(self.grid_control, self.feeder, self.background.capacitors)
+        with located(self.name, "cost"):
+            check_profile(self)
         object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)

@@ -40,7 +40,13 @@ GROUPS = (
     Group(
         "Define a scenario",
         "Change a preset, or define all parts of a scenario (:doc:`guide <../scenarios>`).",
-        ("scenario.scenario", "scenario", "devices.faults", "devices.ride_through.sags"),
+        (
+            "scenario.scenario",
+            "scenario",
+            "scenario.costs.voltage_reference",
+            "devices.faults",
+            "devices.ride_through.sags",
+        ),
     ),
     Group(
         "Write a controller",

@@ -3,7 +3,8 @@
     c_t = 100 mean|V-1| + 1000 mean max(|V-1| - 0.05, 0) + 0.3 sum(backlog)/sum(p_rated) + 0.02 mean(|q|/s_rated)
     J   = (1/T) sum_t c_t + 9 (1/T) sum(backlog_T)/sum(p_rated)
 
-Means are over the nodes other than the substation's, and over agents. reward_t is minus its share of J times T. All
+Means are over the nodes other than the substation's, and over agents. The first |V - 1| is another deviation where the
+scenario has another reference, see ``scenario.costs.voltage_reference``. reward_t is minus its share of J times T. All
 terms of the grid are in ``scenario.costs.grid_terms``; devices bring theirs.
 """
 
@@ -26,6 +27,7 @@ from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step, voltage_cost
+from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -36,15 +38,25 @@ Costs = Any
 agent. ``leftover`` and other terms that are charged at the end are 0 before an episode's last step."""
 
 
-def _step(scenario: Scenario, state: State, solution: Any, figures: VoltageFigures | None = None) -> Step:
-    t, v_pu = terms(scenario), state.v_pu
-    kind, band_pu = scenario.cost.voltage, scenario.cost.band_pu
-    if kind == "l1" and figures is not None:
-        sums = figures.deviation_pu, figures.excess_pu
+def _step(
+    scenario: Scenario,
+    state: State,
+    solution: Any,
+    figures: VoltageFigures | None = None,
+    nodes: Array | None = None,
+) -> Step:
+    t, v_pu, cost = terms(scenario), state.v_pu, scenario.cost
+    v_judged = v_pu[..., t.judged]
+    if cost.voltage == "l1" and cost.reference == "nominal" and figures is not None:
+        voltage = figures.deviation_pu
     else:
-        deviation = namespace(v_pu).abs(v_pu[..., t.judged] - 1.0)
-        sums = sum_last(voltage_cost(kind, deviation, band_pu)), sum_last(positive_part(deviation - band_pu))
-    return Step(scenario, state, solution, parameters(scenario, v_pu), t.judged, t.n_judged, t.n_converters, *sums)
+        voltage = sum_last(voltage_cost(cost.voltage, voltage_deviation(scenario, v_judged, t.judged), cost.band_pu))
+    if figures is not None:
+        excess = figures.excess_pu
+    else:
+        excess = sum_last(positive_part(namespace(v_pu).abs(v_judged - 1.0) - cost.band_pu))
+    params = parameters(scenario, v_pu)
+    return Step(scenario, state, solution, params, t.judged, t.n_judged, t.n_converters, voltage, excess, nodes)
 
 
 def team_costs(
@@ -66,12 +78,13 @@ def team_costs(
     return t.kind._make(costs)
 
 
-def local_costs(scenario: Scenario, state: State, solution: Any, last: Array) -> Costs:
+def local_costs(scenario: Scenario, state: State, solution: Any, last: Array, nodes: Array | None = None) -> Costs:
     """Each agent's terms, (row, n_agent): its own voltage, effort, and what its device is charged for.
 
-    Terms that no agent causes alone, such as the loss of the feeder, are charged to all alike.
+    Terms that no agent causes alone, such as the loss of the feeder, are charged to all alike. ``nodes`` of the agents,
+    as in ``Exogenous.nodes``, are needed if the cost has a voltage profile.
     """
-    xp, t, step = namespace(state.v_pu), terms(scenario), _step(scenario, state, solution)
+    xp, t, step = namespace(state.v_pu), terms(scenario), _step(scenario, state, solution, nodes=nodes)
     costs = [zero := 0.0 * state.v_agent_pu] * len(t.kind._fields)
     for (term, weight), (place, amount, factor) in zip(charged_terms(scenario), t.of_grid, strict=True):
         if term.of_agents is None:

@@ -17,6 +17,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.metric import Table
 from dcgrid_env.scenario.costs import equipment_moves, overload, utility_limits
+from dcgrid_env.scenario.costs.voltage_reference import agents_deviation
 
 
 class Step(NamedTuple):
@@ -36,6 +37,8 @@ class Step(NamedTuple):
     """Sum of the voltage cost over the charged nodes, (row,)."""
     excess_sum: Array
     """Sum of the excess over the band, (row,)."""
+    nodes: Array | None = None
+    """Nodes of the agents, as in ``Exogenous.nodes``; None where no term asks for them."""
 
     @property
     def voltages_pu(self) -> tuple[Array, Array]:
@@ -83,7 +86,7 @@ class GridTerm(NamedTuple):
 
 
 def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
-    """Cost of a voltage ``deviation`` = abs(V - 1), p.u., elementwise, unweighted.
+    """Cost of a voltage's ``deviation`` from its reference, p.u., elementwise, unweighted.
 
     The five of MAPDN (J. Wang et al., "Multi-agent reinforcement learning for active voltage control on power
     distribution networks", NeurIPS 2021, arXiv 2110.14300): ``l1`` and ``l2``; ``bowl``, a normal density's hollow
@@ -109,9 +112,15 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     return xp.where(inside, xp.exp(-1.0 / xp.where(inside, near, 1.0 + 0.0 * near)), 0.0 * near)
 
 
-def _agents_deviation(step: Step) -> Array:
+def _voltage_of_agents(step: Step) -> Array:
+    cost, state = step.scenario.cost, step.state
+    deviation = agents_deviation(step.scenario, state.v_agent_pu, state.v_pu, step.nodes)
+    return voltage_cost(cost.voltage, deviation, cost.band_pu)
+
+
+def _violation_of_agents(step: Step) -> Array:
     v = step.state.v_agent_pu
-    return namespace(v).abs(v - 1.0)
+    return positive_part(namespace(v).abs(v - 1.0) - step.scenario.cost.band_pu)
 
 
 def _effort(step: Step) -> Array:
@@ -144,13 +153,11 @@ TERMS = (
     GridTerm(
         "voltage",
         "voltage cost",
-        "mean voltage cost of the nodes, abs(V - 1) unless the scenario has another form",
+        "mean voltage cost of the nodes, abs(V - 1) unless the scenario has another form or reference",
         100.0,
         amount=attrgetter("voltage_sum"),
         divisor=_nodes,
-        of_agents=lambda step: voltage_cost(
-            step.scenario.cost.voltage, _agents_deviation(step), step.scenario.cost.band_pu
-        ),
+        of_agents=_voltage_of_agents,
         # The deviation at which every form of the voltage cost is largest is 1.
         largest=lambda scenario: float(voltage_cost(scenario.cost.voltage, np.ones(1), scenario.cost.band_pu)[0]),
         is_modelled=True,
@@ -162,7 +169,7 @@ TERMS = (
         1000.0,
         amount=attrgetter("excess_sum"),
         divisor=_nodes,
-        of_agents=lambda step: positive_part(_agents_deviation(step) - step.scenario.cost.band_pu),
+        of_agents=_violation_of_agents,
         largest=lambda scenario: 1.0 - scenario.cost.band_pu,
         is_constraint=True,
         is_modelled=True,

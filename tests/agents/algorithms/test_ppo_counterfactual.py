@@ -44,10 +44,11 @@ def cost_of_step(batch, before, joint):
     return batch.transition
 
 
+@pytest.mark.parametrize("cost", [{}, {"reference": "profile", "profile_band_pu": 0.001}])
 @pytest.mark.parametrize("scenario", ["ieee33-weak", "ieee13-3ph"])
-def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario):
+def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario, cost):
     """Against the environment's power flow with one setpoint moved; losses, which are left out, are a quarter here."""
-    scenario = make_scenario(scenario, background={"load_sigma": 0.0})
+    scenario = make_scenario(scenario, background={"load_sigma": 0.0}, cost=cost)
     layout = action_layout(scenario)
     rng = np.random.default_rng(0)
     taken = np.where(layout.is_channel("clock"), 0.2, rng.uniform(-0.4, 0.4, layout.n))

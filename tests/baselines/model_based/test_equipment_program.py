@@ -27,9 +27,11 @@ def equipment_of(found):
     return phases.equipment
 
 
+@pytest.mark.parametrize("cost", [{}, {"reference": "profile", "profile_band_pu": 0.004}])
 @pytest.mark.parametrize("dt_s", [1.0, 60.0])
-def test_with_positions_at_rest_it_is_the_program_of_the_episode(dt_s):
-    scenario = ieee13().replace(dt_s=dt_s, horizon=8, faults=(Fault(("dc_0", "inv_1"), (2.0, 2.0), (3.0, 3.0)),))
+def test_with_positions_at_rest_it_is_the_program_of_the_episode(dt_s, cost):
+    faults = (Fault(("dc_0", "inv_1"), (2.0, 2.0), (3.0, 3.0)),)
+    scenario = ieee13().replace(dt_s=dt_s, horizon=8, faults=faults, cost=cost)
     optimum, _ = followed(EpisodeProgram, scenario.replace(grid_control={"regulators": "fixed"})).solve()
     program = followed(EquipmentProgram, scenario.replace(**AGENTS))
     program.round()

@@ -100,6 +100,30 @@ def test_on_a_linear_grid_one_program_is_enough():
     assert abs(best.gap) < 1e-3 * best.J
 
 
+PROFILE = {"cost.reference": "profile", "cost.profile_band_pu": 0.002, "horizon": 40, "split": "validation"}
+
+
+@pytest.mark.parametrize("changed", [{}, {"cost.profile_pu": {"3": 1.01, "5": 0.93}}])
+@pytest.mark.parametrize("name", ["toy6", "ieee33-weak"])
+def test_the_voltage_profile_is_planned_for(name, changed):
+    """The program agrees with the environment, and no law or model pays less; the plan for 1 p.u. costs more."""
+    scenario = make_scenario(name, **PROFILE, **changed)
+    best = hindsight(scenario, 0)
+    assert abs(best.gap) < 2e-3 * best.J
+    for controller in ("none", "droop-q", "droop"):
+        assert rollout(scenario, make_controller(controller), [0]).metrics()[0]["J"] > max(best.J, best.bound)
+    nominal = make_scenario(name, horizon=40, split="validation")
+    assert replay(scenario, hindsight(nominal, 0).actions, 0).metrics()[0]["J"] > 1.05 * best.J
+
+
+@pytest.mark.parametrize("controller", ["mpc", "feedback"])
+def test_controllers_with_a_model_follow_the_voltage_profile(controller):
+    scenario = make_scenario("ieee33-weak", observe="feeder", **PROFILE)
+    best = hindsight(scenario, 0).J
+    found, none = (rollout(scenario, make_controller(name), [0]).metrics()[0]["J"] for name in (controller, "none"))
+    assert best < found < best + 0.3 * (none - best)
+
+
 def test_what_is_served_has_arrived_and_what_is_left_is_charged():
     scenario = make_scenario("ieee33-weak", split="validation", weights=CostWeights(backlog=0.01, leftover=0.0))
     best = hindsight(scenario, 0)

@@ -35,25 +35,32 @@ def _optimum(sizes, limits, prices, ranges):
     return found.fun
 
 
-@settings(max_examples=40)
-@given(seed=st.integers(0, 10_000), level=st.sampled_from([0.0, 0.01, 0.05, 0.2]))
-def test_the_optimum_is_that_of_all_rows(seed, level):
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 10_000),
+    level=st.sampled_from([0.0, 0.01, 0.05, 0.2]),
+    uncharged_pu=st.sampled_from([None, 0.0, 0.0083]),
+)
+def test_the_optimum_is_that_of_all_rows(seed, level, uncharged_pu):
     v_pu, d, q, own = _drawn(seed, level)
+    profile = () if uncharged_pu is None else (1.0 + 0.03 * np.random.default_rng(seed).normal(size=4), uncharged_pu)
     size = v_pu.at_zero.size
     sizes = {"d": d[..., 0].size, "q": q[..., 0].size, "e": size, "w": size}
     ranges = np.concatenate((d.reshape(-1, 2), q.reshape(-1, 2), np.tile([0.0, np.inf], (2 * size, 1))))
     prices = np.concatenate((own, np.full(size, PRICE), np.full(size, EXCESS)))
     one, every = sparse.csr_array(sparse.identity(size)), np.ones(size, bool)
     by_d, by_q = v_pu.rows(every)
-    apart = v_pu.at_zero.ravel() - 1.0
+    target_pu, free_pu = profile or (np.ones(4), 0.0)
+    apart, off = v_pu.at_zero.ravel() - 1.0, (v_pu.at_zero - target_pu).ravel()
     all_rows = [
-        ({"d": by_d, "q": by_q, "e": -one}, -apart),
-        ({"d": -by_d, "q": -by_q, "e": -one}, apart),
-        ({"e": one, "w": -one}, np.full(size, BAND)),
+        ({"d": by_d, "q": by_q, "e": -one}, free_pu - off),
+        ({"d": -by_d, "q": -by_q, "e": -one}, free_pu + off),
+        ({"d": by_d, "q": by_q, "w": -one}, BAND - apart),
+        ({"d": -by_d, "q": -by_q, "w": -one}, BAND + apart),
     ]
     expected = _optimum(sizes, all_rows, prices, ranges)
-    fewer = voltage_rows(v_pu, d, q, BAND)
-    assert sum(len(most) for _, most in fewer.limits) <= 3 * size
+    fewer = voltage_rows(v_pu, d, q, BAND, target_pu if profile else None, free_pu)
+    assert sum(len(most) for _, most in fewer.limits) <= (4 if profile else 3) * size
     left = prices.copy()
     left[: sizes["d"]] += PRICE * fewer.by_d
     left[sizes["d"] : sizes["d"] + sizes["q"]] += PRICE * fewer.by_q

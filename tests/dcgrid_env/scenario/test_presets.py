@@ -157,7 +157,7 @@ COMMON = {
     "power_flow": "distflow",
     "grid_control.regulators": "controlled", "grid_control.capacitors": "fixed", "background.start_hour": None,
     "split": "train", "cost.weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "cost.band_pu": 0.05,
-    "cost.voltage": "l1", "cost.reward": "shared",
+    "cost.voltage": "l1", "cost.reference": "nominal", "cost.reward": "shared",
     "sensing.observe": "local", "sensing.preview": True, "sensing.r_model_share": 1.0,
     "sensing.x_model_share": 1.0,
 }  # fmt: skip
