@@ -8,7 +8,7 @@
 | workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
 | datacenters, inverters | a mapping of their fields | DataCenters, Inverters |
 | regulators, capacitors of ``grid_control`` | a word, or a mapping from banks to words | pairs of bank and word |
-| capacitor_settings | a mapping of fields | CapacitorControl |
+| capacitor_settings, regulator_settings | a mapping of fields | CapacitorControl, RegulatorControl |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
 | sags | the name of a recorded sequence, or a list of mappings of the fields of Sag | tuple of Sag |
@@ -47,6 +47,7 @@ from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.ride_through.rules import RideThrough, plain_rule
 from dcgrid_env.devices.ride_through.sags import Sag
+from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.grid import FEEDER_REGISTRY, AnyFeeder, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.background import Background
@@ -72,7 +73,7 @@ def to_plain(value: object) -> Plain:
         return {name: to_plain(field) for name, field in changed_fields(value).items()}
     if isinstance(value, RideThrough):
         return plain_rule(value)
-    if isinstance(value, Workload | Background | Sensing | Cost | CapacitorControl):
+    if isinstance(value, Workload | Background | Sensing | Cost | CapacitorControl | RegulatorControl):
         return _fields_to_plain(value)
     if isinstance(value, GridControl):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}

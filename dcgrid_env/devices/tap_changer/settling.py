@@ -48,6 +48,7 @@ def settled_taps(
     *,
     controlled: Array | None = None,
     move: Move = one_tap,
+    settings: RelaySettings | None = None,
 ) -> SettledTaps:
     """Settle the taps of a batch of rows, each row by itself.
 
@@ -61,9 +62,12 @@ def settled_taps(
         1 for a regulator that moves and 0 for one that stays where it begins, (n_regulator,); None where all move.
     move
         How many taps are made in a round.
+    settings
+        Settings of the relays, arrays like the loads; those of the feeder's table where it is None.
     """
     p_kw, q_kvar = (a.detach() if hasattr(a, "detach") else a for a in (p_kw, q_kvar))
-    xp, settings = namespace(p_kw), settings_like(relay_settings(feeder), p_kw)
+    xp = namespace(p_kw)
+    settings = settings_like(relay_settings(feeder), p_kw) if settings is None else settings
     n_row = p_kw.shape[0]
     zero = 0.0 * p_kw[:, :1] + as_like(np.zeros(feeder.n_regulator), p_kw)
     taps = zero + as_like(feeder.base_tap, p_kw) if tap is None else tap
