@@ -106,14 +106,16 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool)
 
 
 def _check_offsets(control: GridControl, feeder: AnyFeeder) -> None:
-    """Raise FieldError for the offset of a bank that the feeder lacks."""
+    """Raise FieldError for the offset of a bank or regulator that the feeder lacks."""
     settings = control.regulator_settings
-    there = feeder.network.regulator.bank if isinstance(feeder, ThreePhaseFeeder) else ()
-    for bank, _ in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
-        if bank not in there:
-            banks = ", ".join(dict.fromkeys(there)) or "none"
-            error = refuse(settings, "offset_v", f"feeder {feeder.name!r} has no bank {bank!r}; there are {banks}")
-            raise error.within("GridControl", "regulator_settings")
+    banks, names = (), ()
+    if isinstance(feeder, ThreePhaseFeeder):
+        banks, names = feeder.network.regulator.bank, feeder.network.regulator.name
+    for name, _ in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
+        if name not in banks and name not in names:
+            known = ", ".join(dict.fromkeys((*banks, *names))) or "none"
+            remedy = f"feeder {feeder.name!r} has no bank or regulator {name!r}; there are {known}"
+            raise refuse(settings, "offset_v", remedy).within("GridControl", "regulator_settings")
 
 
 def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:

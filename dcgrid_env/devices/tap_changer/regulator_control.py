@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from dcgrid_env.core.checked import check_fields, choice, refuse, settle
+from dcgrid_env.grid.three_phase_tables import RegulatorTable
 
 Timer = Literal["per_step", "reset", "integrating"]
 FARTHEST_OFFSET_V = 12.0
@@ -30,8 +31,8 @@ class RegulatorControl:
     """Time delay: ``"reset"`` returns to zero when the relay is back in band, ``"integrating"`` counts down in band;
     ``"per_step"`` decides once per step."""
     offset_v: float | tuple[tuple[str, float], ...] = 0.0
-    """Addition to the set point ``vreg_v`` of the table, V on the relay's base; one number for all banks, or a mapping
-    from banks to numbers. Banks that a mapping does not name have none."""
+    """Addition to the set point ``vreg_v`` of the table, V on the relay's base: one number for all, or a mapping from
+    banks or single regulators to numbers. The name of a regulator goes before that of its bank; others have none."""
 
     def __post_init__(self) -> None:
         settle(self, offset_v=_pairs)
@@ -40,14 +41,14 @@ class RegulatorControl:
         pairs = value if isinstance(value, tuple) else ((None, value),)
         if not all(isinstance(pair, tuple) and len(pair) == 2 and _is_offset(pair[1]) for pair in pairs):
             volts = f"volts between -{FARTHEST_OFFSET_V:g} and {FARTHEST_OFFSET_V:g}"
-            raise refuse(self, "offset_v", f"give {volts}, or a mapping from banks to these")
+            raise refuse(self, "offset_v", f"give {volts}, or a mapping from banks or regulators to these")
 
-    def offsets_v(self, banks: tuple[str, ...]) -> tuple[float, ...]:
-        """Return the offset of each of these banks, V."""
+    def offsets_v(self, table: RegulatorTable) -> tuple[float, ...]:
+        """Return the offset of each regulator of a table, V."""
         if not isinstance(self.offset_v, tuple):
-            return (float(self.offset_v),) * len(banks)
+            return (float(self.offset_v),) * len(table)
         named = dict(self.offset_v)
-        return tuple(float(named.get(bank, 0.0)) for bank in banks)
+        return tuple(named.get(name, named.get(bank, 0.0)) for name, bank in zip(table.name, table.bank, strict=True))
 
 
 def _is_offset(value: object) -> bool:

@@ -96,7 +96,7 @@ def scenario_relays(scenario: Scenario) -> RelaySettings:
     """Return the settings of all regulators of a scenario's three-phase feeder, offsets of set points included."""
     feeder: Any = scenario.feeder
     settings = relay_settings(feeder)
-    offset_v = scenario.grid_control.regulator_settings.offsets_v(tuple(feeder.network.regulator.bank))
+    offset_v = scenario.grid_control.regulator_settings.offsets_v(feeder.network.regulator)
     return settings._replace(target_v=settings.target_v + np.array(offset_v))
 
 

@@ -176,13 +176,10 @@ def _solved(
     if state.three_phase is None:
         solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
         return GridStep(solution, noise), None
-    before, connected = state.three_phase.equipment, exogenous.capacitor_on
-
-    def solve_rows(equipment: Equipment, rows: Any, start: Array | None) -> Any:
-        present = None if connected is None else connected[rows]
-        changed = _with_equipment(_rows_of(control, rows), feeder_equipment.as_control(scenario, equipment, present))
-        return solve(scenario.feeder, p_net[rows], q_net[rows], scenario.source_voltage_pu, changed, start)
-
+    before, solve_rows = (
+        state.three_phase.equipment,
+        solve_rows_of(scenario, control, p_net, q_net, exogenous.capacitor_on),
+    )
     equipment = _equipment(scenario, before, devices, exogenous, p_net, q_net, control)
     solution = solve_rows(equipment, slice(None), state.restart)
     if before is None:
@@ -190,6 +187,23 @@ def _solved(
     else:
         equipment, solution = feeder_equipment.with_controls(scenario, equipment, solution, solve_rows)
     return GridStep(solution, noise), equipment
+
+
+def solve_rows_of(
+    scenario: Scenario, control: Control | None, p_net: Array, q_net: Array, connected: Array | None
+) -> feeder_equipment.Solve:
+    """Return the power flow of some rows of a three-phase feeder under these net loads, as a function of its equipment.
+
+    ``control`` are the devices' changes to the grid, ``connected`` is ``Exogenous.capacitor_on``.
+    """
+    solve, _ = _grid(scenario)
+
+    def solve_rows(equipment: Equipment, rows: Any, start: Array | None) -> Any:
+        present = None if connected is None else connected[rows]
+        changed = _with_equipment(_rows_of(control, rows), feeder_equipment.as_control(scenario, equipment, present))
+        return solve(scenario.feeder, p_net[rows], q_net[rows], scenario.source_voltage_pu, changed, start)
+
+    return solve_rows
 
 
 def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> DeviceInput:

@@ -135,7 +135,9 @@ def with_controls(
         equipment, left_s, acted = _next_event(scenario, plan, equipment, left_s)
         rows = xp.where(acted)[0]
         if not len(rows):
-            break
+            if not bool((left_s > 0.0).any()):
+                break
+            continue
         some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
         solved = solve(some, rows, solution.restart[rows])
         solution = _put(solution, rows, solved)
