@@ -11,9 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.core.arrays import Array, min_last, namespace
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction
 from dcgrid_env.devices.tap_changer.tap_control import SAME_TIME_S, RegulatorState
@@ -74,8 +72,8 @@ def _next_taps(
     waited = state.out_of_band_s if integrating else xp.where(counts, state.out_of_band_s, zero)
     left_to_wait = xp.where(sequence, settings.tap_delay_s + zero, settings.delay_s + zero) - waited
     due_in = xp.where(counts, xp.where(left_to_wait > 0.0, left_to_wait, zero), zero + math.inf)
-    lowest = due_in.min(-1, keepdims=True) if isinstance(due_in, np.ndarray) else due_in.amin(-1, keepdim=True)
-    soonest = xp.where(lowest < due_s, lowest, due_s)
+    first = min_last(due_in)
+    soonest = xp.where(first < due_s, first, due_s)
     acts = soonest < left_s - SAME_TIME_S
     passed = xp.where(acts, soonest, left_s)
     counted_down = xp.where(waited > passed, waited - passed, zero)

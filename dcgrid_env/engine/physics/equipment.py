@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace, take_last
+from dcgrid_env.core.arrays import Array, all_true, min_last, namespace, put_rows, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import (
@@ -131,52 +131,41 @@ def with_controls(
     xp = namespace(solution.v_pu)
     left_s = 0.0 * solution.v_pu[..., :1] + scenario.dt_s
     for _ in range(MOST_EVENTS):
-        left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
-        equipment, left_s, acted = _next_event(scenario, plan, equipment, left_s)
-        rows = xp.where(acted)[0]
-        if not len(rows):
-            if not bool((left_s > 0.0).any()):
-                break
-            continue
-        some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
-        solved = solve(some, rows, solution.restart[rows])
-        solution = _put(solution, rows, solved)
-        equipment = _put(equipment, rows, measured(scenario, some, solved))
+        if not all_true(solution.converged):
+            left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
+        before = equipment
+        equipment, left_s = _next_event(scenario, plan, before, left_s)
+        if not bool((left_s > 0.0).any()):
+            break
+        rows = xp.where(_moved(before, equipment))[0]
+        if len(rows):
+            some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
+            solved = solve(some, rows, solution.restart[rows])
+            solution = over_arrays(lambda whole, new: put_rows(whole, rows, new), solution, solved)  # noqa: B023
+            equipment = measured(scenario, equipment, solution)
     return equipment, solution
 
 
-def _next_event(scenario: Scenario, plan: _Plan, equipment: Equipment, left_s: Array) -> tuple[Equipment, Array, Array]:
-    """The equipment after its next event, the time then left of the step, s, (row, 1), and whether anything acted."""
-    (regulators, banks), control = equipment, scenario.grid_control.capacitor_settings
-    of_regulators, of_banks, _, integrating = plan
-    due_s = 0.0 * left_s + np.inf
-    delay_s = None
+def _next_event(scenario: Scenario, plan: _Plan, equipment: Equipment, left_s: Array) -> tuple[Equipment, Array]:
+    """The equipment after its next event, and the time then left of the step, s, (row, 1)."""
+    (regulators, banks), of_banks = equipment, plan.banks
+    due_s, delay_s = 0.0 * left_s + np.inf, None
     if of_banks.acts:
-        delay_s = bank_delays(control, banks, of_banks.controlled)
-        due_s = delay_s.min(-1, keepdims=True) if isinstance(due_s, np.ndarray) else delay_s.amin(-1, keepdim=True)
-    settings, controlled = of_regulators.settings, of_regulators.controlled
-    after, passed_s = next_taps(settings, regulators, left_s, due_s, integrating, controlled)
-    acted = (after.moves != regulators.moves).any(-1)
-    if delay_s is not None:
-        switched = next_switchings(banks, delay_s, passed_s, passed_s < left_s - SAME_TIME_S)
-        acted = acted | (switched.switchings != banks.switchings).any(-1)
-        banks = switched
-    else:
+        delay_s = bank_delays(scenario.grid_control.capacitor_settings, banks, of_banks.controlled)
+        due_s = min_last(delay_s)
+    settings, controlled = plan.regulators.settings, plan.regulators.controlled
+    regulators, passed_s = next_taps(settings, regulators, left_s, due_s, plan.integrating, controlled)
+    if delay_s is None:
         banks = banks._replace(since_s=banks.since_s + passed_s)
-    return Equipment(after, banks), left_s - passed_s, acted
+    else:
+        banks = next_switchings(banks, delay_s, passed_s, passed_s < left_s - SAME_TIME_S)
+    return Equipment(regulators, banks), left_s - passed_s
 
 
-def _put(whole: Any, rows: Array, part: Any) -> Any:
-    """A state or solution with the rows at some positions from another."""
-    return over_arrays(lambda values, new: _with_rows(values, rows, new), whole, part)
-
-
-def _with_rows(values: Array, rows: Array, new: Array) -> Array:
-    if not isinstance(values, np.ndarray):
-        return values.index_copy(0, rows, new)
-    out = values.copy()
-    out[rows] = new
-    return out
+def _moved(before: Equipment, after: Equipment) -> Array:
+    """Whether any equipment of each row has moved, bool, (row,)."""
+    taps = (after.regulators.moves != before.regulators.moves).any(-1)
+    return taps | (after.banks.switchings != before.banks.switchings).any(-1)
 
 
 def measured(scenario: Scenario, equipment: Equipment, solution: ThreePhaseSolution) -> Equipment:
