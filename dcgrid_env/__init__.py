@@ -23,6 +23,7 @@ from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
+from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.engine.cost.flicker import short_term_flicker
 from dcgrid_env.engine.cost.metric_list import METRICS, metrics_in
 from dcgrid_env.engine.cost.observation import field_names
@@ -123,6 +124,7 @@ __all__ = [
     "RandomFeeders",
     "RatingCoverage",
     "Recorder",
+    "RegulatorControl",
     "RideThrough",
     "RideThroughCurve",
     "Routing",

@@ -68,6 +68,12 @@ def control_taps(rng):
     return settings, state, float(rng.choice([0.1, 1.0, 30.0, 600.0])), controlled
 
 
+def next_taps(rng):
+    settings, state, _, controlled = control_taps(rng)
+    left, due = rng.choice([0.0, 1.0, 60.0], (ROWS, 1)), rng.choice([0.3, 20.0, np.inf], (ROWS, 1))
+    return settings, state, left, due, bool(rng.integers(2)), controlled
+
+
 def advance_rows(rng):
     kind, shape = (RideThrough, UpsRideThrough)[rng.integers(2)], (ROWS, 3)
     rule = kind(curve=["itic", "caiso-proposal", RideThroughCurve(over=((1.05, 2.0),))], return_delay_s=2.0)
@@ -120,7 +126,7 @@ def by_phase(rng):
 
 INPUTS = [
     dispatch_rows, serve_linearly, serve_by_slack, step_rows, control_taps, advance_rows, counted, supplied,
-    relay_volts, setpoints, net_loads, by_phase,
+    relay_volts, setpoints, net_loads, by_phase, next_taps,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""
 ROUNDED = {"serve_by_slack": 1e-9}

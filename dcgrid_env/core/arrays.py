@@ -62,6 +62,20 @@ def sum_last(array: Array) -> Array:
     return np.add.reduce(array, -1) if isinstance(array, np.ndarray) else array.sum(-1)
 
 
+def min_last(array: Array) -> Array:
+    """Smallest entry of the last axis, which stays with a length of 1."""
+    return array.min(-1, keepdims=True) if isinstance(array, np.ndarray) else array.amin(-1, keepdim=True)
+
+
+def put_rows(base: Array, rows: Array, new: Array) -> Array:
+    """A copy of ``base`` with other rows at the positions ``rows``, (k,) int."""
+    if isinstance(base, np.ndarray):
+        out = base.copy()
+        out[rows] = new
+        return out
+    return base.index_copy(0, rows, new)
+
+
 def add_at(base: Array, flat_index: Array, values: Array) -> Array:
     """A copy of ``base`` with ``values`` added at the flat positions ``flat_index``, some of which may be the same."""
     if isinstance(base, np.ndarray):

@@ -187,10 +187,9 @@ def _check_branches(network: Network) -> None:
 
 def _check_regulators(network: Network) -> None:
     _numbers(network, "regulator", ["kv_ln", "kva_per_phase", "tap_step", "pt_ratio", "ct_primary_a"], positive=True)
-    positive = ["r_percent", "x_percent", "antifloat_ppm", "vreg_v", "band_v", "delay_s", "tap_delay_s"]
-    _numbers(network, "regulator", positive, non_negative=True)
+    not_negative = ["r_percent", "x_percent", "antifloat_ppm", "vreg_v", "band_v", "delay_s", "tap_delay_s"]
+    _numbers(network, "regulator", [*not_negative, "max_taps_per_move"], non_negative=True)
     _numbers(network, "regulator", ["r_ldc_v", "x_ldc_v", "tap", "tap_neutral", "tap_min", "tap_max"])
-    _numbers(network, "regulator", ["max_taps_per_move"], positive=True)
     table = network.regulator
     for k, one in enumerate(table.name):
         what, lowest, highest = f"regulator {one}", table.tap_min[k], table.tap_max[k]

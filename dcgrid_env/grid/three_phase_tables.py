@@ -123,6 +123,7 @@ class RegulatorTable(Table):
     tap_delay_s: Sequence[float] = ()
     """Between further taps."""
     max_taps_per_move: Sequence[int] = ()
+    """0 for a fixed tap."""
     antifloat_ppm: Sequence[float] = ()
     rating_kva_per_phase: Sequence[float] = optional_column()
     """Rating of a phase; NaN where it is not known. Without the column it is ``kva_per_phase``."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal, get_args
 
-from dcgrid_env.core.checked import FieldError, UnknownFieldError, refuse, settle
+from dcgrid_env.core.checked import FieldError, from_mapping, refuse, settle
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
 
@@ -37,16 +39,25 @@ class GridControl:
     """Mode of capacitor banks; banks that a mapping does not name are fixed."""
     capacitor_settings: CapacitorControl = field(default_factory=CapacitorControl)
     """Switching rule of the controlled capacitor banks; settings that a mapping does not name keep their default."""
+    regulator_settings: RegulatorControl = field(default_factory=RegulatorControl)
+    """Timers and set points of the controlled regulators; likewise."""
 
     def __post_init__(self) -> None:
-        settle(self, regulators=_pairs, capacitors=_pairs, capacitor_settings=_settings)
+        settle(
+            self,
+            regulators=_pairs,
+            capacitors=_pairs,
+            capacitor_settings=partial(_settings, CapacitorControl, "capacitor_settings"),
+            regulator_settings=partial(_settings, RegulatorControl, "regulator_settings"),
+        )
         for name in ("regulators", "capacitors"):
             value = getattr(self, name)
             pairs = value if isinstance(value, tuple) else ((None, value),)
             if not all(isinstance(pair, tuple) and len(pair) == 2 and pair[1] in DECIDERS for pair in pairs):
                 raise refuse(self, name, f"give one of {', '.join(DECIDERS)}, or a mapping from banks to these")
-        if not isinstance(self.capacitor_settings, CapacitorControl):
-            raise refuse(self, "capacitor_settings", "give CapacitorControl(...) or a mapping of its fields")
+        for name, kind in (("capacitor_settings", CapacitorControl), ("regulator_settings", RegulatorControl)):
+            if not isinstance(getattr(self, name), kind):
+                raise refuse(self, name, f"give {kind.__name__}(...) or a mapping of its fields")
 
 
 def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
@@ -72,6 +83,7 @@ def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: AnyFe
 
 def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool) -> None:
     """Raise FieldError for a bank that the feeder lacks, or capacitors that switch but are not ``connected``."""
+    _check_offsets(control, feeder)
     fixed: dict[str, Any] = {"regulators": REGULATORS, "capacitors": CAPACITORS}
     for name, default in fixed.items():
         value = getattr(control, name)
@@ -93,6 +105,19 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool)
             raise refuse(control, name, "the background has its capacitors disconnected; connect them or leave it out")
 
 
+def _check_offsets(control: GridControl, feeder: AnyFeeder) -> None:
+    """Raise FieldError for the offset of a bank or regulator that the feeder lacks."""
+    settings = control.regulator_settings
+    banks, names = (), ()
+    if isinstance(feeder, ThreePhaseFeeder):
+        banks, names = feeder.network.regulator.bank, feeder.network.regulator.name
+    for name, _ in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
+        if name not in banks and name not in names:
+            known = ", ".join(dict.fromkeys((*banks, *names))) or "none"
+            remedy = f"feeder {feeder.name!r} has no bank or regulator {name!r}; there are {known}"
+            raise refuse(settings, "offset_v", remedy).within("GridControl", "regulator_settings")
+
+
 def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
     if isinstance(value, str):
         return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the three words, checked)
@@ -109,14 +134,9 @@ def _pairs(value: object) -> Any:
     return value
 
 
-def _settings(value: object) -> Any:
-    if not isinstance(value, Mapping):
-        return value
-    for key in value:
-        if key not in CapacitorControl.__dataclass_fields__:
-            fields = CapacitorControl.__dataclass_fields__
-            raise UnknownFieldError("GridControl", f"capacitor_settings.{key}", value[key], fields)
+def _settings(kind: type[Any], name: str, value: object) -> Any:
+    """Return settings for a mapping of their fields; any other value unchanged."""
     try:
-        return CapacitorControl(**value)
+        return from_mapping(kind, value)
     except FieldError as error:
-        raise error.within("GridControl", "capacitor_settings") from None
+        raise error.within("GridControl", name) from None

@@ -8,7 +8,8 @@
 | workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
 | datacenters, inverters | a mapping of their fields | DataCenters, Inverters |
 | regulators, capacitors of ``grid_control`` | a word, or a mapping from banks to words | pairs of bank and word |
-| capacitor_settings | a mapping of fields | CapacitorControl |
+| capacitor_settings, regulator_settings | a mapping of fields | CapacitorControl, RegulatorControl |
+| offset_v of ``regulator_settings`` | a number, or a mapping from regulators to numbers | pairs of name and number |
 | profile_pu of ``cost`` | a number, or a mapping from buses or nodes to numbers | pairs of bus or node and number |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
@@ -48,6 +49,7 @@ from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.ride_through.rules import RideThrough, plain_rule
 from dcgrid_env.devices.ride_through.sags import Sag
+from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.grid import FEEDER_REGISTRY, AnyFeeder, Feeder, FeederError, ThreePhaseFeeder, load_feeder, read_feeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.background import Background
@@ -75,12 +77,9 @@ def to_plain(value: object) -> Plain:
         return plain_rule(value)
     if isinstance(value, Workload | Background | Sensing | CapacitorControl):
         return _fields_to_plain(value)
-    if isinstance(value, Cost):
-        profile_pu = dict(value.profile_pu) if isinstance(value.profile_pu, tuple) else value.profile_pu
-        return _fields_to_plain(value) | {"profile_pu": profile_pu}
-    if isinstance(value, GridControl):
+    if isinstance(value, Cost | GridControl | RegulatorControl):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-        return {key: to_plain(dict(given) if isinstance(given, tuple) else given) for key, given in fields.items()}
+        return {key: to_plain(dict(given) if _is_mapping(given) else given) for key, given in fields.items()}
     if isinstance(value, Device) and is_known(type(value)):
         return {"kind": value.kind, **_fields_to_plain(value)}
     if isinstance(value, Enum):
@@ -134,6 +133,11 @@ def _feeder_to_plain(feeder: AnyFeeder) -> Plain:
     except (FeederError, OSError):
         is_there = False
     return str(feeder.folder) if is_there else feeder
+
+
+def _is_mapping(value: object) -> bool:
+    """Return whether a field holds the pairs of a mapping."""
+    return isinstance(value, tuple) and all(isinstance(pair, tuple) and len(pair) == 2 for pair in value)
 
 
 def _fields_to_plain(part: Any) -> dict[str, Any]:

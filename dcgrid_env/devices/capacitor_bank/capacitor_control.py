@@ -10,6 +10,7 @@ its timer then restarts at the end of the step.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from math import lcm
 from typing import Literal, NamedTuple
@@ -129,13 +130,7 @@ def control_banks(
     ``controlled`` is 1 for a bank whose control acts and 0 for one that stays, (n_capacitor,); None where all act.
     """
     xp, zero = namespace(state.on), 0.0 * state.on
-    if control.measures == "voltage":
-        too_low, too_high = state.v_pu < control.on_below_pu, state.v_pu > control.off_above_pu
-    else:
-        too_low, too_high = state.kvar_share > control.on_above_share, state.kvar_share < control.off_below_share
-    beyond = (too_low & (state.on < 0.5)) | (too_high & (state.on > 0.5))
-    if controlled is not None:
-        beyond = beyond & (controlled > 0.0)
+    beyond = _beyond(control, state, controlled)
     waited = xp.where(beyond, state.beyond_s + dt_s, zero)
     due = beyond & (waited >= control.delay_s - _SAME_TIME_S)
     on = xp.where(due, 1.0 - state.on, state.on)
@@ -148,3 +143,46 @@ def control_banks(
         switched=switched,
         switchings=state.switchings + switched,
     )
+
+
+def bank_delays(control: CapacitorControl, state: BankState, controlled: Array | None = None) -> Array:
+    """Time until each bank switches if its measurements stay, s, (row, n_capacitor); infinite within the thresholds."""
+    xp, zero = namespace(state.on), 0.0 * state.on
+    left = control.delay_s - state.beyond_s
+    return xp.where(_beyond(control, state, controlled), xp.where(left > 0.0, left, zero), zero + math.inf)
+
+
+def next_switchings(state: BankState, delay_s: Array, passed_s: Array, acts: Array) -> BankState:
+    """Let time pass until the next event, and switch the banks whose delay ends then.
+
+    Parameters
+    ----------
+    state
+        The banks, with what they measure now.
+    delay_s
+        Their delays by ``bank_delays``, s, (row, n_capacitor).
+    passed_s
+        Time until the event, s, (row, 1).
+    acts
+        Whether the event is before the end of the step, bool, (row, 1). Otherwise nothing is switched.
+    """
+    xp, zero = namespace(state.on), 0.0 * state.on
+    due = acts & (delay_s <= passed_s + _SAME_TIME_S)
+    switched = xp.where(due, zero + 1.0, zero)
+    return state._replace(
+        on=xp.where(due, 1.0 - state.on, state.on),
+        beyond_s=xp.where(due | (delay_s == math.inf), zero, state.beyond_s + passed_s),
+        since_s=xp.where(due, zero, state.since_s + passed_s),
+        switched=state.switched + switched,
+        switchings=state.switchings + switched,
+    )
+
+
+def _beyond(control: CapacitorControl, state: BankState, controlled: Array | None) -> Array:
+    """Whether each bank's measurement is beyond the threshold at which it switches, bool, (row, n_capacitor)."""
+    if control.measures == "voltage":
+        too_low, too_high = state.v_pu < control.on_below_pu, state.v_pu > control.off_above_pu
+    else:
+        too_low, too_high = state.kvar_share > control.on_above_share, state.kvar_share < control.off_below_share
+    beyond = (too_low & (state.on < 0.5)) | (too_high & (state.on > 0.5))
+    return beyond if controlled is None else beyond & (controlled > 0.0)

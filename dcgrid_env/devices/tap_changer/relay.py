@@ -34,6 +34,7 @@ class RelaySettings(NamedTuple):
     """Those ahead of it by 90 degrees."""
     target_v: Array
     half_band_v: Array
+    """Infinite for a regulator that may make no tap (``max_taps_per_move`` 0)."""
     delay_s: Array
     """Before the first tap."""
     tap_delay_s: Array
@@ -64,7 +65,11 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
         r_ohm=np.array(table.r_ldc_v) / ct,
         x_ohm=np.array(table.x_ldc_v) / ct,
         target_v=np.array(table.vreg_v, np.float64),
-        half_band_v=0.5 * np.maximum(np.array(table.band_v, np.float64), step * nominal_v),
+        half_band_v=np.where(
+            np.array(table.max_taps_per_move) > 0,
+            0.5 * np.maximum(np.array(table.band_v, np.float64), step * nominal_v),
+            np.inf,
+        ),
         delay_s=np.array(table.delay_s, np.float64),
         tap_delay_s=np.array(table.tap_delay_s, np.float64),
         lowest=np.array(table.tap_min, np.float64),

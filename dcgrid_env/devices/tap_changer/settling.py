@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, as_like, namespace
+from dcgrid_env.core.arrays import Array, as_like, min_last, namespace, put_rows
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction, relay_settings, relay_volts, settings_like
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import Control, solve_unbalanced
@@ -48,6 +48,7 @@ def settled_taps(
     *,
     controlled: Array | None = None,
     move: Move = one_tap,
+    settings: RelaySettings | None = None,
 ) -> SettledTaps:
     """Settle the taps of a batch of rows, each row by itself.
 
@@ -61,9 +62,12 @@ def settled_taps(
         1 for a regulator that moves and 0 for one that stays where it begins, (n_regulator,); None where all move.
     move
         How many taps are made in a round.
+    settings
+        Settings of the relays, arrays like the loads; those of the feeder's table where it is None.
     """
     p_kw, q_kvar = (a.detach() if hasattr(a, "detach") else a for a in (p_kw, q_kvar))
-    xp, settings = namespace(p_kw), settings_like(relay_settings(feeder), p_kw)
+    xp = namespace(p_kw)
+    settings = settings_like(relay_settings(feeder), p_kw) if settings is None else settings
     n_row = p_kw.shape[0]
     zero = 0.0 * p_kw[:, :1] + as_like(np.zeros(feeder.n_regulator), p_kw)
     taps = zero + as_like(feeder.base_tap, p_kw) if tap is None else tap
@@ -78,8 +82,8 @@ def settled_taps(
         turn = xp.where(solution.converged[:, None], turn, 0.0 * turn)
         after = xp.minimum(xp.maximum(taps[rows] + turn, settings.lowest + 0.0 * turn), settings.highest + 0.0 * turn)
         rests = (turn == 0.0).all(-1)
-        settled = _put(settled, rows, rests & solution.converged)
-        taps = _put(taps, rows, after)
+        settled = put_rows(settled, rows, rests & solution.converged)
+        taps = put_rows(taps, rows, after)
         came_back = rests
         for earlier in before:
             came_back = came_back | (earlier[rows] == after).all(-1)
@@ -114,14 +118,4 @@ def _turns(settings: RelaySettings, volts: Array, tap: Array, controlled: Array 
     wanted = direction(settings, volts, tap)
     wanted = wanted if controlled is None else wanted * controlled
     delay = xp.where(wanted != 0.0, settings.delay_s + 0.0 * tap, 0.0 * tap + np.inf)
-    shortest = delay.min(-1, keepdims=True) if xp is np else delay.amin(-1, keepdim=True)
-    return xp.where(delay <= shortest, wanted, 0.0 * tap)
-
-
-def _put(values: Array, rows: Array, new: Array) -> Array:
-    """A copy of ``values`` with other rows at the positions ``rows``."""
-    if isinstance(values, np.ndarray):
-        out = values.copy()
-        out[rows] = new
-        return out
-    return values.index_copy(0, rows, new)
+    return xp.where(delay <= min_last(delay), wanted, 0.0 * tap)

@@ -11,9 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.core.arrays import Array, min_last, namespace
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction
 
@@ -84,7 +82,7 @@ def _controlled(
     for _ in range(MOST_EVENTS):
         delay = xp.where(sequence != 0.0, settings.tap_delay_s, settings.delay_s)
         due_in = xp.where(wanted != 0.0, xp.where(delay > waited, delay - waited, zero), zero + math.inf)
-        soonest = _lowest(due_in)
+        soonest = min_last(due_in)
         goes_on = soonest <= left + SAME_TIME_S
         if not bool(xp.any(goes_on)):
             break
@@ -106,7 +104,3 @@ def _controlled(
 def _wanted(settings: RelaySettings, relay_v: Array, tap: Array, controlled: Array | None) -> Array:
     turn = direction(settings, relay_v, tap)
     return turn if controlled is None else turn * controlled
-
-
-def _lowest(values: Array) -> Array:
-    return values.min(-1, keepdims=True) if isinstance(values, np.ndarray) else values.amin(-1, keepdim=True)

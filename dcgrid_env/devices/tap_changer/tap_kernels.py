@@ -89,3 +89,41 @@ def control_taps(settings, state, dt_s, controlled):
             since[r] += left
             moves[r] = state.moves[row, r] + moved[r]
     return out
+
+
+@compiled
+def next_taps(settings, state, left_s, due_s, integrating, controlled):
+    """What ``timed_taps.next_taps`` does: the fields of the state and the time passed, (8, row, n_regulator)."""
+    n_row, n = state.tap.shape
+    out = np.empty((8, n_row, n))
+    wanted, due_in = np.empty(n), np.empty(n)
+    acts = np.ones(n) if controlled is None else controlled
+    for row in range(n_row):
+        tap, volts, waited, sequence, since, moved, moves = (
+            out[0, row], out[1, row], out[2, row], out[3, row], out[4, row], out[5, row], out[6, row],
+        )  # fmt: skip
+        for r in range(n):
+            tap[r], volts[r], sequence[r] = state.tap[row, r], state.relay_v[row, r], state.in_sequence[row, r]
+        _direct(settings, acts, volts, tap, wanted)
+        soonest, left = due_s[row, 0], left_s[row, 0]
+        for r in range(n):
+            counts = wanted[r] != 0.0 or sequence[r] != 0.0
+            waited[r] = state.out_of_band_s[row, r] if counts or integrating else 0.0
+            delay = settings.tap_delay_s[r] if sequence[r] != 0.0 else settings.delay_s[r]
+            due_in[r] = max(delay - waited[r], 0.0) if counts else np.inf
+            soonest = min(soonest, due_in[r])
+        comes = soonest < left - SAME_TIME_S
+        passed = soonest if comes else left
+        for r in range(n):
+            counts = wanted[r] != 0.0 or sequence[r] != 0.0
+            over = comes and due_in[r] <= soonest + SAME_TIME_S
+            turn = wanted[r] if over else 0.0
+            tap[r] += turn
+            waited[r] = 0.0 if over else waited[r] + passed if counts else max(waited[r] - passed, 0.0)
+            if over:
+                sequence[r] = abs(turn)
+            since[r] = 0.0 if turn != 0.0 else state.since_s[row, r] + passed
+            moved[r] = state.moved[row, r] + abs(turn)
+            moves[r] = state.moves[row, r] + abs(turn)
+            out[7, row, r] = passed
+    return out

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, relay_settings, relay_volts
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState, control_taps, initial_regulators
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -85,9 +86,18 @@ def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> Acting
     rows = np.array([row for row, of_row in enumerate(deciders) if of_row == decider], np.int64)
     if not len(rows):
         return None
-    settings = relay_settings(feeder)
+    settings = scenario_relays(scenario)
     first, further = (_steps(delay_s[rows], scenario.dt_s) for delay_s in (settings.delay_s, settings.tap_delay_s))
     return ActingRelays(rows, first, further, settings)
+
+
+@cached_on_owner
+def scenario_relays(scenario: Scenario) -> RelaySettings:
+    """Return the settings of all regulators of a scenario's three-phase feeder, offsets of set points included."""
+    feeder: Any = scenario.feeder
+    settings = relay_settings(feeder)
+    offset_v = scenario.grid_control.regulator_settings.offsets_v(feeder.network.regulator)
+    return settings._replace(target_v=settings.target_v + np.array(offset_v))
 
 
 def _steps(delay_s: np.ndarray, dt_s: float) -> np.ndarray:

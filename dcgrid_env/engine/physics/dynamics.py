@@ -173,12 +173,37 @@ def _solved(
     legs = exogenous.nodes if exogenous.legs is None else exogenous.legs
     p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
     control = _control(scenario, params.devices, devices, exogenous) if changing else None
-    equipment = None
-    if state.three_phase is not None:
-        equipment = _equipment(scenario, state.three_phase.equipment, devices, exogenous, p_net, q_net, control)
-        control = _with_equipment(control, feeder_equipment.as_control(scenario, equipment, exogenous.capacitor_on))
-    solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
+    if state.three_phase is None:
+        solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
+        return GridStep(solution, noise), None
+    before, solve_rows = (
+        state.three_phase.equipment,
+        solve_rows_of(scenario, control, p_net, q_net, exogenous.capacitor_on),
+    )
+    equipment = _equipment(scenario, before, devices, exogenous, p_net, q_net, control)
+    solution = solve_rows(equipment, slice(None), state.restart)
+    if before is None:
+        equipment = feeder_equipment.measured(scenario, equipment, solution)
+    else:
+        equipment, solution = feeder_equipment.with_controls(scenario, equipment, solution, solve_rows)
     return GridStep(solution, noise), equipment
+
+
+def solve_rows_of(
+    scenario: Scenario, control: Control | None, p_net: Array, q_net: Array, connected: Array | None
+) -> feeder_equipment.Solve:
+    """Return the power flow of some rows of a three-phase feeder under these net loads, as a function of its equipment.
+
+    ``control`` are the devices' changes to the grid, ``connected`` is ``Exogenous.capacitor_on``.
+    """
+    solve, _ = _grid(scenario)
+
+    def solve_rows(equipment: Equipment, rows: Any, start: Array | None) -> Any:
+        present = None if connected is None else connected[rows]
+        changed = _with_equipment(_rows_of(control, rows), feeder_equipment.as_control(scenario, equipment, present))
+        return solve(scenario.feeder, p_net[rows], q_net[rows], scenario.source_voltage_pu, changed, start)
+
+    return solve_rows
 
 
 def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> DeviceInput:
@@ -237,6 +262,11 @@ def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
         return of_feeder
     ratio = of_feeder.tap_ratio if control.tap_ratio is None else control.tap_ratio
     return Control(ratio, control.shunt_kvar, of_feeder.capacitor_on)
+
+
+def _rows_of(control: Control | None, rows: Any) -> Control | None:
+    """Return a control of some rows of a batch."""
+    return control and Control(*(None if values is None else values[rows] for values in control))
 
 
 @cached_on_owner
@@ -321,5 +351,4 @@ def _by_phase(scenario: Scenario, solution: ThreePhaseSolution, nodes: Array, eq
     feeder = scenario.feeder
     v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
     lowest, highest, factor = by_phase(*v, nodes, three_phase_nodes(feeder))
-    equipment = feeder_equipment.measured(scenario, equipment, solution)
     return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor, equipment)

@@ -1,32 +1,38 @@
 """The regulators and capacitor banks of a three-phase feeder over an episode: controlled, agents, or fixed.
 
-At the beginning of a step, a control acts on measurements from the power flow of the previous step, and an agent's
-equipment on the agent's action. Taps and switches are then constant over the step. At t = 0 the taps of controlled
-regulators have settled.
+At the beginning of a step an agent's equipment follows the agent's action. Then the power flow is solved, and the
+controls act on what they measure in it: whenever a delay ends within the step, taps and switches change and the power
+flow is solved again (``with_controls``). Under ``timer="per_step"`` controls act at the beginning of a step on the
+measurements of the step before, and taps and switches are then constant. At t = 0 the taps of controlled regulators
+have settled.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace, take_last
+from dcgrid_env.core.arrays import Array, all_true, min_last, namespace, put_rows, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import (
+    bank_delays,
     bank_settings,
     control_banks,
     initial_banks,
     measured_banks,
+    next_switchings,
 )
-from dcgrid_env.devices.tap_changer.relay import relay_settings, relay_volts, settings_like
+from dcgrid_env.devices.tap_changer.relay import relay_volts, settings_like
 from dcgrid_env.devices.tap_changer.settling import settled_taps
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
-from dcgrid_env.devices.tap_changer.tap_control import control_taps, initial_regulators
-from dcgrid_env.engine.physics.state import Equipment
+from dcgrid_env.devices.tap_changer.tap_control import MOST_EVENTS, SAME_TIME_S, control_taps, initial_regulators
+from dcgrid_env.devices.tap_changer.timed_taps import next_taps
+from dcgrid_env.engine.physics.acting_relays import scenario_relays
+from dcgrid_env.engine.physics.state import Equipment, over_arrays
 from dcgrid_env.powerflow import Control
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 from dcgrid_env.scenario.grid_control import capacitor_deciders, regulator_deciders
@@ -51,6 +57,14 @@ class _Group(NamedTuple):
 class _Plan(NamedTuple):
     regulators: _Group
     banks: _Group
+    timed: bool
+    """Whether a control acts within steps."""
+    integrating: bool
+    """Whether the timers of regulators count down in band."""
+
+
+Solve = Callable[[Equipment, Array, Array], ThreePhaseSolution]
+"""The power flow of some rows: under their equipment, at their positions (k,) int, from their ``restart``."""
 
 
 def begun(
@@ -67,30 +81,91 @@ def begun(
     if plan.regulators.acts:
         control = Control(None, shunt_kvar, on if connected is None else on * connected)
         given = (feeder, p_kw, q_kvar, scenario.source_voltage_pu, control)
-        tap = settled_taps(*given, controlled=plan.regulators.controlled).tap
+        regulators = plan.regulators
+        tap = settled_taps(*given, controlled=regulators.controlled, settings=regulators.settings).tap
     return Equipment(initial_regulators(tap, 0.0 * tap), initial_banks(on))
 
 
 def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> Equipment:
-    """The equipment over the step whose devices have the given states, from what it measured at the beginning."""
+    """The equipment with which the power flow of a step begins, from the states of the step's devices.
+
+    Agents' equipment is as its agents have it. Controls that act ``per_step`` have acted.
+    """
     (regulators, banks), dt_s = before, scenario.dt_s
-    of_regulators, of_banks = _plan(scenario, regulators.tap)
-    regulators = control_taps(of_regulators.settings, regulators, dt_s, of_regulators.controlled)
+    of_regulators, of_banks, timed, _ = _plan(scenario, regulators.tap)
+    if timed:
+        regulators = regulators._replace(moved=0.0 * regulators.moved)
+        banks = banks._replace(switched=0.0 * banks.switched)
+    else:
+        regulators = control_taps(of_regulators.settings, regulators, dt_s, of_regulators.controlled)
+    not_yet_s = dt_s if timed else 0.0
     if of_regulators.agents is not None:
-        device_state = devices[of_regulators.agents]
-        tap, since, moved = (
-            _picked(of_regulators, regulators, device_state, name) for name in ("tap", "since_s", "moved")
-        )
+        state = devices[of_regulators.agents]
+        tap, moved = (_picked(of_regulators, regulators, state, name) for name in ("tap", "moved"))
+        since_s = _picked(of_regulators, regulators, state._replace(since_s=state.since_s - not_yet_s), "since_s")
         moves = before.regulators.moves + moved
-        regulators = regulators._replace(tap=tap, since_s=since, moved=moved, moves=moves)
-    if of_banks.acts:
+        regulators = regulators._replace(tap=tap, since_s=since_s, moved=moved, moves=moves)
+    if of_banks.acts and not timed:
         banks = control_banks(scenario.grid_control.capacitor_settings, banks, dt_s, of_banks.controlled)
     if of_banks.agents is not None:
-        device_state = devices[of_banks.agents]
-        on, since, switched = (_picked(of_banks, banks, device_state, name) for name in ("on", "since_s", "switched"))
+        state = devices[of_banks.agents]
+        on, switched = (_picked(of_banks, banks, state, name) for name in ("on", "switched"))
+        since_s = _picked(of_banks, banks, state._replace(since_s=state.since_s - not_yet_s), "since_s")
         switchings = before.banks.switchings + switched
-        banks = banks._replace(on=on, since_s=since, switched=switched, switchings=switchings)
+        banks = banks._replace(on=on, since_s=since_s, switched=switched, switchings=switchings)
     return Equipment(regulators, banks)
+
+
+def with_controls(
+    scenario: Scenario, equipment: Equipment, solution: ThreePhaseSolution, solve: Solve
+) -> tuple[Equipment, ThreePhaseSolution]:
+    """The equipment at the end of a step and the power flow there, from those at its beginning.
+
+    Whenever controls act within the step, ``solve`` gives the power flow of the rows concerned. A row without a
+    solution does not act any more.
+    """
+    equipment = measured(scenario, equipment, solution)
+    plan = _plan(scenario, solution.v_pu)
+    if not plan.timed:
+        return equipment, solution
+    xp = namespace(solution.v_pu)
+    left_s = 0.0 * solution.v_pu[..., :1] + scenario.dt_s
+    for _ in range(MOST_EVENTS):
+        if not all_true(solution.converged):
+            left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
+        before = equipment
+        equipment, left_s = _next_event(scenario, plan, before, left_s)
+        if not bool((left_s > 0.0).any()):
+            break
+        rows = xp.where(_moved(before, equipment))[0]
+        if len(rows):
+            some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
+            solved = solve(some, rows, solution.restart[rows])
+            solution = over_arrays(lambda whole, new: put_rows(whole, rows, new), solution, solved)  # noqa: B023
+            equipment = measured(scenario, equipment, solution)
+    return equipment, solution
+
+
+def _next_event(scenario: Scenario, plan: _Plan, equipment: Equipment, left_s: Array) -> tuple[Equipment, Array]:
+    """The equipment after its next event, and the time then left of the step, s, (row, 1)."""
+    (regulators, banks), of_banks = equipment, plan.banks
+    due_s, delay_s = 0.0 * left_s + np.inf, None
+    if of_banks.acts:
+        delay_s = bank_delays(scenario.grid_control.capacitor_settings, banks, of_banks.controlled)
+        due_s = min_last(delay_s)
+    settings, controlled = plan.regulators.settings, plan.regulators.controlled
+    regulators, passed_s = next_taps(settings, regulators, left_s, due_s, plan.integrating, controlled)
+    if delay_s is None:
+        banks = banks._replace(since_s=banks.since_s + passed_s)
+    else:
+        banks = next_switchings(banks, delay_s, passed_s, passed_s < left_s - SAME_TIME_S)
+    return Equipment(regulators, banks), left_s - passed_s
+
+
+def _moved(before: Equipment, after: Equipment) -> Array:
+    """Whether any equipment of each row has moved, bool, (row,)."""
+    taps = (after.regulators.moves != before.regulators.moves).any(-1)
+    return taps | (after.banks.switchings != before.banks.switchings).any(-1)
 
 
 def measured(scenario: Scenario, equipment: Equipment, solution: ThreePhaseSolution) -> Equipment:
@@ -142,7 +217,7 @@ def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> 
     kinds = [kind.kind for kind in scenario.devices]
     groups: list[_Group] = []
     for settings, deciders, kind in (
-        (relay_settings(feeder), regulator_deciders, TapChangers),
+        (scenario_relays(scenario), regulator_deciders, TapChangers),
         (bank_settings(feeder), capacitor_deciders, CapacitorBanks),
     ):
         decides = deciders(scenario.grid_control, feeder)
@@ -154,7 +229,8 @@ def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> 
             pick[list(agents.rows)] = len(decides) + np.arange(agents.count)
         settings, acts = settings_like(settings, like), bool(controlled.any())
         groups.append(_Group(settings, _like(controlled, like), acts, position, xp.asarray(pick, device=device)))
-    return _Plan(*groups)
+    timer = scenario.grid_control.regulator_settings.timer
+    return _Plan(*groups, timer != "per_step" and any(group.acts for group in groups), timer == "integrating")
 
 
 def _feeder(scenario: Scenario) -> Any:

@@ -102,15 +102,14 @@ class OpenDss:
     def _regulators(table: Any) -> list[str]:
         out = []
         for k, name in enumerate(table.name):
-            for phase in table.phases[k]:
-                r = table.r_percent[k] / 2.0
-                out.append(
-                    f"New Transformer.{name}_{phase} phases=1 windings=2 buses=[{table.from_bus[k]}{_wires(phase)} "
-                    f"{table.to_bus[k]}{_wires(phase)}] conns=[wye wye] kvs=[{table.kv_ln[k]!r} {table.kv_ln[k]!r}] "
-                    f"kvas=[{table.kva_per_phase[k]!r} {table.kva_per_phase[k]!r}] %Rs=[{r!r} {r!r}] "
-                    f"xhl={table.x_percent[k]!r} ppm_antifloat={table.antifloat_ppm[k]!r} %noloadloss=0 %imag=0 "
-                    "maxtap=1.2 mintap=0.8"
-                )
+            r, phases, wires = table.r_percent[k] / 2.0, len(table.phases[k]), _wires(table.phases[k])
+            kv, kva = table.kv_ln[k] * (math.sqrt(3.0) if phases > 1 else 1.0), table.kva_per_phase[k] * phases
+            out.append(
+                f"New Transformer.{name} phases={phases} windings=2 buses=[{table.from_bus[k]}{wires} "
+                f"{table.to_bus[k]}{wires}] conns=[wye wye] kvs=[{kv!r} {kv!r}] kvas=[{kva!r} {kva!r}] "
+                f"%Rs=[{r!r} {r!r}] xhl={table.x_percent[k]!r} ppm_antifloat={table.antifloat_ppm[k]!r} %noloadloss=0 %imag=0 "
+                "maxtap=1.2 mintap=0.8"
+            )
         return out
 
     def _injections(self, network: Any) -> list[str]:
@@ -162,10 +161,9 @@ class OpenDss:
             loads.Name = f"leg{leg}" if leg < first else f"device{leg - first}"
             loads.kW, loads.kvar = float(p_kw[leg]), float(q_kvar[leg])
         for row, name in enumerate(feeder.network.regulator.name):
-            for phase in feeder.network.regulator.phases[row]:
-                circuit.Transformers.Name = f"{name}_{phase}"
-                circuit.Transformers.Wdg = 2
-                circuit.Transformers.Tap = float(tap_ratio[row])
+            circuit.Transformers.Name = name
+            circuit.Transformers.Wdg = 2
+            circuit.Transformers.Tap = float(tap_ratio[row])
         for leg, row in enumerate(feeder.capacitor_legs.row):
             circuit.Capacitors.Name = f"leg{leg}"
             circuit.Capacitors.States = [int(state[row])]  # pyright: ignore[reportAttributeAccessIssue]
