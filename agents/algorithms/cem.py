@@ -27,7 +27,7 @@ from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.candidates import Candidates
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.cross_entropy import CrossEntropy
-from dcgrid_env.agents.training.episodes import check_batch, episode_seeds
+from dcgrid_env.agents.training.episodes import episode_seeds
 from dcgrid_env.agents.training.normalisation import normalisation
 from dcgrid_env.agents.training.run_folder import Run, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation, made_with, stepped
@@ -41,11 +41,11 @@ class Cem(Training):
     num_envs: int = 256
     """Number of environments that are simulated in parallel; a multiple of the population. Each candidate controls
     num_envs / population episodes, the same ones for all candidates of an iteration."""
-    population: int = 64
+    population: int = 128
     """Number of candidates in each iteration."""
-    elites: int = 10
+    elites: int = 16
     """Number of candidates of least cost that determine the next distribution."""
-    iterations: int = 60
+    iterations: int = 100
     """Number of iterations."""
     std: float = 0.3
     """Initial standard deviation of the parameters."""
@@ -97,7 +97,7 @@ class Search:
         seeds = episode_seeds(cfg.seed, iteration, cfg.num_envs // cfg.population)
         j = self.candidates.costs(parameters, self.batch, seeds).mean(1)
         distribution.update(parameters, j, iteration / cfg.iterations)
-        return {"J_mean_candidate": j[0], "J_best_candidate": j.min(), "std": float(distribution.std.mean())}
+        return {"J_training": float(j[0]), "J_training_best": float(j.min()), "std": float(distribution.std.mean())}
 
     def policy(self) -> Policy:
         """Return the policy of the mean."""
@@ -128,9 +128,7 @@ def grid_of(cfg: Cem) -> Scenario:
         raise ValueError(f"num_envs is {cfg.num_envs}; give a multiple of the population, {cfg.population}")
     if not 2 <= cfg.elites <= cfg.population:
         raise ValueError(f"elites is {cfg.elites}; give at least 2 and at most the population, {cfg.population}")
-    grid = under_own_control(ScenarioSpec(cfg.scenario, cfg.set).make("train", observe=cfg.observe, reward="shared"))
-    check_batch([grid], cfg.num_envs // cfg.population)
-    return grid
+    return under_own_control(ScenarioSpec(cfg.scenario, cfg.set).make("train", observe=cfg.observe, reward="shared"))
 
 
 def main(cfg: Cem) -> Path:

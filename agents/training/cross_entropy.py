@@ -55,4 +55,4 @@ class CrossEntropy:
         """
         elites = candidates[np.argsort(costs, kind="stable")[: self.elites]].astype(np.float64)
         extra = self.extra_std * max(0.0, 1.0 - done / EXTRA_UNTIL)
-        self.mean, self.std = elites.mean(0), np.hypot(elites.std(0), extra)
+        self.mean, self.std = elites.mean(0), np.hypot(elites.std(0, ddof=1), extra)

@@ -80,7 +80,7 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
         "std": Range(0.1, 1.0, log=True),
         "extra_std": Range(0.005, 0.1, log=True),
         "population": Choice((32, 64, 128)),
-        "elites": Choice((6, 10, 16)),
+        "elites": Choice((8, 16, 24)),
         "num_envs": Choice((128, 256, 512)),
     },
 }

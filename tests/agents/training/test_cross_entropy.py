@@ -33,6 +33,6 @@ def test_an_update_by_hand():
     candidates, costs = np.array([[5.0], [1.0], [3.0]], np.float32), np.array([9.0, 1.0, 2.0])
     distribution.update(candidates, costs, 0.35)  # half of the time in which there is an extra deviation
     assert distribution.mean == pytest.approx([2.0])
-    assert distribution.std == pytest.approx([np.hypot(1.0, 0.35)])
+    assert distribution.std == pytest.approx([np.sqrt(2.0 + 0.35**2)])
     distribution.update(candidates, costs, 0.7)
-    assert distribution.std == pytest.approx([1.0])
+    assert distribution.std == pytest.approx([np.sqrt(2.0)])
