@@ -11,10 +11,9 @@ import numpy as np
 from dcgrid_env import DcgridVectorEnv
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.neural_network import ACTIVATIONS, Network
+from dcgrid_env.agents.training.torch_modules import CLIP
 
 ACTIVATION = "tanh"
-CLIP = 10.0
-"""Largest normalised observation."""
 
 
 class Candidates:
