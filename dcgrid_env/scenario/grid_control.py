@@ -10,13 +10,16 @@ from typing import Any, Literal, get_args
 from dcgrid_env.core.checked import FieldError, from_mapping, refuse, settle
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
+from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
 
-Decider = Literal["fixed", "controlled", "agent"]
-"""Modes: fixed as in the feeder's tables, controlled by the equipment's own control, or an agent."""
+Decider = Literal["fixed", "controlled", "agent", "setpoint"]
+"""Modes: fixed as in the feeder's tables, controlled by the equipment's own control, moved by an agent, or controlled
+with set points that an agent chooses."""
 ByBank = tuple[tuple[str, Decider], ...]
 """Pairs of a bank and its mode; banks that are not named keep the default."""
 DECIDERS: tuple[Decider, ...] = get_args(Decider)
@@ -29,8 +32,8 @@ class GridControl:
     """Control of regulators and capacitor banks: one mode for all, or a mapping from banks to modes.
 
     A bank of regulators is identified by the column ``bank`` of its table, a capacitor bank by its name. In a bank of
-    regulators that is controlled by agents, each tap is a separate agent. A balanced feeder has neither and accepts
-    only the defaults.
+    regulators in mode ``"agent"``, each tap is a separate agent; in mode ``"setpoint"`` the bank is one. A balanced
+    feeder has neither and accepts only the defaults.
     """
 
     regulators: Decider | ByBank = REGULATORS
@@ -58,6 +61,22 @@ class GridControl:
         for name, kind in (("capacitor_settings", CapacitorControl), ("regulator_settings", RegulatorControl)):
             if not isinstance(getattr(self, name), kind):
                 raise refuse(self, name, f"give {kind.__name__}(...) or a mapping of its fields")
+        self._check_set_points()
+
+    def _check_set_points(self) -> None:
+        """Raise FieldError for set points of controls that cannot follow them."""
+        timer, measures = self.regulator_settings.timer, self.capacitor_settings.measures
+        for name in ("regulators", "capacitors"):
+            value = getattr(self, name)
+            modes = [mode for _, mode in value] if isinstance(value, tuple) else [value]
+            if "setpoint" not in modes:
+                continue
+            if timer == "per_step":
+                remedy = "for mode 'setpoint' set grid_control.regulator_settings.timer to 'reset' or 'integrating'"
+                raise refuse(self, name, f"{remedy}, it is {timer!r}")
+            if name == "capacitors" and measures != "voltage":
+                remedy = "for mode 'setpoint' set grid_control.capacitor_settings.measures to 'voltage'"
+                raise refuse(self, name, f"{remedy}, it is {measures!r}")
 
 
 def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
@@ -75,10 +94,20 @@ def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: AnyFe
     groups = tuple(device for device in devices if not is_equipment(device))
     if not isinstance(feeder, ThreePhaseFeeder):
         return groups
-    for kind, deciders in ((TapChangers, regulator_deciders), (CapacitorBanks, capacitor_deciders)):
-        rows = tuple(row for row, decider in enumerate(deciders(control, feeder)) if decider == "agent")
+    by_kind = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
+    for kind, deciders in zip((TapChangers, CapacitorBanks), by_kind, strict=True):
+        rows = _rows(deciders, "agent")
         groups += (kind.of_feeder(feeder, rows),) if rows else ()
+    of_regulators, of_banks = (_rows(deciders, "setpoint") for deciders in by_kind)
+    if of_regulators:
+        groups += (RegulatorSetPoints.of_feeder(feeder, of_regulators, control.regulator_settings),)
+    if of_banks:
+        groups += (ThresholdSetPoints.of_feeder(feeder, of_banks, control.capacitor_settings),)
     return groups
+
+
+def _rows(deciders: tuple[Decider, ...], decider: Decider) -> tuple[int, ...]:
+    return tuple(row for row, of_row in enumerate(deciders) if of_row == decider)
 
 
 def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool) -> None:
@@ -118,7 +147,7 @@ def _check_offsets(control: GridControl, feeder: AnyFeeder) -> None:
 
 def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
     if isinstance(value, str):
-        return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the three words, checked)
+        return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the words, checked)
     named = dict(value)
     return tuple(named.get(bank, default) for bank in banks)
 

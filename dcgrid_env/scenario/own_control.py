@@ -11,6 +11,7 @@ from dcgrid_env.scenario.scenario import Scenario
 def under_own_control(scenario: Scenario) -> Scenario:
     """Return the scenario with regulator agents replaced by their banks' control, and capacitor agents by fixed banks.
 
+    Agents of set points are replaced by the control with its set points at rest.
     The other agents see and do the same as before, and a move costs what it cost. A scenario without such agents is
     returned unchanged.
     """
@@ -23,7 +24,7 @@ def _without_agents(scenario: Scenario) -> Scenario | None:
     if not isinstance(feeder, ThreePhaseFeeder):
         return None
     deciders = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
-    if not any("agent" in of_kind for of_kind in deciders):
+    if not any({"agent", "setpoint"} & set(of_kind) for of_kind in deciders):
         return None
     other = scenario.replace(
         grid_control={
@@ -39,8 +40,12 @@ def _without_agents(scenario: Scenario) -> Scenario | None:
 
 def _instead(decider: Decider | ByBank, of_agents: Decider) -> Decider | ByBank:
     if isinstance(decider, str):
-        return of_agents if decider == "agent" else decider
-    return tuple((bank, of_agents if by == "agent" else by) for bank, by in decider)
+        return _replaced(decider, of_agents)
+    return tuple((bank, _replaced(by, of_agents)) for bank, by in decider)
+
+
+def _replaced(decider: Decider, of_agents: Decider) -> Decider:
+    return {"agent": of_agents, "setpoint": "controlled"}.get(decider, decider)
 
 
 def _n_moving(deciders: tuple[tuple[Decider, ...], ...]) -> int:

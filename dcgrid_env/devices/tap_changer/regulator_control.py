@@ -15,7 +15,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import check_fields, choice, refuse, settle
+from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
+from dcgrid_env.devices.set_points import SHORTEST_HOLD_S
 
 Timer = Literal["per_step", "reset", "integrating"]
 FARTHEST_OFFSET_V = 12.0
@@ -32,6 +33,8 @@ class RegulatorControl:
     offset_v: float | tuple[tuple[str, float], ...] = 0.0
     """Addition to the set point ``vreg_v`` of the table, V on the relay's base; one number for all banks, or a mapping
     from banks to numbers. Banks that a mapping does not name have none."""
+    hold_s: float = number(SHORTEST_HOLD_S, 86_400.0, default=60.0)
+    """Least time between changes of a set point by an agent (mode ``"setpoint"``), s."""
 
     def __post_init__(self) -> None:
         settle(self, offset_v=_pairs)
