@@ -148,7 +148,7 @@ def with_controls(
     for _ in range(MOST_EVENTS):
         left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
         equipment, left_s, acted = _next_event(scenario, plan, equipment, set_points, left_s)
-        rows = xp.where(acted)[0]
+        rows = xp.nonzero(acted)[0]
         if not len(rows):
             break
         some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
