@@ -13,7 +13,7 @@ from dcgrid_env.core.twins import TWINS
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
-from dcgrid_env.devices.tap_changer.relay import relay_settings
+from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings
 from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
 
 for room in ("devices", "engine", "powerflow"):
@@ -68,6 +68,14 @@ def control_taps(rng):
     return settings, state, float(rng.choice([0.1, 1.0, 30.0, 600.0])), controlled
 
 
+def next_taps(rng):
+    settings, state, _, controlled = control_taps(rng)
+    target_v = rng.normal(122.0, 3.0, state.tap.shape)
+    band = RelayBand(target_v, rng.choice([0.4, 1.0, 3.0, np.inf], state.tap.shape))
+    left_s, due_s = rng.choice([0.0, 1.0, 30.0], (ROWS, 1)), rng.choice([0.0, 0.5, 20.0, np.inf], (ROWS, 1))
+    return settings, state, band, left_s, due_s, bool(rng.integers(2)), controlled
+
+
 def advance_rows(rng):
     kind, shape = (RideThrough, UpsRideThrough)[rng.integers(2)], (ROWS, 3)
     rule = kind(curve=["itic", "caiso-proposal", RideThroughCurve(over=((1.05, 2.0),))], return_delay_s=2.0)
@@ -119,7 +127,7 @@ def by_phase(rng):
 
 
 INPUTS = [
-    dispatch_rows, serve_linearly, serve_by_slack, step_rows, control_taps, advance_rows, counted, supplied,
+    dispatch_rows, serve_linearly, serve_by_slack, step_rows, control_taps, next_taps, advance_rows, counted, supplied,
     relay_volts, setpoints, net_loads, by_phase,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""

@@ -149,12 +149,13 @@ def with_controls(
         left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
         equipment, left_s, acted = _next_event(scenario, plan, equipment, set_points, left_s)
         rows = xp.nonzero(acted)[0]
-        if not len(rows):
+        if len(rows):
+            some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
+            solved = solve(some, rows, solution.restart[rows])
+            solution = _put(solution, rows, solved)
+            equipment = _put(equipment, rows, measured(scenario, some, solved))
+        if not bool((left_s > 0.0).any()):  # a control that looks again and finds its band moves nothing
             break
-        some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
-        solved = solve(some, rows, solution.restart[rows])
-        solution = _put(solution, rows, solved)
-        equipment = _put(equipment, rows, measured(scenario, some, solved))
     return equipment, solution
 
 
