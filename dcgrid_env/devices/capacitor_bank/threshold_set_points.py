@@ -95,8 +95,10 @@ class ThresholdSetPoints(GridEquipment):
     @cached_property
     def parameters(self) -> ThresholdParams:
         """Settings as arrays over the agents."""
-        of_all = (np.full(self.count, x) for x in (self.rest_centre_pu, self.rest_half_width_pu, self.hold_s))
-        return ThresholdParams(*of_all, np.array(self.base))
+        rest_centre_pu, rest_half_width_pu, hold_s = (
+            np.full(self.count, value) for value in (self.rest_centre_pu, self.rest_half_width_pu, self.hold_s)
+        )
+        return ThresholdParams(rest_centre_pu, rest_half_width_pu, hold_s, np.array(self.base))
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -126,8 +128,8 @@ class ThresholdSetPoints(GridEquipment):
 
     def initial(self, parameters: ThresholdParams, zero: Array) -> ThresholdState:
         """At rest, with a change possible at once, each bank as it is in the base case."""
-        rest = (zero + values for values in parameters)
-        return ThresholdState(*rest, zero, zero)
+        centre_pu, half_width_pu, age_s, on = (zero + values for values in parameters)
+        return ThresholdState(centre_pu, half_width_pu, age_s, on, zero, zero)
 
     def step(
         self,

@@ -137,8 +137,8 @@ class RegulatorSetPoints(GridEquipment):
 
     def initial(self, parameters: RegulatorSetPointParams, zero: Array) -> RegulatorSetPointState:
         """At rest, with a change possible at once."""
-        rest = (zero + values for values in parameters)
-        return RegulatorSetPointState(*rest, zero, zero, zero)
+        offset_v, half_band_v, age_s = (zero + values for values in parameters)
+        return RegulatorSetPointState(offset_v, half_band_v, age_s, zero, zero, zero)
 
     def step(
         self,

@@ -311,7 +311,8 @@ def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> 
         pick, setter = (xp.asarray(indices, device=device) for indices in (pick, setter))
         groups.append(_Group(settings, _like(controlled, like), acts, position, pick, setters, setter))
     timer = scenario.grid_control.regulator_settings.timer
-    return _Plan(*groups, timer != "per_step" and any(group.acts for group in groups), timer == "integrating")
+    regulators, banks = groups
+    return _Plan(regulators, banks, timer != "per_step" and (regulators.acts or banks.acts), timer == "integrating")
 
 
 def _feeder(scenario: Scenario) -> Any:

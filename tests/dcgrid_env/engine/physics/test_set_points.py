@@ -46,7 +46,7 @@ def switched(**overrides) -> Any:
     return ieee13().replace(**QUIET | modes | overrides)
 
 
-def requested(scenario, **setpoints):
+def requested(scenario, **setpoints: Any):
     """The joint action that requests set points in their units; every other channel is at rest."""
     parts = []
     for device in scenario.devices:
@@ -54,7 +54,7 @@ def requested(scenario, **setpoints):
         for channel in device.channels:
             asked = setpoints.get(channel.name, channel.rest)
             columns.append(2.0 * (asked - channel.lowest) / (channel.highest - channel.lowest) - 1.0)
-        parts.append(np.stack(np.broadcast_arrays(*columns, np.zeros(device.count))[:-1], axis=-1).ravel())
+        parts.append(np.stack([np.zeros(device.count) + column for column in columns], axis=-1).ravel())
     return np.concatenate(parts)
 
 
@@ -199,8 +199,7 @@ def test_tensors_take_the_same_steps(dtype):
     ours = play(scenario, 45, *asked)[-1]
     env: Any = TensorEnv(scenario, like=torch.zeros(1, dtype=dtype))
     env.reset([0, 0])
-    for _ in range(45):
-        step = env.step(torch.tensor(asked, dtype=dtype))
+    *_, step = (env.step(torch.tensor(asked, dtype=dtype)) for _ in range(45))
     (mine, my_banks), (theirs, banks) = ours.state.three_phase.equipment, env.state.three_phase.equipment
     np.testing.assert_array_equal(theirs.tap.numpy(), mine.tap)
     np.testing.assert_array_equal(banks.on.numpy(), my_banks.on)
