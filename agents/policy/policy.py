@@ -160,7 +160,7 @@ class Policy:
 
     @property
     def chooses_set_points(self) -> bool:
-        """Whether it has outputs for the set points of regulators or capacitor banks; else these stay at rest."""
+        """Whether it has outputs for set points of regulators or capacitor banks; without, the defaults apply."""
         joint = self.channels.get("joint", ())
         return any(kind in self.networks for kind in SET_POINTS) or any(name in joint for name in SET_POINTS.values())
 

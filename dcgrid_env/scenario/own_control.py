@@ -11,7 +11,7 @@ from dcgrid_env.scenario.scenario import Scenario
 def under_own_control(scenario: Scenario, keep_set_points: bool = False) -> Scenario:
     """Return the scenario with regulator agents replaced by their banks' control, and capacitor agents by fixed banks.
 
-    Agents of set points are replaced by the control with its set points at rest, unless ``keep_set_points``. The other
+    Agents of set points are replaced by the control with its default set points, unless ``keep_set_points``. The other
     agents see and do the same as before, and a move costs what it cost. A scenario without such agents is returned
     unchanged.
     """

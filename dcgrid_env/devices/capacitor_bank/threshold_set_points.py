@@ -102,7 +102,7 @@ class ThresholdSetPoints(GridEquipment):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Return the channels of the requested thresholds; a range extends to the value at rest."""
+        """Return the channels of the requested thresholds, whose ranges include the defaults."""
         centre, half = self.parameters[:2]
         lowest = np.minimum(LOWEST_CENTRE_PU, centre), np.minimum(NARROWEST_HALF_PU, half)
         highest = np.maximum(HIGHEST_CENTRE_PU, centre), np.maximum(WIDEST_HALF_PU, half)
@@ -127,7 +127,7 @@ class ThresholdSetPoints(GridEquipment):
         )
 
     def initial(self, parameters: ThresholdParams, zero: Array) -> ThresholdState:
-        """At rest, with a change possible at once, each bank as it is in the base case."""
+        """Return the default thresholds and the banks of the base case; the first change is possible at once."""
         centre_pu, half_width_pu, age_s, on = (zero + values for values in parameters)
         return ThresholdState(centre_pu, half_width_pu, age_s, on, zero, zero)
 

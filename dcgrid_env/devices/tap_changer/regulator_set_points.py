@@ -108,7 +108,7 @@ class RegulatorSetPoints(GridEquipment):
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
-        """Return the channels of the requested offset and half band; a range extends to the value at rest."""
+        """Return the channels of the requested offset and half band, whose ranges include the defaults."""
         offset, half = self.parameters[:2]
         lowest = np.minimum(-WIDEST_OFFSET_V, offset), np.minimum(self.narrowest_v, half)
         highest = np.maximum(WIDEST_OFFSET_V, offset), np.maximum(WIDEST_HALF_BAND_V, half)
@@ -120,10 +120,10 @@ class RegulatorSetPoints(GridEquipment):
     def fields(self, horizon: int, dt_s: float) -> tuple[Field, ...]:
         """Return the fields for tap, set point in force, time since its change and deviation of the relays.
 
-        The tap is the bank's mean as a share of the farthest one, offset and half band are shares of the largest that
-        can be requested, and the time is a share of ``hold_s``, at most 1. The deviation is that of the mean of the
-        bank's relay volts from the target in force, divided by the table's target. As those of ``TapChangers``,
-        measurements have neither noise nor delay.
+        The tap is the bank's mean as a share of the farthest one. Offset and half band are shares of the largest that
+        can be requested, and the time is a share of ``hold_s``, at most 1. The deviation is that of the bank's mean
+        relay volts from the target in force, divided by the table's target. Measurements have neither noise nor delay,
+        like those of ``TapChangers``.
         """
         offset, half = self.channels
         largest_v = np.maximum(-offset.lowest, offset.highest)
@@ -136,7 +136,7 @@ class RegulatorSetPoints(GridEquipment):
         )
 
     def initial(self, parameters: RegulatorSetPointParams, zero: Array) -> RegulatorSetPointState:
-        """At rest, with a change possible at once."""
+        """Return the default set points; the first change is possible at once."""
         offset_v, half_band_v, age_s = (zero + values for values in parameters)
         return RegulatorSetPointState(offset_v, half_band_v, age_s, zero, zero, zero)
 

@@ -94,7 +94,7 @@ def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> Acting
 
 @cached_on_owner
 def scenario_relays(scenario: Scenario) -> RelaySettings:
-    """Return the settings of all regulators of a scenario's three-phase feeder under set points at rest."""
+    """Return the settings of all regulators of a scenario's three-phase feeder under the default set points."""
     feeder: Any = scenario.feeder
     settings = relay_settings(feeder)
     offset_v = scenario.grid_control.regulator_settings.offsets_v(tuple(feeder.network.regulator.bank))

@@ -47,7 +47,7 @@ def switched(**overrides) -> Any:
 
 
 def requested(scenario, **setpoints: Any):
-    """The joint action that requests set points in their units; every other channel is at rest."""
+    """The joint action that requests set points in their units; every other channel keeps its default."""
     parts = []
     for device in scenario.devices:
         columns = []
@@ -58,7 +58,7 @@ def requested(scenario, **setpoints: Any):
     return np.concatenate(parts)
 
 
-def play(scenario, steps, *actions) -> Any:
+def play(scenario, steps, *actions: Any) -> Any:
     """Transitions of environments, each under an action or a function of the step that begins, from the reset on."""
     simulation = Simulation(scenario, len(actions))
     transitions = [simulation.reset([0] * len(actions))]
@@ -238,7 +238,7 @@ def test_metrics_count_the_taps():
 
 
 def test_a_bank_of_capacitors_switches_by_the_thresholds_of_its_agent():
-    """Above 0.96 p.u. a bank is switched off after 10 s; back at rest it is switched on where below 0.98 p.u."""
+    """Above 0.96 p.u. a bank is switched off after 10 s; by the default thresholds it is switched on below 0.98 p.u."""
     scenario = switched()
     low, rest = requested(scenario, centre=[0.95, 1.01], half_width=[0.01, 0.03]), requested(scenario)
     transitions = play(scenario, 80, lambda k: low if k < 20 else rest, rest)
