@@ -16,8 +16,8 @@ _TAP = "tap"
 class EquipmentAgents:
     """Feeder equipment among a scenario's agents, if any.
 
-    Regulators follow the automatic control of their bank; capacitor banks keep their state; set points keep the default.
-    The object stores the timers of the relays, so each run of episodes needs a new one.
+    Regulators follow the automatic control of their bank; capacitor banks keep their state, and set points the
+    default. The object stores the timers of the relays, so each run of episodes needs a new one.
 
     Parameters
     ----------

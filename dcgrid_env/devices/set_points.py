@@ -1,8 +1,8 @@
 """Set points that agents request and a control takes over from time to time.
 
 A request replaces the set point in force at the beginning of a step, provided that this has been in force for
-``hold_s``. Until then the agent's action is ignored. A request within ``same`` of the set point in force does not change
-it. At t = 0 the first change may be made at once.
+``hold_s``. Until then the agent's action is ignored. A request within ``same`` of the set point in force does not
+change it. At t = 0 the first change may be made at once.
 """
 
 from __future__ import annotations
