@@ -16,6 +16,7 @@ from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
+from dcgrid_env.scenario.background import Background
 
 Decider = Literal["fixed", "controlled", "agent", "setpoint"]
 """Modes: fixed as in the feeder's tables, controlled by the equipment's own control, moved by an agent, or controlled
@@ -110,9 +111,12 @@ def _rows(deciders: tuple[Decider, ...], decider: Decider) -> tuple[int, ...]:
     return tuple(row for row, of_row in enumerate(deciders) if of_row == decider)
 
 
-def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool) -> None:
-    """Raise FieldError for a bank that the feeder lacks, or capacitors that switch but are not ``connected``."""
-    _check_offsets(control, feeder)
+def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Background) -> None:
+    """Raise FieldError for a bank that the feeder lacks, or equipment that needs another background."""
+    try:
+        _check_offsets(control, feeder, background)
+    except FieldError as error:
+        raise error.within("GridControl", "regulator_settings") from None
     fixed: dict[str, Any] = {"regulators": REGULATORS, "capacitors": CAPACITORS}
     for name, default in fixed.items():
         value = getattr(control, name)
@@ -130,19 +134,26 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool)
                 )
         if not there:
             raise refuse(control, name, f"feeder {feeder.name!r} has none; leave it out")
-        if name == "capacitors" and not connected:
+        if name == "capacitors" and not background.capacitors:
             raise refuse(control, name, "the background has its capacitors disconnected; connect them or leave it out")
 
 
-def _check_offsets(control: GridControl, feeder: AnyFeeder) -> None:
-    """Raise FieldError for the offset of a bank that the feeder lacks."""
-    settings = control.regulator_settings
-    there = feeder.network.regulator.bank if isinstance(feeder, ThreePhaseFeeder) else ()
-    for bank, _ in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
-        if bank not in there:
-            banks = ", ".join(dict.fromkeys(there)) or "none"
-            error = refuse(settings, "offset_v", f"feeder {feeder.name!r} has no bank {bank!r}; there are {banks}")
-            raise error.within("GridControl", "regulator_settings")
+def _check_offsets(control: GridControl, feeder: AnyFeeder, background: Background) -> None:
+    """Raise FieldError for the offset of a bank that the feeder lacks, or a schedule that does not apply."""
+    settings, deciders = control.regulator_settings, {}
+    if isinstance(feeder, ThreePhaseFeeder):
+        deciders = dict(zip(feeder.network.regulator.bank, regulator_deciders(control, feeder), strict=True))
+    for bank, value in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
+        if bank not in deciders:
+            banks = ", ".join(deciders) or "none"
+            raise refuse(settings, "offset_v", f"feeder {feeder.name!r} has no bank {bank!r}; there are {banks}")
+        if not isinstance(value, tuple):
+            continue
+        if background.start_hour is None:
+            raise refuse(settings, "offset_v", "a schedule needs the hour of the day; set background.start_hour")
+        if deciders[bank] != "controlled":
+            remedy = f"a schedule needs a bank in mode 'controlled', {bank!r} is in mode {deciders[bank]!r}"
+            raise refuse(settings, "offset_v", f"{remedy}; give it a number or change grid_control.regulators")
 
 
 def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:

@@ -93,7 +93,7 @@ class Scenario(PickledByFields):
         check_feeder_kind(self)
         check_random_feeders(self)
         with located(self.name, "grid_control"):
-            check_grid_control(self.grid_control, self.feeder, self.background.capacitors)
+            check_grid_control(self.grid_control, self.feeder, self.background)
         object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))
         check_placement(self.name, self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)

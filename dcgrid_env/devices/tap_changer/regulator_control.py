@@ -13,14 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
+import numpy as np
+
+from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse, settle
 from dcgrid_env.devices.set_points import SHORTEST_HOLD_S
 
 Timer = Literal["per_step", "reset", "integrating"]
+Schedule = tuple[tuple[float, float], ...]
+"""Pairs of an hour of the day and an offset, V, that applies from then on until the hour of the next pair."""
 FARTHEST_OFFSET_V = 12.0
 """Largest offset of a set point in either direction, V: a tenth of the 120 V base."""
+_ROUNDING_H = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,9 +36,10 @@ class RegulatorControl:
     timer: Timer = choice("per_step", "reset", "integrating", default="per_step")
     """Time delay: ``"reset"`` returns to zero when the relay is back in band, ``"integrating"`` counts down in band;
     ``"per_step"`` decides once per step."""
-    offset_v: float | tuple[tuple[str, float], ...] = 0.0
+    offset_v: float | tuple[tuple[str, float | Schedule], ...] = 0.0
     """Addition to the set point ``vreg_v`` of the table, V on the relay's base; one number for all banks, or a mapping
-    from banks to numbers. Banks that a mapping does not name have none."""
+    from banks to numbers or daily schedules. Banks that a mapping does not name have none. A schedule is a list of
+    (hour, volts), constant between its hours and over midnight."""
     hold_s: float = number(SHORTEST_HOLD_S, 86_400.0, default=60.0)
     """Least time between changes of a set point by an agent (mode ``"setpoint"``), s."""
 
@@ -41,16 +48,45 @@ class RegulatorControl:
         check_fields(self)
         value = self.offset_v
         pairs = value if isinstance(value, tuple) else ((None, value),)
-        if not all(isinstance(pair, tuple) and len(pair) == 2 and _is_offset(pair[1]) for pair in pairs):
+        if not all(isinstance(pair, tuple) and len(pair) == 2 and _is_allowed(pair[1]) for pair in pairs):
             volts = f"volts between -{FARTHEST_OFFSET_V:g} and {FARTHEST_OFFSET_V:g}"
-            raise refuse(self, "offset_v", f"give {volts}, or a mapping from banks to these")
+            schedules = "to lists of (hour, volts) with rising hours from 0 to less than 24"
+            raise refuse(self, "offset_v", f"give {volts}, or a mapping from banks to these or {schedules}")
+        if self.schedules and self.timer == "per_step":
+            raise refuse(self, "offset_v", "a schedule needs timer 'reset' or 'integrating', it is 'per_step'")
+
+    @property
+    def schedules(self) -> dict[str, Schedule]:
+        """Schedules by bank."""
+        pairs = self.offset_v if isinstance(self.offset_v, tuple) else ()
+        return {bank: value for bank, value in pairs if isinstance(value, tuple)}
 
     def offsets_v(self, banks: tuple[str, ...]) -> tuple[float, ...]:
-        """Return the offset of each of these banks, V."""
+        """Return the constant offset of each of these banks, V; 0 for a bank with a schedule."""
         if not isinstance(self.offset_v, tuple):
             return (float(self.offset_v),) * len(banks)
-        named = dict(self.offset_v)
+        named = {bank: value for bank, value in self.offset_v if not isinstance(value, tuple)}
         return tuple(float(named.get(bank, 0.0)) for bank in banks)
+
+    def scheduled_v(self, banks: tuple[str, ...], hour: np.ndarray) -> np.ndarray:
+        """Return the offsets by schedules at hours (row,), V, (row, n_bank); 0 for a bank without a schedule."""
+        offset_v = np.zeros((len(hour), len(banks)))
+        for bank, schedule in self.schedules.items():
+            hours, volts = np.array(schedule).T
+            at = np.searchsorted(hours, (hour + _ROUNDING_H) % 24.0, side="right") - 1  # -1: the last of yesterday
+            offset_v[:, [name == bank for name in banks]] = volts[at][:, None]
+        return offset_v
+
+
+def _is_allowed(value: object) -> bool:
+    """Whether a value is an offset or a schedule of offsets."""
+    if not isinstance(value, tuple):
+        return _is_offset(value)
+    if not value or not all(isinstance(entry, tuple) and len(entry) == 2 and _is_offset(entry[1]) for entry in value):
+        return False
+    hours = [entry[0] for entry in value]
+    in_day = all(not isinstance(hour, bool) and finite(hour, 0.0, 24.0) and hour < 24.0 for hour in hours)
+    return in_day and all(earlier < later for earlier, later in pairwise(hours))
 
 
 def _is_offset(value: object) -> bool:
@@ -60,9 +96,9 @@ def _is_offset(value: object) -> bool:
 
 
 def _pairs(value: object) -> Any:
-    """Return pairs of a bank and an offset from a mapping or from JSON lists; any other value unchanged."""
-    if isinstance(value, Mapping):
-        return tuple(value.items())
-    if isinstance(value, list | tuple):
-        return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in value)
-    return value
+    """Return pairs of a bank and an offset or a schedule from a mapping or from JSON lists; other values unchanged."""
+    return _tuples(tuple(value.items()) if isinstance(value, Mapping) else value)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

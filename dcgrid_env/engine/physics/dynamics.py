@@ -188,7 +188,9 @@ def _solved(
     if before is None:
         equipment = feeder_equipment.measured(scenario, equipment, solution)
     else:
-        equipment, solution = feeder_equipment.with_controls(scenario, equipment, devices, solution, solve_rows)
+        equipment, solution = feeder_equipment.with_controls(
+            scenario, equipment, devices, exogenous.offset_v, solution, solve_rows
+        )
     return GridStep(solution, noise), equipment
 
 
@@ -239,7 +241,7 @@ def _equipment(
     if before is not None:
         return feeder_equipment.advanced(scenario, before, states)
     shunt_kvar = None if control is None else control.shunt_kvar
-    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on)
+    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on, exogenous.offset_v)
 
 
 def _with_equipment(control: Control | None, of_feeder: Control) -> Control:

@@ -83,21 +83,34 @@ Solve = Callable[[Equipment, Array, Array], ThreePhaseSolution]
 
 
 def begun(
-    scenario: Scenario, p_kw: Array, q_kvar: Array, shunt_kvar: Array | None, connected: Array | None
+    scenario: Scenario,
+    p_kw: Array,
+    q_kvar: Array,
+    shunt_kvar: Array | None,
+    connected: Array | None,
+    offset_v: Array | None,
 ) -> Equipment:
     """The equipment at t = 0 under the legs' net loads: taps settled, each row by itself.
 
     Shapes are (row, n_leg) of the loads, (row, n_node) of switched shunts, None without any, and (row, n_capacitor)
-    of what is ``connected``, None where all banks are.
+    of what is ``connected``, None where all banks are. ``offset_v`` are the offsets by schedules, None without any.
     """
     feeder, plan = _feeder(scenario), _plan(scenario, p_kw)
     zeros = 0.0 * p_kw[..., :1]
     tap, on = (zeros + _like(values, p_kw) for values in (feeder.base_tap, feeder.base_capacitor_on))
     if plan.regulators.acts:
         control = Control(None, shunt_kvar, on if connected is None else on * connected)
-        given = (feeder, p_kw, q_kvar, scenario.source_voltage_pu, control)
         regulators = plan.regulators
-        tap = settled_taps(*given, controlled=regulators.controlled, settings=regulators.settings).tap
+        tap = settled_taps(
+            feeder,
+            p_kw,
+            q_kvar,
+            scenario.source_voltage_pu,
+            control,
+            controlled=regulators.controlled,
+            settings=regulators.settings,
+            target_v=None if offset_v is None else regulators.settings.target_v + offset_v,
+        ).tap
     return Equipment(initial_regulators(tap, 0.0 * tap), initial_banks(on))
 
 
@@ -132,18 +145,24 @@ def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> E
 
 
 def with_controls(
-    scenario: Scenario, equipment: Equipment, devices: Sequence[Any], solution: ThreePhaseSolution, solve: Solve
+    scenario: Scenario,
+    equipment: Equipment,
+    devices: Sequence[Any],
+    offset_v: Array | None,
+    solution: ThreePhaseSolution,
+    solve: Solve,
 ) -> tuple[Equipment, ThreePhaseSolution]:
     """The equipment at the end of a step and the power flow there, from those at its beginning.
 
     Whenever controls act within the step, ``solve`` gives the power flow of the rows concerned. A row without a
-    solution does not act any more. ``devices`` are the states of the step's devices.
+    solution does not act any more. ``devices`` are the states of the step's devices, and ``offset_v`` the offsets of
+    regulators by schedules, (row, n_regulator), or None.
     """
     equipment = measured(scenario, equipment, solution)
     plan = _plan(scenario, solution.v_pu)
     if not plan.timed:
         return equipment, solution
-    xp, set_points = namespace(solution.v_pu), _set_points(scenario, plan, equipment, devices)
+    xp, set_points = namespace(solution.v_pu), _set_points(scenario, plan, equipment, devices, offset_v)
     left_s = 0.0 * solution.v_pu[..., :1] + scenario.dt_s
     for _ in range(MOST_EVENTS):
         left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
@@ -231,10 +250,14 @@ def _by_setter(scenario: Scenario, position: int, values: Array, is_mean: bool =
     return namespace(values).stack(sums, axis=-1)
 
 
-def _set_points(scenario: Scenario, plan: _Plan, equipment: Equipment, devices: Sequence[Any]) -> _SetPoints:
-    """The set points in force over a step, from the states of the step's devices."""
+def _set_points(
+    scenario: Scenario, plan: _Plan, equipment: Equipment, devices: Sequence[Any], offset_v: Array | None
+) -> _SetPoints:
+    """The set points in force over a step, from the states of the step's devices and from schedules."""
     (regulators, banks), of_banks = equipment, plan.banks
     band = _band(scenario, plan.regulators, regulators.tap, devices)
+    if offset_v is not None:
+        band = band._replace(target_v=band.target_v + offset_v)
     if of_banks.setters is None:
         return _SetPoints(band, None)
     state, control = devices[of_banks.setters], scenario.grid_control.capacitor_settings

@@ -25,6 +25,14 @@ GIVEN = {
         "grid_control.regulator_settings": {"timer": "integrating", "offset_v": {"reg1a": 2.0}, "hold_s": 300.0},
         "grid_control.capacitor_settings": {"hold_s": 900.0},
     },
+    "a schedule": {
+        "grid_control.regulator_settings": {
+            "timer": "reset",
+            "offset_v": {"reg1a": [[6.0, 1.5], [22, -0.5]], "reg3": 1.0},
+        },
+        "background.start_hour": 5.0,
+        "grid_control.capacitors": "agent",
+    },
 }
 
 
@@ -41,7 +49,10 @@ def test_defaults_change_nothing():
 @pytest.mark.parametrize("name", GIVEN)
 def test_paths_mappings_and_files_are_one_thing(name, tmp_path):
     flat = ieee123().replace(**GIVEN[name])
-    by_mapping = ieee123().replace(grid_control={key.split(".")[1]: value for key, value in GIVEN[name].items()})
+    parts: dict[str, dict[str, object]] = {}
+    for key, value in GIVEN[name].items():
+        parts.setdefault(key.split(".")[0], {})[key.split(".")[1]] = value
+    by_mapping = ieee123().replace(**parts)
     assert by_mapping.difference(flat) is None
     assert flat.difference(ieee123()) is not None
     assert pickle.loads(pickle.dumps(flat)).difference(flat) is None
@@ -119,6 +130,33 @@ def test_a_bank_whose_set_point_is_chosen_is_one_agent():
                 "grid_control.capacitor_settings": {"measures": "kvar"},
             },
             "for mode 'setpoint' set grid_control.capacitor_settings.measures to 'voltage', it is 'kvar'",
+        ),
+        (
+            {"grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg2": [[6.0, 1.0]]}}},
+            "grid_control.regulator_settings.offset_v is .*; a schedule needs the hour of the day; set background",
+        ),
+        (
+            {"grid_control.regulator_settings": {"offset_v": {"reg2": [[6.0, 1.0]]}}, "background.start_hour": 0.0},
+            "offset_v is .*; a schedule needs timer 'reset' or 'integrating', it is 'per_step'",
+        ),
+        (
+            {
+                "grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg2": [[6.0, 1.0]]}},
+                "grid_control.regulators": {"reg2": "setpoint"},
+                "background.start_hour": 0.0,
+            },
+            "a schedule needs a bank in mode 'controlled', 'reg2' is in mode 'setpoint'",
+        ),
+        *(
+            (
+                {"grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg2": schedule}}},
+                "or to lists of .hour, volts. with rising hours from 0 to less than 24",
+            )
+            for schedule in ([], [[24.0, 1.0]], [[6.0, 1.0], [6.0, 2.0]], [[6.0, 13.0]], [6.0, 1.0], [["6", 1.0]])
+        ),
+        (
+            {"grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg9": 1.0}}},
+            "feeder 'ieee123-3ph' has no bank 'reg9'; there are reg1a, reg2, reg3, reg4",
         ),
         (
             {"grid_control.regulator_settings": {"hold_s": 59.0}},
