@@ -8,8 +8,9 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
-from dcgrid_env import DcgridEnv, TensorEnv, parallel_env, under_own_control
+from dcgrid_env import DcgridEnv, TensorEnv, make_scenario, parallel_env, under_own_control
 from dcgrid_env.baselines import make_controller, rollout
+from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.engine.cost import observation
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.state import over_arrays
@@ -278,9 +279,16 @@ def test_controllers_of_the_other_agents_leave_set_points_at_rest(name):
     assert with_agents["J"] == without["J"]
 
 
-def test_tuned_gains_apply_under_set_points():
-    from dcgrid_env import make_scenario
+def test_hindsight_refuses_agents_of_set_points_and_schedules():
+    with pytest.raises(ValueError, match=r"hindsight is made for .* devices of kind 'regulator_setpoint'"):
+        hindsight(regulated(), 0)
+    settings = RESET | {"offset_v": {"reg1": [[6.0, 1.0]]}}
+    scheduled = ieee13().replace(grid_control={"regulator_settings": settings}, background={"start_hour": 0.0})
+    with pytest.raises(ValueError, match=r"hindsight plans taps under constant set points; .*offset_v"):
+        hindsight(scheduled, 0)
 
+
+def test_tuned_gains_apply_under_set_points():
     scenario = make_scenario(
         "ieee13-3ph", **{"grid_control.regulators": "setpoint", "grid_control.regulator_settings": RESET}
     )
