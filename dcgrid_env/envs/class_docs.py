@@ -67,6 +67,8 @@ FEATURES = (
     ("device storage", "p, q", "stored, charge_limit, discharge_limit", "ageing, missing"),
     ("device tap_changer", "tap", "tap, since_tap, relay", ""),
     ("device capacitor_bank", "on", "on, since_switching", ""),
+    ("device regulator_setpoint", "offset, half_band", "mean_tap, offset, half_band, since_change, mean_relay", ""),
+    ("device capacitor_setpoint", "centre, half_width", "on, centre, half_width, since_change, bank_voltage", ""),
 )
 """Additions of features and further devices: channels, observation fields and cost terms."""
 COSTS = tuple((term.name, f"{term.weight:g}", re.sub(r"\|(.+?)\|", r"abs(\1)", term.meaning)) for term in TERMS)

@@ -135,7 +135,7 @@ def _step(
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
     device_states = tuple(devices)
     if phases is not None:
-        device_states = feeder_equipment.with_relays(scenario, device_states, phases.equipment)
+        device_states = feeder_equipment.with_measurements(scenario, device_states, phases.equipment)
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
@@ -185,7 +185,9 @@ def _solved(
     if before is None:
         equipment = feeder_equipment.measured(scenario, equipment, solution)
     else:
-        equipment, solution = feeder_equipment.with_controls(scenario, equipment, solution, solve_rows)
+        equipment, solution = feeder_equipment.with_controls(
+            scenario, equipment, devices, exogenous.offset_v, solution, solve_rows
+        )
     return GridStep(solution, noise), equipment
 
 
@@ -253,7 +255,7 @@ def _equipment(
     if before is not None:
         return feeder_equipment.advanced(scenario, before, states)
     shunt_kvar = None if control is None else control.shunt_kvar
-    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on)
+    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on, exogenous.offset_v)
 
 
 def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
