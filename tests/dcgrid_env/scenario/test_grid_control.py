@@ -98,7 +98,7 @@ def test_a_bank_whose_set_point_is_chosen_is_one_agent():
         ),
         (
             {"grid_control.regulators": {"reg9": "agent"}},
-            "feeder 'ieee123-3ph' has no bank or regulator 'reg9'; there are reg1a, reg2, reg3, reg4, creg1a",
+            "feeder 'ieee123-3ph' has no bank 'reg9'; there are reg1a, reg2, reg3, reg4",
         ),
         (
             {"grid_control.capacitors": {"c83": "off"}},
