@@ -4,8 +4,8 @@
     kvar: on above ``on_above_share``, off below ``off_below_share``, what the branch brings to the bank's phases of
     its bus, what the bank injects subtracted, as a share of the bank's rating
 
-A threshold must be passed for ``delay_s`` without a break. ``bank_delays`` and ``next_switchings`` lead from one event to
-the next within a step, as ``timed_taps`` does for regulators. ``control_banks`` decides once per step.
+A threshold must be passed for ``delay_s`` without a break. ``bank_delays`` and ``next_switchings`` lead from one event
+to the next within a step, as ``timed_taps`` does for regulators. ``control_banks`` decides once per step.
 """
 
 from __future__ import annotations
