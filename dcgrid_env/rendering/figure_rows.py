@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from dcgrid_env.engine.physics.acting_relays import ActingRelays, acting_relays
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.rendering.equipment_labels import banks_of
@@ -73,13 +74,16 @@ def fit_voltages(ax: Axes, scenario: Scenario, runs: list[Series]) -> None:
 
 
 def phase_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
-    """The rows of a three-phase feeder: its phases, its unbalance, and taps that move in any of the episodes."""
+    """The rows of a three-phase feeder: phases, unbalance, and where taps move in an episode, taps and relays."""
     feeder: Any = scenario.feeder
     rows = [_phase(scenario, name, nodes) for name, nodes in phases_of_feeder(feeder).items()]
     if len(three_phase_nodes(feeder)):
         rows.append(_unbalance(feeder))
     if any(np.ptp(run.three_phase.equipment.regulators.tap, axis=0).any() for run in runs):
         rows.append(_taps(feeder))
+        relays = acting_relays(scenario)
+        if relays is not None and not scenario.grid_control.regulator_settings.has_schedules:
+            rows.append(_relays(feeder, relays))
     return rows
 
 
@@ -204,6 +208,23 @@ def _unbalance(feeder: Any) -> Row:
             ax.legend(loc="upper right", ncols=2, **_SMALL)
 
     return Row("V2 / V1 (%)", 1.5, draw, finish)
+
+
+def _relays(feeder: Any, relays: ActingRelays) -> Row:
+    looks, rows = tap_looks(feeder), relays.rows
+    target_v, half_band_v = relays.settings.target_v[rows], relays.settings.half_band_v[rows]
+
+    def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
+        off = (run.three_phase.equipment.regulators.relay_v[:, rows] - target_v) / half_band_v
+        ax.axhspan(-1.0, 1.0, color="#1A1A1A", alpha=0.07, linewidth=0.0)
+        for row, values in zip(rows, off.T, strict=True):
+            ax.plot(t, values, color=looks["colors"][row], linestyle=looks["linestyles"][row], linewidth=1.1)
+
+    def finish(across: np.ndarray, runs: list[Series]) -> None:
+        del runs
+        across[-1].annotate("in band", (1.01, 0.0), xycoords=("axes fraction", "data"), va="center", fontsize=8)
+
+    return Row("relay error\n(half bands)", 1.8, draw, finish)
 
 
 def _taps(feeder: Any) -> Row:

@@ -43,6 +43,19 @@ def test_the_power_row_shows_what_all_data_centres_draw():
     np.testing.assert_allclose(np.asarray(drawn.get_ydata()), runs["droop"].p_kw[:, workload].sum(axis=1))
 
 
+def test_relays_have_a_curve_each_in_half_bands_around_their_set_point():
+    control = {"grid_control.regulator_settings": {"timer": "integrating", "offset_v": -2.0}}
+    scenario = make_scenario("ieee34-3ph", horizon=90, **control)
+    runs, figure = figure_of(scenario, "none")
+    (axes,) = [ax for ax in figure.axes if ax.get_ylabel().startswith("relay error")]
+    table = scenario.feeder.network.regulator
+    target_v, half_band_v = np.array(table.vreg_v) - 2.0, 0.5 * np.array(table.band_v)
+    relay_v = runs["none"].three_phase.equipment.regulators.relay_v
+    curves = np.array([line.get_ydata() for line in axes.get_lines()])
+    np.testing.assert_allclose(curves.T, (relay_v - target_v) / half_band_v, rtol=1e-12)
+    assert (np.abs(curves) > 1.0).any()
+
+
 def test_sags_and_trips_are_marked_at_their_times():
     scenario = make_scenario("ride-through", horizon=60)
     runs, figure = figure_of(scenario, "none")
