@@ -10,6 +10,7 @@ have settled.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import ceil
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ from dcgrid_env.devices.capacitor_bank.capacitor_control import (
     measured_banks,
     next_switchings,
 )
+from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, regulator_view
 from dcgrid_env.devices.tap_changer.relay import relay_volts, settings_like
 from dcgrid_env.devices.tap_changer.settling import settled_taps
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
@@ -183,6 +185,20 @@ def with_relays(scenario: Scenario, devices: tuple[Any, ...], equipment: Equipme
     agents: Any = scenario.devices[position]
     relay_v = equipment.regulators.relay_v[..., list(agents.rows)]
     return (*devices[:position], devices[position]._replace(relay_v=relay_v), *devices[position + 1 :])
+
+
+def reported(scenario: Scenario, equipment: Equipment) -> RegulatorView:
+    """What is reported of the regulators at the end of a step."""
+    settings = _plan(scenario, equipment.regulators.tap).regulators.settings
+    return regulator_view(settings, equipment.regulators)
+
+
+def remembered_reports(scenario: Scenario) -> int:
+    """Number of reports that a state keeps, ``State.regulator_views``; 0 where agents do not observe regulators."""
+    if not scenario.sensing.regulator:
+        return 0
+    steps = ceil((scenario.sensing.regulator_delay_s - SAME_TIME_S) / scenario.dt_s)
+    return 1 + min(max(steps, 0), scenario.horizon)
 
 
 def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None) -> Control:

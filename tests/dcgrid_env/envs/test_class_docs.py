@@ -118,8 +118,20 @@ def test_what_further_devices_add_is_what_the_table_lists():
     assert terms(make_scenario("ieee13-3ph")) - terms(before) == row("three-phase feeder")[2]
 
 
+def test_what_observed_regulators_add_is_what_the_table_lists():
+    before = make_scenario("ieee13-3ph")
+    assert added(before.replace(sensing={"regulator": True}), before) == row("sensing.regulator")
+
+
 def test_every_feature_has_a_test():
-    tested = {"three-phase feeder", "device storage", "device tap_changer", "device capacitor_bank", *SETTINGS}
+    tested = {
+        "three-phase feeder",
+        "sensing.regulator",
+        "device storage",
+        "device tap_changer",
+        "device capacitor_bank",
+        *SETTINGS,
+    }
     assert {feature for feature, *_ in FEATURES} == tested
 
 
