@@ -139,7 +139,7 @@ def with_controls(
         equipment, left_s = _next_event(scenario, plan, before, left_s)
         if not bool((left_s > 0.0).any()):
             break
-        rows = xp.where(_moved(before, equipment))[0]
+        rows = xp.nonzero(_moved(before, equipment))[0]
         if len(rows):
             some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
             solved = solve(some, rows, solution.restart[rows])
