@@ -60,9 +60,9 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Grid
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, grid = _step(scenario, params, before, setpoints, agents, exogenous)
     draws = (state.p_kw,) * remembered_draws(scenario) or None
-    views = None
-    if kept := feeder_equipment.remembered_reports(scenario):
-        views = (feeder_equipment.reported(scenario, state.three_phase.equipment),) * kept
+    views, phases = None, state.three_phase
+    if phases is not None and (kept := feeder_equipment.remembered_reports(scenario)):
+        views = (feeder_equipment.reported(scenario, phases.equipment),) * kept
     return state._replace(
         v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws, regulator_views=views
     ), grid
@@ -139,10 +139,10 @@ def _step(
         if phases is not None:
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
     device_states, views = tuple(devices), state.regulator_views
-    if views is not None:
-        views = (*views[1:], feeder_equipment.reported(scenario, phases.equipment))
     if phases is not None:
         device_states = feeder_equipment.with_relays(scenario, device_states, phases.equipment)
+        if views is not None:
+            views = (*views[1:], feeder_equipment.reported(scenario, phases.equipment))
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
