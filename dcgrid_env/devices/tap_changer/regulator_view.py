@@ -1,8 +1,7 @@
 """What SCADA reports of regulators to other agents: tap, deviation of the relay and timer, as shares.
 
-tap    tap / farthest tap
-relay  (relay volts - target) / half band            beyond -1 and 1 the relay is out of band
-timer  time out of band / delay before the first tap, or time since the last tap / delay between further ones
+The relay is out of band if its deviation is beyond -1 or 1. The timer is the time out of band as a share of the delay
+before the first tap. After a tap it is the time since then, as a share of the delay between further taps.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def upstream_view(feeder: ThreePhaseFeeder, view: RegulatorView) -> RegulatorVie
 def upstream_regulators(feeder: ThreePhaseFeeder) -> np.ndarray:
     """Return the row of the regulator nearest to each node on its phase's path to the source, int, (n_node,).
 
-    The number of regulators stands for a node without one. A regulator is upstream of its own to-bus.
+    It is the number of regulators for a node without one. A regulator is upstream of the bus that it feeds.
     """
     table, found = feeder.branches.regulator, np.full(feeder.n_node, len(feeder.network.regulator), np.int64)
     for node, parent in enumerate(feeder.node_parent.tolist()):  # parents come first

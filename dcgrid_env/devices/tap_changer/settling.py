@@ -67,7 +67,7 @@ def settled_taps(
     """
     p_kw, q_kvar = (a.detach() if hasattr(a, "detach") else a for a in (p_kw, q_kvar))
     xp = namespace(p_kw)
-    settings = settings_like(relay_settings(feeder), p_kw) if settings is None else settings
+    relays = settings or settings_like(relay_settings(feeder), p_kw)
     n_row = p_kw.shape[0]
     zero = 0.0 * p_kw[:, :1] + as_like(np.zeros(feeder.n_regulator), p_kw)
     taps = zero + as_like(feeder.base_tap, p_kw) if tap is None else tap
@@ -77,10 +77,10 @@ def settled_taps(
     while len(rows) and feeder.n_regulator and rounds < MOST_ROUNDS:
         rounds += 1
         solution = _solve(feeder, p_kw, q_kvar, source_voltage_pu, control, taps, rows, start)
-        volts = relay_volts(settings, solution)
-        turn = _turns(settings, volts, taps[rows], controlled) * move(settings, settings.target_v - volts)
+        volts = relay_volts(relays, solution)
+        turn = _turns(relays, volts, taps[rows], controlled) * move(relays, relays.target_v - volts)
         turn = xp.where(solution.converged[:, None], turn, 0.0 * turn)
-        after = xp.minimum(xp.maximum(taps[rows] + turn, settings.lowest + 0.0 * turn), settings.highest + 0.0 * turn)
+        after = xp.minimum(xp.maximum(taps[rows] + turn, relays.lowest + 0.0 * turn), relays.highest + 0.0 * turn)
         rests = (turn == 0.0).all(-1)
         settled = put_rows(settled, rows, rests & solution.converged)
         taps = put_rows(taps, rows, after)

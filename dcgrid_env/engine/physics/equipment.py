@@ -245,8 +245,8 @@ def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> 
             pick[list(agents.rows)] = len(decides) + np.arange(agents.count)
         settings, acts = settings_like(settings, like), bool(controlled.any())
         groups.append(_Group(settings, _like(controlled, like), acts, position, xp.asarray(pick, device=device)))
-    timer = scenario.grid_control.regulator_settings.timer
-    return _Plan(*groups, timer != "per_step" and any(group.acts for group in groups), timer == "integrating")
+    timer, (regulators, banks) = scenario.grid_control.regulator_settings.timer, groups
+    return _Plan(regulators, banks, timer != "per_step" and any(group.acts for group in groups), timer == "integrating")
 
 
 def _feeder(scenario: Scenario) -> Any:

@@ -107,8 +107,8 @@ class OpenDss:
             out.append(
                 f"New Transformer.{name} phases={phases} windings=2 buses=[{table.from_bus[k]}{wires} "
                 f"{table.to_bus[k]}{wires}] conns=[wye wye] kvs=[{kv!r} {kv!r}] kvas=[{kva!r} {kva!r}] "
-                f"%Rs=[{r!r} {r!r}] xhl={table.x_percent[k]!r} ppm_antifloat={table.antifloat_ppm[k]!r} %noloadloss=0 %imag=0 "
-                "maxtap=1.2 mintap=0.8"
+                f"%Rs=[{r!r} {r!r}] xhl={table.x_percent[k]!r} ppm_antifloat={table.antifloat_ppm[k]!r} "
+                "%noloadloss=0 %imag=0 maxtap=1.2 mintap=0.8"
             )
         return out
 
