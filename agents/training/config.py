@@ -39,7 +39,8 @@ class Training:
     out: Path | None = None
     """Output folder of the run. Default: results/train/SCENARIO-ALGORITHM-SEED."""
     device: str = "cpu"
-    """Torch device of the networks, for example cpu or cuda; analytic and safe also simulate the grid on it."""
+    """Torch device of the networks, for example cpu or cuda; analytic and safe also simulate the grid on it. cem and
+    carry-over use the CPU only."""
     resume: bool = False
     """Continue from the checkpoint in the output folder."""
     observe: Literal["local", "neighbours", "feeder"] = "local"

@@ -76,6 +76,13 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
         "gradient_steps": Choice((1, 2, 4)),
         "tau": Range(0.003, 0.03, log=True),
     },
+    "cem": {
+        "std": Range(0.1, 1.0, log=True),
+        "extra_std": Range(0.005, 0.1, log=True),
+        "population": Choice((32, 64, 128)),
+        "elites": Choice((8, 16, 24)),
+        "num_envs": Choice((128, 256, 512)),
+    },
 }
 """Search spaces by algorithm; other settings are those found for the scenario."""
 

@@ -13,10 +13,10 @@ _MANY = 1e9
 ABOVE_0: Mapping[str, float] = {
     **dict.fromkeys(("num_envs", "validation_episodes", "validate_every", "checkpoint_every"), _MANY),
     **dict.fromkeys(("updates", "window", "epochs", "minibatches", "buffer", "batch", "gradient_steps"), _MANY),
-    **dict.fromkeys(("feeders", "validation_feeders"), _MANY),
+    **dict.fromkeys(("feeders", "validation_feeders", "population", "elites", "iterations"), _MANY),
     **dict.fromkeys(("wait", "max_grad_norm", "trip_width_s", "delay_limit_s", "violation_limit_pu"), _MANY),
     **dict.fromkeys(("gamma", "tau", "learning_rate", "q_std", "last_std"), 1.0),
-    **dict.fromkeys(("clip", "clock_std", "dual_rate"), 10.0),
+    **dict.fromkeys(("clip", "clock_std", "dual_rate", "std"), 10.0),
     "steps": 1e15,
     "threads": 4096,
 }
@@ -29,6 +29,7 @@ WITHIN: Mapping[str, tuple[float, float]] = {
     "pull": (0.0, 1e3),
     "entropy_per_action": (-100.0, 100.0),
     "noise": (0.0, 10.0),
+    "extra_std": (0.0, 10.0),
     "target_noise": (0.0, 10.0),
     "vary": (0, 10_000),
     "history": (0, MOST_STEPS),

@@ -41,6 +41,7 @@ _TRAIN = Group(
             "ppo-counterfactual": Entry("PPO with counterfactual advantages, based on a grid model.", _ALGORITHM),
             "sac": Entry("Soft actor-critic (Stable-Baselines3).", _ALGORITHM),
             "td3": Entry("Twin delayed DDPG (Stable-Baselines3).", _ALGORITHM),
+            "cem": Entry("Cross-entropy method: random search without gradients.", _ALGORITHM),
             "analytic": Entry("Policy gradients through the power flow.", _ALGORITHM),
             "safe": Entry("Policy gradients with bounded controller gains.", _ALGORITHM),
             "carry-over": Entry("Learned corrections to the model-aided law.", _ALGORITHM),

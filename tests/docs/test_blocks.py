@@ -46,6 +46,13 @@ SHORTER = {
     "dcgrid train analytic": TRAINING,
     "dcgrid train analytic --vary 4": TRAINING | {"--vary": "1"},
     "dcgrid train safe": TRAINING,
+    "dcgrid train cem": {
+        "--num-envs": "2",
+        "--population": "2",
+        "--elites": "2",
+        "--iterations": "1",
+        "--validation-episodes": "2",
+    },
     "dcgrid train carry-over": TRAINING | {"--feeders": "1", "--steps": "2", "--validation-feeders": "1"},
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
     "dcgrid train ppo-counterfactual": STEPS | {"--minibatches": "1"},

@@ -1,6 +1,6 @@
 """What has been published comes out again: hashes, costs, observations and rewards of every preset.
 
-Costs under policies agree to a relative 1e-7, under the tuned droop to 1e-12, and rewards to 1e-10: the last bits of
+Costs under policies agree to a relative 1e-7, under the tuned droop to 1e-12, and rewards to 1e-10. The last bits of
 products of matrices in single precision and of exponentials depend on the processor. All else agrees to the bit.
 """
 

@@ -1,9 +1,10 @@
 """Built-in control of regulators from one tap to the next, on measured volts, within a step of any length.
 
-The engine solves the power flow, passes the relay volts to ``next_taps``, solves it again under the new taps, and so on
-until no tap is due before the end of the step. The timer of a relay runs while it is out of band; in band it returns to
-zero or counts down (``regulator_control``). After a tap the control looks again ``tap_delay_s`` later: out of band it
-makes a further tap, in band the sequence ends and the next tap needs the whole delay. The decisions have no derivative.
+The engine solves the power flow and passes the relay volts to ``next_taps``. It solves the power flow again under the
+new taps. This goes on until no tap is due before the end of the step. The timer of a relay runs while it is out of
+band; in band it returns to zero or counts down (``regulator_control``). After a tap the control looks again
+``tap_delay_s`` later. Out of band it makes a further tap; in band the sequence ends and the next tap needs the whole
+delay. The decisions have no derivative.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The regulators and capacitor banks of a three-phase feeder over an episode: controlled, agents, or fixed.
 
 At the beginning of a step an agent's equipment follows the agent's action. Then the power flow is solved, and the
-controls act on what they measure in it: whenever a delay ends within the step, taps and switches change and the power
+controls act on what they measure in it. Whenever a delay ends within the step, taps and switches change, and the power
 flow is solved again (``with_controls``). Under ``timer="per_step"`` controls act at the beginning of a step on the
 measurements of the step before, and taps and switches are then constant. At t = 0 the taps of controlled regulators
 have settled.

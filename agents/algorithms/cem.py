@@ -1,0 +1,168 @@
+"""Train a policy with the cross-entropy method (CEM), a random search without gradients.
+
+Each iteration draws candidates, the parameters of small networks, from a normal distribution. All candidates run
+through the same episodes of the training split, each in some rows of one native batch. The distribution moves to the
+candidates of least cost (``training.cross_entropy``).
+
+The method needs no model and no credit assignment: a candidate's cost is the cost of complete episodes. Use it if
+actions have effects many steps later that gradients and value functions miss, such as the taps of regulators, which
+move 15 to 30 s after the voltage. It is made for networks of few parameters.
+
+Network outputs are changes from the action that keeps the current state (``policy.interface``). They are 0 for the
+initial mean.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env import DcgridVectorEnv, Scenario, TensorEnv, under_own_control
+from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.training.candidates import Candidates
+from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.cross_entropy import CrossEntropy
+from dcgrid_env.agents.training.episodes import episode_seeds
+from dcgrid_env.agents.training.normalisation import normalisation
+from dcgrid_env.agents.training.run_folder import Run, finish, open_run, progress, torch
+from dcgrid_env.agents.training.validation import Validation, made_with, stepped
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+
+@dataclass(frozen=True)
+class Cem(Training):
+    """Train a policy with the cross-entropy method."""
+
+    num_envs: int = 256
+    """Number of environments that are simulated in parallel; a multiple of the population. Each candidate controls
+    num_envs / population episodes, the same ones for all candidates of an iteration."""
+    population: int = 128
+    """Number of candidates in each iteration."""
+    elites: int = 16
+    """Number of candidates of least cost that determine the next distribution."""
+    iterations: int = 100
+    """Number of iterations."""
+    std: float = 0.3
+    """Initial standard deviation of the parameters."""
+    extra_std: float = 0.03
+    """Standard deviation that is added to that of the elites; it decreases linearly to zero at 70 % of the
+    iterations."""
+    hidden: tuple[int, ...] = (8,)
+    """Widths of the hidden layers."""
+    validate_every: int = 5
+    """Iterations between validations."""
+
+
+class Search:
+    """Store the scenario, its environments and the distribution of the candidates.
+
+    Parameters
+    ----------
+    cfg
+        The configuration.
+    grid
+        Scenario of the training split.
+    """
+
+    def __init__(self, cfg: Cem, grid: Scenario):
+        self.cfg, self.grid = cfg, grid
+        self.chosen: dict[str, Any] = {
+            "preview": cfg.preview,
+            "act": cfg.act,
+            "nameplate": True,
+            "outputs": "change",
+        }
+        kind = "shared" if cfg.view == "shared" else "joint"
+        self.interface = PolicyInterface(grid, kind, **self.chosen)
+        seen = PolicyInterface(grid, kind, **self.chosen, array=_tensor)
+        env = TensorEnv(grid, like=torch.empty(0))
+        moments = {
+            name: (mean.numpy(), std.numpy())
+            for name, (mean, std) in normalisation([env], [seen], cfg.seed, _tensor, {}, 0).items()
+        }
+        self.candidates = Candidates(self.interface, moments, cfg.hidden)
+        start = self.candidates.start(np.random.default_rng([cfg.seed, 0]))
+        self.distribution = CrossEntropy(start, cfg.std, cfg.extra_std, cfg.elites)
+        self.batch = DcgridVectorEnv(cfg.num_envs, grid, info="none")
+
+    def iterate(self, iteration: int) -> dict[str, float]:
+        """Evaluate candidates, move the distribution, and return figures for the learning curve."""
+        cfg, distribution = self.cfg, self.distribution
+        parameters = distribution.candidates(np.random.default_rng([cfg.seed, iteration]), cfg.population)
+        seeds = episode_seeds(cfg.seed, iteration, cfg.num_envs // cfg.population)
+        j = self.candidates.costs(parameters, self.batch, seeds).mean(1)
+        distribution.update(parameters, j, iteration / cfg.iterations)
+        return {"J_training": float(j[0]), "J_training_best": float(j.min()), "std": float(distribution.std.mean())}
+
+    def policy(self) -> Policy:
+        """Return the policy of the mean."""
+        return Policy(
+            self.candidates.networks(self.distribution.mean), observe=self.cfg.observe, **self.chosen,
+            scenario=trained_on(self.cfg), made_with=made_with(), channels=self.interface.further_channels,
+        )  # fmt: skip
+
+    def state(self) -> dict[str, Any]:
+        """Return the state from which the search can continue."""
+        return {name: torch.from_numpy(getattr(self.distribution, name)) for name in ("mean", "std")}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore a state that ``state()`` returned."""
+        self.distribution.mean, self.distribution.std = (state[name].numpy() for name in ("mean", "std"))
+
+
+def _tensor(array: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.array(array))
+
+
+def grid_of(cfg: Cem) -> Scenario:
+    """Return the scenario of the training split; raise ValueError if a setting or the scenario is invalid."""
+    check(cfg)
+    if cfg.device != "cpu":
+        raise ValueError(f"device is {cfg.device!r}; cem runs on the CPU alone: leave it out")
+    if cfg.num_envs % cfg.population:
+        raise ValueError(f"num_envs is {cfg.num_envs}; give a multiple of the population, {cfg.population}")
+    if not 2 <= cfg.elites <= cfg.population:
+        raise ValueError(f"elites is {cfg.elites}; give at least 2 and at most the population, {cfg.population}")
+    return under_own_control(ScenarioSpec(cfg.scenario, cfg.set).make("train", observe=cfg.observe, reward="shared"))
+
+
+def main(cfg: Cem) -> Path:
+    """Train a policy and return the output folder."""
+    grid = grid_of(cfg)
+    torch.set_num_threads(cfg.threads)
+    judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
+    validate = Validation([judged_on], cfg.validation_episodes)
+    with open_run(cfg.folder, cfg, cfg.resume, [judged_on]) as run:
+        return _train(cfg, run, Search(cfg, grid), validate)
+
+
+def _train(cfg: Cem, run: Run, search: Search, validate: Validation) -> Path:
+    """Search from the checkpoint of the run, if it has one, and return the output folder."""
+    best, done, state = math.inf, 0, run.load()
+    if state is not None:
+        search.restore(state)
+        best, done = state["best"], state["iteration"]
+    with progress(f"{cfg.scenario}, {cfg.algorithm()}", cfg.iterations, done) as advance:
+        for iteration in range(done + 1, cfg.iterations + 1):
+            run.step, text = iteration, ""
+            figures = search.iterate(iteration)
+            if iteration % cfg.validate_every == 0 or iteration == cfg.iterations:
+                policy = search.policy()
+                validated = validate(policy)
+                if validated["J"] < best:
+                    best = validated["J"]
+                    card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
+                    policy.save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
+                run.record(validated | figures | stepped([search.grid], cfg.num_envs, iteration))
+                text = f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}"
+            if iteration % cfg.checkpoint_every == 0 or iteration == cfg.iterations:
+                run.save({**search.state(), "best": best, "iteration": iteration})
+            advance(iteration, text)
+    finish(run)
+    print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
+    return run.folder

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from dcgrid_env import DcgridVectorEnv, make_scenario
+from dcgrid_env.agents import Policy
+from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.training.candidates import Candidates
+from dcgrid_env.baselines import rollout
+from dcgrid_env.traces import PowerTrace
+
+
+def made(scenario, kind="shared", hidden=(3, 2)):
+    """Candidates of a scenario with arbitrary moments."""
+    interface, rng = PolicyInterface(scenario, kind, outputs="change", nameplate=True), np.random.default_rng(0)
+    moments = {
+        name: (rng.normal(0.0, 0.1, n_in).astype(np.float32), rng.uniform(0.1, 1.0, n_in).astype(np.float32))
+        for name, (n_in, _) in interface.widths.items()
+    }
+    return Candidates(interface, moments, hidden)
+
+
+@pytest.mark.parametrize("kind", ["shared", "joint"])
+@pytest.mark.parametrize("name", ["ieee33-weak", "ieee13-3ph"])
+def test_each_candidate_costs_what_its_policy_costs_alone(name, kind):
+    scenario, seeds = make_scenario(name, horizon=12), [4, 9, 5]
+    candidates = made(scenario, kind)
+    start = candidates.start(np.random.default_rng(1))
+    parameters = (start + np.random.default_rng(2).normal(0.0, 0.2, (4, len(start)))).astype(np.float32)
+    found = candidates.costs(parameters, DcgridVectorEnv(12, scenario, info="none"), seeds)
+    assert found.shape == (4, 3)
+    assert found.std(0).min() > 1e-3
+    for each, of_candidate in zip(parameters, found, strict=True):
+        policy = Policy(candidates.networks(each), nameplate=True, outputs="change")
+        expected = [metrics["J"] for metrics in rollout(scenario, policy, seeds).metrics()]
+        np.testing.assert_allclose(of_candidate, expected, rtol=1e-5)
+
+
+def test_outputs_are_zero_at_the_start():
+    scenario = make_scenario("ieee33-weak")
+    candidates = made(scenario)
+    networks = candidates.networks(candidates.start(np.random.default_rng(0)))
+    for name, (n_in, n_out) in candidates.interface.widths.items():
+        observation = np.random.default_rng(1).normal(size=(5, n_in))
+        np.testing.assert_array_equal(networks[name](observation), np.zeros((5, n_out)))
+        assert np.ptp(networks[name].layers[0][0]) > 0.5
+
+
+def test_an_episode_that_collapses_costs_what_the_rollout_charges():
+    """The row begins another episode afterwards, which does not count."""
+    step = PowerTrace(np.array([0.0, 10.0, 200.0]), np.array([0.2, 1.0, 1.0]))
+    scenario = make_scenario(
+        "ieee33-weak", datacenters={"p_rated_kw": 6000.0}, horizon=40, trace=(step,), workload={"window": "start"}
+    )
+    candidates = made(scenario)
+    parameters = np.stack([candidates.start(np.random.default_rng(i)) for i in range(2)]).astype(np.float32)
+    found = candidates.costs(parameters, DcgridVectorEnv(4, scenario, info="none"), [0, 1])
+    policy = Policy(candidates.networks(parameters[0]), nameplate=True, outputs="change")
+    expected = [metrics["J"] for metrics in rollout(scenario, policy, [0, 1]).metrics()]
+    assert min(expected) > 0.5 * scenario.cost.weights.violation  # nearly all steps at the largest cost
+    np.testing.assert_allclose(found[0], expected, rtol=1e-6)
