@@ -16,8 +16,8 @@ _TAP = "tap"
 class EquipmentAgents:
     """Feeder equipment among a scenario's agents, if any.
 
-    Regulators follow the automatic control of their bank; capacitor banks keep their state. The object stores the
-    timers of the relays, so each run of episodes needs a new one.
+    Regulators follow the automatic control of their bank; capacitor banks keep their state, and set points the
+    default. The object stores the timers of the relays, so each run of episodes needs a new one.
 
     Parameters
     ----------
@@ -25,10 +25,12 @@ class EquipmentAgents:
         Scenario to drive.
     moves_taps
         Whether regulators are driven; if not, they also keep their position of t = 0.
+    keep_set_points
+        Whether agents of set points are among the other agents.
     """
 
-    def __init__(self, scenario: Scenario, moves_taps: bool = True) -> None:
-        self.scenario, self.others = scenario, under_own_control(scenario)
+    def __init__(self, scenario: Scenario, moves_taps: bool = True, keep_set_points: bool = False) -> None:
+        self.scenario, self.others = scenario, under_own_control(scenario, keep_set_points)
         """``others`` is the scenario that a controller of the other agents receives."""
         among = set(self.others.agents)
         self.is_other = np.array([agent in among for agent in scenario.agents])

@@ -13,7 +13,7 @@ from dcgrid_env.core.twins import TWINS
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
-from dcgrid_env.devices.tap_changer.relay import relay_settings
+from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings
 from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
 
 for room in ("devices", "engine", "powerflow"):
@@ -70,8 +70,10 @@ def control_taps(rng):
 
 def next_taps(rng):
     settings, state, _, controlled = control_taps(rng)
-    left, due = rng.choice([0.0, 1.0, 60.0], (ROWS, 1)), rng.choice([0.3, 20.0, np.inf], (ROWS, 1))
-    return settings, state, left, due, bool(rng.integers(2)), controlled
+    target_v = rng.normal(122.0, 3.0, state.tap.shape)
+    band = RelayBand(target_v, rng.choice([0.4, 1.0, 3.0, np.inf], state.tap.shape))
+    left_s, due_s = rng.choice([0.0, 1.0, 30.0], (ROWS, 1)), rng.choice([0.0, 0.5, 20.0, np.inf], (ROWS, 1))
+    return settings, state, band, left_s, due_s, bool(rng.integers(2)), controlled
 
 
 def advance_rows(rng):
@@ -125,8 +127,8 @@ def by_phase(rng):
 
 
 INPUTS = [
-    dispatch_rows, serve_linearly, serve_by_slack, step_rows, control_taps, advance_rows, counted, supplied,
-    relay_volts, setpoints, net_loads, by_phase, next_taps,
+    dispatch_rows, serve_linearly, serve_by_slack, step_rows, control_taps, next_taps, advance_rows, counted, supplied,
+    relay_volts, setpoints, net_loads, by_phase,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""
 ROUNDED = {"serve_by_slack": 1e-9}

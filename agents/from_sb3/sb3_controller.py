@@ -61,7 +61,7 @@ class Sb3Controller:
         if any(shape is None or len(shape) != 1 for shape in shapes):
             raise PolicyError(f"{self.path}: spaces have the shapes {shapes}; a model for dcgrid has flat ones")
         self._vec_env = vec_env_for(env_info, (shapes[0][0], shapes[1][0]))
-        self._equipment = EquipmentAgents(env_info)
+        self._equipment = EquipmentAgents(env_info, keep_set_points=True)
         self._layout = action_layout(env_info)
 
     def act(self, observations: Any) -> Any:

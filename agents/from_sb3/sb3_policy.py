@@ -30,7 +30,7 @@ def vec_env_for(scenario: Scenario, widths: tuple[int, int]) -> JointVecEnv:
     That of ``gymnasium.make``, of all agents or without regulators and capacitor banks, or the shared view of
     ``sb3_vec_env``. PolicyError, saying which widths there are, where neither fits.
     """
-    others, looked_at = under_own_control(scenario), []
+    others, looked_at = under_own_control(scenario, keep_set_points=True), []
     for name, view, seen in (
         ("joint", JointVecEnv, scenario), ("joint", JointVecEnv, others), ("shared", AgentVecEnv, others),
     ):  # fmt: skip
@@ -72,7 +72,7 @@ def as_policy(actor: Actor, spec: ScenarioSpec, made_with: str, normalisation: N
             "with --normalize, and --trust, for that file is pickle"
         )
     vec_env, n = vec_env_for(scenario, actor.widths), actor.widths[0]
-    if under_own_control(vec_env.scenario) is not vec_env.scenario:
+    if under_own_control(vec_env.scenario, keep_set_points=True) is not vec_env.scenario:
         raise PolicyError(
             f"it drives the regulators or capacitor banks of {scenario.name} too, which a policy leaves under their "
             f"own control; dcgrid evaluate takes the zip with --trust, or {REMEDY}"

@@ -63,7 +63,7 @@ class _Recorded:
         self.ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def reset(self, env_info: Scenario) -> None:
-        self._equipment = EquipmentAgents(env_info)
+        self._equipment = EquipmentAgents(env_info, keep_set_points=self.policy.chooses_set_points)
         self.policy.reset(self._equipment.others)
         self.interface = with_plates(self.policy)
 

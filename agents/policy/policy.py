@@ -21,6 +21,8 @@ from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.core.files import write_bytes
 from dcgrid_env.core.suggestions import unknown
 
+SET_POINTS = {"regulator_setpoint": "offset", "capacitor_setpoint": "centre"}
+"""First channel of each kind of agent that chooses set points."""
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
 
 
@@ -153,8 +155,14 @@ class Policy:
             raise PolicyError(
                 f"{self.source}: trained with observe={self.observe!r}, given {env_info.sensing.observe!r}"
             )
-        self._equipment = EquipmentAgents(env_info)
+        self._equipment = EquipmentAgents(env_info, keep_set_points=self.chooses_set_points)
         self._begin(self._equipment.others)
+
+    @property
+    def chooses_set_points(self) -> bool:
+        """Whether it has outputs for set points of regulators or capacitor banks; without, the defaults apply."""
+        joint = self.channels.get("joint", ())
+        return any(kind in self.networks for kind in SET_POINTS) or any(name in joint for name in SET_POINTS.values())
 
     def _begin(self, env_info: Scenario) -> None:
         """Begin episodes, with built-in control of regulators and capacitor banks."""

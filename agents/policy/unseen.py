@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from dcgrid_env import SCENARIO_REGISTRY, RandomFeeders, Scenario, under_own_control
+from dcgrid_env import SCENARIO_REGISTRY, RandomFeeders, Scenario
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.tuning.tuned import grid_difference
 
@@ -47,11 +47,7 @@ def unseen(trained_on: str, scenario: Scenario) -> str | None:
         every = trained_scenarios(trained_on)
     except (ValueError, OSError):  # code of the user's own, or a file that has changed since
         return None
-    plain = under_own_control(scenario)
-    differs = [
-        None if _is_member(scenario, trained) else grid_difference(plain, under_own_control(trained))
-        for trained in every
-    ]
+    differs = [None if _is_member(scenario, trained) else grid_difference(scenario, trained) for trained in every]
     if not differs or None in differs:
         return None
     return next((field for field in differs if field != "feeder"), "feeder")  # that of the one on its feeder

@@ -106,7 +106,7 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None 
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
     spec = ScenarioSpec(cfg.scenario, cfg.set)
-    scenario = under_own_control(spec.make("train", observe=cfg.observe))
+    scenario = under_own_control(spec.make("train", observe=cfg.observe), keep_set_points=True)
     scenario = for_training(
         scenario.replace(sensing={"preview": scenario.sensing.preview and cfg.preview}), cfg.gamma, cfg.wait
     )

@@ -257,6 +257,11 @@ def _check(scenario: Scenario) -> None:
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"
         )
+    if scenario.grid_control.regulator_settings.has_schedules:
+        raise ValueError(
+            f"hindsight plans taps under constant set points; scenario {scenario.name!r} has a schedule in "
+            "grid_control.regulator_settings.offset_v: give it numbers"
+        )
     sites = scenario.datacenters
     if sites.batching is not None:
         raise ValueError(

@@ -2,7 +2,8 @@
 
 The parameters of the presets are in ``data/tuned.json`` with the command that made them. They apply to every scenario
 with the preset's name and grid, since a law's gains depend on feeder, devices and step. Load, noise, horizon and cost
-may differ, as in studies of robustness. After a change of the grid, tune the law again.
+may differ, as in studies of robustness, and so may agents of equipment and the timers and set points of regulators.
+After a change of the grid, tune the law again.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from dcgrid_env import (
     PRESETS,
     Background,
     Cost,
+    RegulatorControl,
     Scenario,
     Sensing,
     Workload,
     make_scenario,
     scenario_hash,
+    under_own_control,
 )
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.scenario_spec import options_of
@@ -140,7 +143,15 @@ def grid_hash(scenario: Scenario) -> str:
 
 def grid_difference(scenario: Scenario, other: Scenario) -> str | None:
     """Return the name of the first differing field that gains depend on; None if all are equal."""
-    return _grid(scenario).difference(_grid(other))
+    return _grid(_without_agents(scenario)).difference(_grid(_without_agents(other)))
+
+
+def _without_agents(scenario: Scenario) -> Scenario:
+    """Return the scenario as the law drives it, with the default timers and set points of regulators."""
+    scenario, default = under_own_control(scenario), RegulatorControl()
+    if scenario.grid_control.regulator_settings == default:
+        return scenario
+    return scenario.replace(grid_control={"regulator_settings": default})
 
 
 def _grid(scenario: Scenario) -> Scenario:

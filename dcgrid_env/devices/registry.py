@@ -23,6 +23,7 @@ INPUTS = ("workload", "injection", "connection", None)
 """Exogenous inputs that a device may have."""
 RESERVED = (
     "capacitor", "workload", "background", "sensing", "cost", "grid_control", "tap_changer", "capacitor_bank",
+    "regulator_setpoint", "capacitor_setpoint",
 )  # fmt: skip
 """Names that faults, parts of a scenario and equipment of a feeder have."""
 _MEMBERS = tuple(name for name in (*Device.__annotations__, *vars(Device)) if not name.startswith("_"))

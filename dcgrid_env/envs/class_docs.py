@@ -35,7 +35,7 @@ RANGES = {
     "v_highest": ("all (a)", "-1/band .. 1/band"),
     "loading": ("all (b)", "0 .. 4"),
     "upstream_tap": ("all (c)", "-1 .. 1"),
-    "upstream_relay": ("all (c)", "-largest .. largest"),
+    "upstream_relay": ("all (c)", "-20 .. 20"),
     "upstream_timer": ("all (c)", "0 .. 1"),
 }
 """Agents that observe each field of the grid, and its range."""
@@ -71,6 +71,8 @@ FEATURES = (
     ("device storage", "p, q", "stored, charge_limit, discharge_limit", "ageing, missing"),
     ("device tap_changer", "tap", "tap, since_tap, relay", ""),
     ("device capacitor_bank", "on", "on, since_switching", ""),
+    ("device regulator_setpoint", "offset, half_band", "mean_tap, offset, half_band, since_change, mean_relay", ""),
+    ("device capacitor_setpoint", "centre, half_width", "on, centre, half_width, since_change, bank_voltage", ""),
 )
 """Additions of features and further devices: channels, observation fields and cost terms."""
 COSTS = tuple((term.name, f"{term.weight:g}", re.sub(r"\|(.+?)\|", r"abs(\1)", term.meaning)) for term in TERMS)
@@ -131,7 +133,7 @@ Each agent observes its own fields, in this order. ``field_names(scenario)`` lis
 all. The band is ``cost.band_pu``, 0.05 p.u. by default, and R and X are those that
 agents believe (``sensing.r_model_share``, ``sensing.x_model_share``).
 
-{table(("field", "agents", "range", "meaning"), FIELDS, (14, 11, 19, 42))}
+{table(("field", "agents", "range", "meaning"), FIELDS, (14, 11, 18, 42))}
 
 (a) on a three-phase feeder, (b) with ``sensing.loading``, (c) with ``sensing.regulator``.
 

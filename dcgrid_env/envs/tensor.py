@@ -53,6 +53,7 @@ class Outside(NamedTuple):
     noise_pu: Array | None
     capacitor_on: Array | None
     sags: Array | None
+    offset_v: Array | None
 
 
 class TensorEnv:
@@ -202,7 +203,7 @@ class TensorEnv:
         return Exogenous(
             now(o.p_load_kw), now(o.q_load_kvar), now(o.p_ref_kw), now(o.p_inverter_kw), self._placed.nodes,
             now(o.compute_share), now(o.available), self._placed.legs, now(o.capacitor_on),
-            now(o.sags), self._trip_widths,
+            now(o.sags), self._trip_widths, offset_v=now(o.offset_v),
         )  # fmt: skip
 
     def _measure(self) -> Array:
@@ -267,6 +268,6 @@ def drawn_outside(scenario: Scenario, seeds: np.ndarray) -> tuple[Outside, np.nd
         stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
         stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
         stacked("available"), np.stack(noise_pu) if noise_pu else None, stacked("capacitor_on"),
-        stacked("sags"),
+        stacked("sags"), stacked("offset_v"),
     )  # fmt: skip
     return course, drawn.buses

@@ -9,6 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.text import Annotation
 
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
+from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
+from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.rendering.feeder_map import FloatArray, Room
@@ -119,11 +121,17 @@ def signed(tap: float) -> str:
 
 
 def _agents(scenario: Scenario) -> dict[tuple[str, int], str]:
-    """Id of the agent that commands a regulator, by ("tap", row), or a capacitor bank, by ("on", row)."""
+    """Id of the agent that commands a regulator, by ("tap", row), or a capacitor bank, by ("on", row).
+
+    An agent of a bank's set point is that of the bank's first regulator.
+    """
     found, names = {}, iter(scenario.agents)
     for device in scenario.devices:
         device_names = [next(names) for _ in range(device.count)]
         if isinstance(device, TapChangers | CapacitorBanks):
             what = "tap" if isinstance(device, TapChangers) else "on"
             found |= {(what, row): name for row, name in zip(device.rows, device_names, strict=True)}
+        elif isinstance(device, RegulatorSetPoints | ThresholdSetPoints):
+            what = "tap" if isinstance(device, RegulatorSetPoints) else "on"
+            found |= {(what, rows[0]): name for rows, name in zip(device.members, device_names, strict=True)}
     return found

@@ -10,13 +10,17 @@ from typing import Any, Literal, get_args
 from dcgrid_env.core.checked import FieldError, from_mapping, refuse, settle
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
+from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
+from dcgrid_env.scenario.background import Background
 
-Decider = Literal["fixed", "controlled", "agent"]
-"""Modes: fixed as in the feeder's tables, controlled by the equipment's own control, or an agent."""
+Decider = Literal["fixed", "controlled", "agent", "setpoint"]
+"""Modes: fixed as in the feeder's tables, controlled by the equipment's own control, moved by an agent, or controlled
+with set points that an agent chooses."""
 ByBank = tuple[tuple[str, Decider], ...]
 """Pairs of a bank and its mode; banks that are not named keep the default."""
 DECIDERS: tuple[Decider, ...] = get_args(Decider)
@@ -29,8 +33,8 @@ class GridControl:
     """Control of regulators and capacitor banks: one mode for all, or a mapping from banks to modes.
 
     A bank of regulators is identified by the column ``bank`` of its table, a capacitor bank by its name. In a bank of
-    regulators that is controlled by agents, each tap is a separate agent. A balanced feeder has neither and accepts
-    only the defaults.
+    regulators in mode ``"agent"``, each tap is a separate agent; in mode ``"setpoint"`` the bank is one. A balanced
+    feeder has neither and accepts only the defaults.
     """
 
     regulators: Decider | ByBank = REGULATORS
@@ -58,6 +62,22 @@ class GridControl:
         for name, kind in (("capacitor_settings", CapacitorControl), ("regulator_settings", RegulatorControl)):
             if not isinstance(getattr(self, name), kind):
                 raise refuse(self, name, f"give {kind.__name__}(...) or a mapping of its fields")
+        self._check_set_points()
+
+    def _check_set_points(self) -> None:
+        """Raise FieldError for set points of controls that cannot follow them."""
+        timer, measures = self.regulator_settings.timer, self.capacitor_settings.measures
+        for name in ("regulators", "capacitors"):
+            value = getattr(self, name)
+            modes = [mode for _, mode in value] if isinstance(value, tuple) else [value]
+            if "setpoint" not in modes:
+                continue
+            if timer == "per_step":
+                remedy = "for mode 'setpoint' set grid_control.regulator_settings.timer to 'reset' or 'integrating'"
+                raise refuse(self, name, f"{remedy}, it is {timer!r}")
+            if name == "capacitors" and measures != "voltage":
+                remedy = "for mode 'setpoint' set grid_control.capacitor_settings.measures to 'voltage'"
+                raise refuse(self, name, f"{remedy}, it is {measures!r}")
 
 
 def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
@@ -75,15 +95,28 @@ def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: AnyFe
     groups = tuple(device for device in devices if not is_equipment(device))
     if not isinstance(feeder, ThreePhaseFeeder):
         return groups
-    for kind, deciders in ((TapChangers, regulator_deciders), (CapacitorBanks, capacitor_deciders)):
-        rows = tuple(row for row, decider in enumerate(deciders(control, feeder)) if decider == "agent")
+    by_kind = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
+    for kind, deciders in zip((TapChangers, CapacitorBanks), by_kind, strict=True):
+        rows = _rows(deciders, "agent")
         groups += (kind.of_feeder(feeder, rows),) if rows else ()
+    of_regulators, of_banks = (_rows(deciders, "setpoint") for deciders in by_kind)
+    if of_regulators:
+        groups += (RegulatorSetPoints.of_feeder(feeder, of_regulators, control.regulator_settings),)
+    if of_banks:
+        groups += (ThresholdSetPoints.of_feeder(feeder, of_banks, control.capacitor_settings),)
     return groups
 
 
-def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool) -> None:
-    """Raise FieldError for a bank that the feeder lacks, or capacitors that switch but are not ``connected``."""
-    _check_offsets(control, feeder)
+def _rows(deciders: tuple[Decider, ...], decider: Decider) -> tuple[int, ...]:
+    return tuple(row for row, of_row in enumerate(deciders) if of_row == decider)
+
+
+def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Background) -> None:
+    """Raise FieldError for a bank that the feeder lacks, or equipment that needs another background."""
+    try:
+        _check_offsets(control, feeder, background)
+    except FieldError as error:
+        raise error.within("GridControl", "regulator_settings") from None
     fixed: dict[str, Any] = {"regulators": REGULATORS, "capacitors": CAPACITORS}
     for name, default in fixed.items():
         value = getattr(control, name)
@@ -101,26 +134,33 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, connected: bool)
                 )
         if not there:
             raise refuse(control, name, f"feeder {feeder.name!r} has none; leave it out")
-        if name == "capacitors" and not connected:
+        if name == "capacitors" and not background.capacitors:
             raise refuse(control, name, "the background has its capacitors disconnected; connect them or leave it out")
 
 
-def _check_offsets(control: GridControl, feeder: AnyFeeder) -> None:
-    """Raise FieldError for the offset of a bank or regulator that the feeder lacks."""
-    settings = control.regulator_settings
-    banks, names = (), ()
+def _check_offsets(control: GridControl, feeder: AnyFeeder, background: Background) -> None:
+    """Raise FieldError for the offset of a bank or regulator that the feeder lacks, or a schedule that cannot apply."""
+    settings, modes = control.regulator_settings, {}
     if isinstance(feeder, ThreePhaseFeeder):
-        banks, names = feeder.network.regulator.bank, feeder.network.regulator.name
-    for name, _ in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
-        if name not in banks and name not in names:
-            known = ", ".join(dict.fromkeys((*banks, *names))) or "none"
+        table, deciders = feeder.network.regulator, regulator_deciders(control, feeder)
+        modes = dict(zip(table.bank, deciders, strict=True)) | dict(zip(table.name, deciders, strict=True))
+    for name, value in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
+        remedy = None
+        if name not in modes:
+            known = ", ".join(modes) or "none"
             remedy = f"feeder {feeder.name!r} has no bank or regulator {name!r}; there are {known}"
-            raise refuse(settings, "offset_v", remedy).within("GridControl", "regulator_settings")
+        elif isinstance(value, tuple) and background.start_hour is None:
+            remedy = "a schedule needs the hour of the day; set background.start_hour"
+        elif isinstance(value, tuple) and modes[name] != "controlled":
+            remedy = f"a schedule needs a bank in mode 'controlled', {name!r} is in mode {modes[name]!r}; "
+            remedy += "give it a number or change grid_control.regulators"
+        if remedy:
+            raise refuse(settings, "offset_v", remedy)
 
 
 def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
     if isinstance(value, str):
-        return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the three words, checked)
+        return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the words, checked)
     named = dict(value)
     return tuple(named.get(bank, default) for bank in banks)
 

@@ -8,27 +8,29 @@ from dcgrid_env.scenario.grid_control import ByBank, Decider, capacitor_deciders
 from dcgrid_env.scenario.scenario import Scenario
 
 
-def under_own_control(scenario: Scenario) -> Scenario:
+def under_own_control(scenario: Scenario, keep_set_points: bool = False) -> Scenario:
     """Return the scenario with regulator agents replaced by their banks' control, and capacitor agents by fixed banks.
 
-    The other agents see and do the same as before, and a move costs what it cost. A scenario without such agents is
-    returned unchanged.
+    Agents of set points are replaced by the control with its default set points, unless ``keep_set_points``. The other
+    agents see and do the same as before, and a move costs what it cost. A scenario without such agents is returned
+    unchanged.
     """
-    return _without_agents(scenario) or scenario
+    return _without_agents(scenario, keep_set_points) or scenario
 
 
 @cached_on_owner
-def _without_agents(scenario: Scenario) -> Scenario | None:
+def _without_agents(scenario: Scenario, keep_set_points: bool) -> Scenario | None:
     feeder, control = scenario.feeder, scenario.grid_control
     if not isinstance(feeder, ThreePhaseFeeder):
         return None
     deciders = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
-    if not any("agent" in of_kind for of_kind in deciders):
+    kept: dict[Decider, Decider] = {} if keep_set_points else {"setpoint": "controlled"}
+    if not any({"agent", *kept} & set(of_kind) for of_kind in deciders):
         return None
     other = scenario.replace(
         grid_control={
-            "regulators": _instead(control.regulators, "controlled"),
-            "capacitors": _instead(control.capacitors, "fixed"),
+            "regulators": _replaced(control.regulators, {"agent": "controlled", **kept}),
+            "capacitors": _replaced(control.capacitors, {"agent": "fixed", **kept}),
         }
     )
     left = regulator_deciders(other.grid_control, feeder), capacitor_deciders(other.grid_control, feeder)
@@ -37,10 +39,10 @@ def _without_agents(scenario: Scenario) -> Scenario | None:
     return other.replace(weights=other.cost.weights._replace(switching=switching))
 
 
-def _instead(decider: Decider | ByBank, of_agents: Decider) -> Decider | ByBank:
+def _replaced(decider: Decider | ByBank, instead: dict[Decider, Decider]) -> Decider | ByBank:
     if isinstance(decider, str):
-        return of_agents if decider == "agent" else decider
-    return tuple((bank, of_agents if by == "agent" else by) for bank, by in decider)
+        return instead.get(decider, decider)
+    return tuple((bank, instead.get(by, by)) for bank, by in decider)
 
 
 def _n_moving(deciders: tuple[tuple[Decider, ...], ...]) -> int:

@@ -100,7 +100,7 @@ class Scenario(PickledByFields):
         check_feeder_kind(self)
         check_random_feeders(self)
         with located(self.name, "grid_control"):
-            check_grid_control(self.grid_control, self.feeder, self.background.capacitors)
+            check_grid_control(self.grid_control, self.feeder, self.background)
         with located(self.name, "cost"):
             check_profile(self)
         object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))

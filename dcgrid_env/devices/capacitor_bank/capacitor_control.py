@@ -20,6 +20,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
+from dcgrid_env.devices.set_points import SHORTEST_HOLD_S
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
@@ -47,6 +48,8 @@ class CapacitorControl:
     it down by 1."""
     delay_s: float = number(0.0, 86_400.0, default=100.0)
     """Time for which a threshold is passed before it switches, s."""
+    hold_s: float = number(SHORTEST_HOLD_S, 86_400.0, default=60.0)
+    """Least time between changes of the thresholds by an agent (mode ``"setpoint"``), s."""
 
     def __post_init__(self) -> None:
         settle(self)
@@ -56,6 +59,13 @@ class CapacitorControl:
         if self.off_below_share >= self.on_above_share - 1.0:
             highest = self.on_above_share - 1.0
             raise refuse(self, "off_below_share", f"give less than on_above_share - 1 = {highest:g}, or it never rests")
+
+
+class Thresholds(NamedTuple):
+    """Thresholds of the voltage control that are in force in each environment, p.u., (row, n_capacitor) each."""
+
+    on_below_pu: Array
+    off_above_pu: Array
 
 
 class BankSettings(NamedTuple):
@@ -145,11 +155,17 @@ def control_banks(
     )
 
 
-def bank_delays(control: CapacitorControl, state: BankState, controlled: Array | None = None) -> Array:
-    """Time until each bank switches if its measurements stay, s, (row, n_capacitor); infinite within the thresholds."""
+def bank_delays(
+    control: CapacitorControl, state: BankState, controlled: Array | None = None, thresholds: Thresholds | None = None
+) -> Array:
+    """Time until each bank switches if its measurements stay, s, (row, n_capacitor); infinite within the thresholds.
+
+    ``thresholds`` replace those of a voltage control; None for the same of all banks.
+    """
     xp, zero = namespace(state.on), 0.0 * state.on
     left = control.delay_s - state.beyond_s
-    return xp.where(_beyond(control, state, controlled), xp.where(left > 0.0, left, zero), zero + math.inf)
+    beyond = _beyond(control, state, controlled, thresholds)
+    return xp.where(beyond, xp.where(left > 0.0, left, zero), zero + math.inf)
 
 
 def next_switchings(state: BankState, delay_s: Array, passed_s: Array, acts: Array) -> BankState:
@@ -178,10 +194,13 @@ def next_switchings(state: BankState, delay_s: Array, passed_s: Array, acts: Arr
     )
 
 
-def _beyond(control: CapacitorControl, state: BankState, controlled: Array | None) -> Array:
+def _beyond(
+    control: CapacitorControl, state: BankState, controlled: Array | None, thresholds: Thresholds | None = None
+) -> Array:
     """Whether each bank's measurement is beyond the threshold at which it switches, bool, (row, n_capacitor)."""
     if control.measures == "voltage":
-        too_low, too_high = state.v_pu < control.on_below_pu, state.v_pu > control.off_above_pu
+        limits = control if thresholds is None else thresholds
+        too_low, too_high = state.v_pu < limits.on_below_pu, state.v_pu > limits.off_above_pu
     else:
         too_low, too_high = state.kvar_share > control.on_above_share, state.kvar_share < control.off_below_share
     beyond = (too_low & (state.on < 0.5)) | (too_high & (state.on > 0.5))

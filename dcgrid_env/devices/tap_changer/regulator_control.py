@@ -13,14 +13,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import check_fields, choice, refuse, settle
+import numpy as np
+
+from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.devices.set_points import SHORTEST_HOLD_S
 from dcgrid_env.grid.three_phase_tables import RegulatorTable
 
 Timer = Literal["per_step", "reset", "integrating"]
+Schedule = tuple[tuple[float, float], ...]
+"""Pairs of an hour of the day and an offset, V, that applies from then on until the hour of the next pair."""
 FARTHEST_OFFSET_V = 12.0
 """Largest offset of a set point in either direction, V: a tenth of the 120 V base."""
+_ROUNDING_H = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,25 +37,63 @@ class RegulatorControl:
     timer: Timer = choice("per_step", "reset", "integrating", default="per_step")
     """Time delay: ``"reset"`` returns to zero when the relay is back in band, ``"integrating"`` counts down in band;
     ``"per_step"`` decides once per step."""
-    offset_v: float | tuple[tuple[str, float], ...] = 0.0
+    offset_v: float | tuple[tuple[str, float | Schedule], ...] = 0.0
     """Addition to the set point ``vreg_v`` of the table, V on the relay's base: one number for all, or a mapping from
-    banks or single regulators to numbers. The name of a regulator goes before that of its bank; others have none."""
+    banks or single regulators to numbers or daily schedules. The name of a regulator goes before that of its bank;
+    others have none. A schedule is a list of (hour, volts), constant between its hours and over midnight."""
+    hold_s: float = number(SHORTEST_HOLD_S, 86_400.0, default=60.0)
+    """Least time between changes of a set point by an agent (mode ``"setpoint"``), s."""
 
     def __post_init__(self) -> None:
         settle(self, offset_v=_pairs)
         check_fields(self)
         value = self.offset_v
         pairs = value if isinstance(value, tuple) else ((None, value),)
-        if not all(isinstance(pair, tuple) and len(pair) == 2 and _is_offset(pair[1]) for pair in pairs):
+        if not all(isinstance(pair, tuple) and len(pair) == 2 and _is_allowed(pair[1]) for pair in pairs):
             volts = f"volts between -{FARTHEST_OFFSET_V:g} and {FARTHEST_OFFSET_V:g}"
-            raise refuse(self, "offset_v", f"give {volts}, or a mapping from banks or regulators to these")
+            schedules = "to lists of (hour, volts) with rising hours from 0 to less than 24"
+            raise refuse(
+                self, "offset_v", f"give {volts}, or a mapping from banks or regulators to these or {schedules}"
+            )
+        if self.has_schedules and self.timer == "per_step":
+            raise refuse(self, "offset_v", "a schedule needs timer 'reset' or 'integrating', it is 'per_step'")
 
-    def offsets_v(self, table: RegulatorTable) -> tuple[float, ...]:
-        """Return the offset of each regulator of a table, V."""
+    @property
+    def has_schedules(self) -> bool:
+        """Whether any offset follows a schedule."""
+        return isinstance(self.offset_v, tuple) and any(isinstance(value, tuple) for _, value in self.offset_v)
+
+    def offsets_v(self, table: RegulatorTable) -> np.ndarray:
+        """Return the constant offset of each regulator of a table, V; 0 for one with a schedule."""
+        return np.array([0.0 if isinstance(value, tuple) else value for value in self._by_row(table)], np.float64)
+
+    def scheduled_v(self, table: RegulatorTable, hour: np.ndarray) -> np.ndarray:
+        """Return the offsets by schedules at hours (row,), V, (row, n_regulator); 0 for one without a schedule."""
+        offset_v = np.zeros((len(hour), len(table)))
+        for column, schedule in enumerate(self._by_row(table)):
+            if isinstance(schedule, tuple):
+                hours, volts = np.array(schedule).T
+                at = np.searchsorted(hours, (hour + _ROUNDING_H) % 24.0, side="right") - 1  # -1: the last of yesterday
+                offset_v[:, column] = volts[at]
+        return offset_v
+
+    def _by_row(self, table: RegulatorTable) -> list[float | Schedule]:
+        """The offset or schedule of each regulator of a table."""
         if not isinstance(self.offset_v, tuple):
-            return (float(self.offset_v),) * len(table)
+            return [self.offset_v] * len(table)
         named = dict(self.offset_v)
-        return tuple(named.get(name, named.get(bank, 0.0)) for name, bank in zip(table.name, table.bank, strict=True))
+        return [named.get(name, named.get(bank, 0.0)) for name, bank in zip(table.name, table.bank, strict=True)]
+
+
+def _is_allowed(value: object) -> bool:
+    """Whether a value is an offset or a schedule of offsets."""
+    if not isinstance(value, tuple):
+        return _is_offset(value)
+    if not value or not all(isinstance(entry, tuple) and len(entry) == 2 and _is_offset(entry[1]) for entry in value):
+        return False
+    hours = [entry[0] for entry in value]
+    in_day = all(not isinstance(hour, bool) and finite(hour, 0.0, 24.0) and hour < 24.0 for hour in hours)
+    return in_day and all(earlier < later for earlier, later in pairwise(hours))
 
 
 def _is_offset(value: object) -> bool:
@@ -58,9 +103,9 @@ def _is_offset(value: object) -> bool:
 
 
 def _pairs(value: object) -> Any:
-    """Return pairs of a bank and an offset from a mapping or from JSON lists; any other value unchanged."""
-    if isinstance(value, Mapping):
-        return tuple(value.items())
-    if isinstance(value, list | tuple):
-        return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in value)
-    return value
+    """Return pairs of a bank and an offset or a schedule from a mapping or from JSON lists; other values unchanged."""
+    return _tuples(tuple(value.items()) if isinstance(value, Mapping) else value)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

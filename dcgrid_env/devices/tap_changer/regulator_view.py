@@ -12,7 +12,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.devices.tap_changer.relay import RelaySettings
+from dcgrid_env.devices.tap_changer.relay import RelayBand, RelaySettings
 from dcgrid_env.devices.tap_changer.tap_control import SAME_TIME_S, RegulatorState
 from dcgrid_env.grid import ThreePhaseFeeder
 
@@ -28,14 +28,14 @@ class RegulatorView(NamedTuple):
     """Share of the delay that has passed, 0 to 1; 0 where the built-in control does not act."""
 
 
-def regulator_view(settings: RelaySettings, state: RegulatorState) -> RegulatorView:
-    """Return what is reported of regulators in some state."""
+def regulator_view(settings: RelaySettings, band: RelayBand, state: RegulatorState) -> RegulatorView:
+    """Return what is reported of regulators in some state, under the bands in force."""
     xp, zero = namespace(state.tap), 0.0 * state.tap
     farthest = xp.maximum(xp.maximum(xp.abs(settings.lowest), xp.abs(settings.highest)), 1.0 + 0.0 * settings.highest)
     delay_s = xp.where(state.in_sequence != 0.0, settings.tap_delay_s + zero, settings.delay_s + zero)
     return RegulatorView(
         tap=state.tap / farthest,
-        relay=(state.relay_v - settings.target_v) / settings.half_band_v,
+        relay=(state.relay_v - band.target_v) / band.half_band_v,
         timer=state.out_of_band_s / (delay_s + SAME_TIME_S),  # a tap is due within this time, also without a delay
     )
 
@@ -64,8 +64,3 @@ def upstream_regulators(feeder: ThreePhaseFeeder) -> np.ndarray:
         elif parent >= 0:
             found[node] = found[parent]
     return found
-
-
-def largest_relay_view(settings: RelaySettings) -> float:
-    """Return the largest deviation of a relay, in half bands: volts between 0 and twice the target; at least 1."""
-    return max(1.0, float((settings.target_v / settings.half_band_v).max()))

@@ -49,6 +49,13 @@ class RelaySettings(NamedTuple):
     """
 
 
+class RelayBand(NamedTuple):
+    """Bands of relays that are in force in each environment, (row, n_regulator) each."""
+
+    target_v: Array
+    half_band_v: Array
+
+
 @cached_on_owner
 def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
     """The settings of a feeder's regulators, NumPy arrays."""

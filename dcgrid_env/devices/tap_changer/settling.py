@@ -49,6 +49,7 @@ def settled_taps(
     controlled: Array | None = None,
     move: Move = one_tap,
     settings: RelaySettings | None = None,
+    target_v: Array | None = None,
 ) -> SettledTaps:
     """Settle the taps of a batch of rows, each row by itself.
 
@@ -64,6 +65,8 @@ def settled_taps(
         How many taps are made in a round.
     settings
         Settings of the relays, arrays like the loads; those of the feeder's table where it is None.
+    target_v
+        Targets of each row, V, (row, n_regulator); those of the settings where it is None.
     """
     p_kw, q_kvar = (a.detach() if hasattr(a, "detach") else a for a in (p_kw, q_kvar))
     xp = namespace(p_kw)
@@ -78,7 +81,8 @@ def settled_taps(
         rounds += 1
         solution = _solve(feeder, p_kw, q_kvar, source_voltage_pu, control, taps, rows, start)
         volts = relay_volts(relays, solution)
-        turn = _turns(relays, volts, taps[rows], controlled) * move(relays, relays.target_v - volts)
+        now = relays if target_v is None else relays._replace(target_v=target_v[rows])
+        turn = _turns(now, volts, taps[rows], controlled) * move(now, now.target_v - volts)
         turn = xp.where(solution.converged[:, None], turn, 0.0 * turn)
         after = xp.minimum(xp.maximum(taps[rows] + turn, relays.lowest + 0.0 * turn), relays.highest + 0.0 * turn)
         rests = (turn == 0.0).all(-1)

@@ -24,16 +24,16 @@ def relay_volts(settings, v_re_pu, v_im_pu, i_re_a, i_im_a):
 
 
 @compiled(inner=True)
-def _direct(settings, acts, volts, tap, wanted):
+def _direct(settings, target_v, half_band_v, acts, volts, tap, wanted):
     """Write the direction of each regulator's next tap into ``wanted``, and return the number of directions but 0."""
     asking = 0
     for r in range(len(tap)):
-        missing_v = settings.target_v[r] - volts[r]
+        missing_v = target_v[r] - volts[r]
         wanted[r] = 0.0
         if acts[r] != 0.0:
-            if missing_v > settings.half_band_v[r] and tap[r] < settings.highest[r]:
+            if missing_v > half_band_v[r] and tap[r] < settings.highest[r]:
                 wanted[r] = 1.0
-            elif missing_v < -settings.half_band_v[r] and tap[r] > settings.lowest[r]:
+            elif missing_v < -half_band_v[r] and tap[r] > settings.lowest[r]:
                 wanted[r] = -1.0
         asking += wanted[r] != 0.0
     return asking
@@ -53,7 +53,7 @@ def control_taps(settings, state, dt_s, controlled):
         for r in range(n):
             tap[r], volts[r], since[r] = state.tap[row, r], state.relay_v[row, r], state.since_s[row, r]
             moved[r] = 0.0
-        asking = _direct(settings, acts, volts, tap, wanted)
+        asking = _direct(settings, settings.target_v, settings.half_band_v, acts, volts, tap, wanted)
         for r in range(n):
             asks = wanted[r] != 0.0
             waited[r] = state.out_of_band_s[row, r] if asks else 0.0
@@ -77,7 +77,7 @@ def control_taps(settings, state, dt_s, controlled):
                 for other in range(n):
                     change += due_in[other] * settings.volts_per_tap[other, r]
                 volts[r] += change
-            _direct(settings, acts, volts, tap, wanted)
+            _direct(settings, settings.target_v, settings.half_band_v, acts, volts, tap, wanted)
             for r in range(n):
                 turned, in_band = due_in[r] != 0.0, wanted[r] == 0.0
                 since[r] = 0.0 if turned else since[r] + passed
@@ -92,7 +92,7 @@ def control_taps(settings, state, dt_s, controlled):
 
 
 @compiled
-def next_taps(settings, state, left_s, due_s, integrating, controlled):
+def next_taps(settings, state, band, left_s, due_s, integrating, controlled):
     """What ``timed_taps.next_taps`` does: the fields of the state and the time passed, (8, row, n_regulator)."""
     n_row, n = state.tap.shape
     out = np.empty((8, n_row, n))
@@ -104,7 +104,7 @@ def next_taps(settings, state, left_s, due_s, integrating, controlled):
         )  # fmt: skip
         for r in range(n):
             tap[r], volts[r], sequence[r] = state.tap[row, r], state.relay_v[row, r], state.in_sequence[row, r]
-        _direct(settings, acts, volts, tap, wanted)
+        _direct(settings, band.target_v[row], band.half_band_v[row], acts, volts, tap, wanted)
         soonest, left = due_s[row, 0], left_s[row, 0]
         for r in range(n):
             counts = wanted[r] != 0.0 or sequence[r] != 0.0

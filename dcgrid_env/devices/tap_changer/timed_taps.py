@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from dcgrid_env.core.arrays import Array, min_last, namespace
 from dcgrid_env.core.twins import compiled_as
-from dcgrid_env.devices.tap_changer.relay import RelaySettings, direction
+from dcgrid_env.devices.tap_changer.relay import RelayBand, RelaySettings, direction
 from dcgrid_env.devices.tap_changer.tap_control import SAME_TIME_S, RegulatorState
 
 
@@ -30,6 +30,7 @@ class NextTaps(NamedTuple):
 def next_taps(
     settings: RelaySettings,
     state: RegulatorState,
+    band: RelayBand,
     left_s: Array,
     due_s: Array,
     integrating: bool,
@@ -41,6 +42,8 @@ def next_taps(
     ----------
     settings, state
         Arrays of one kind; ``state.relay_v`` are the volts of now.
+    band
+        Targets and half bands in force, which replace those of the settings.
     left_s
         Time left of the step, s, (row, 1). Nothing happens in a row where it is 0, and taps due at its end are left to
         the next step, whose loads they meet.
@@ -51,7 +54,7 @@ def next_taps(
     controlled
         1 for a regulator whose control acts and 0 for one that stays, (n_regulator,); None where all act.
     """
-    *fields, passed = _next_taps(settings, state, left_s, due_s, integrating, controlled)
+    *fields, passed = _next_taps(settings, state, band, left_s, due_s, integrating, controlled)
     return NextTaps(RegulatorState(*fields), passed[..., :1])
 
 
@@ -59,6 +62,7 @@ def next_taps(
 def _next_taps(
     settings: RelaySettings,
     state: RegulatorState,
+    band: RelayBand,
     left_s: Array,
     due_s: Array,
     integrating: bool,
@@ -66,7 +70,7 @@ def _next_taps(
 ) -> tuple[Array, ...]:
     """The fields of the state after the event, and the time passed in each column, see ``next_taps``."""
     xp, zero = namespace(state.tap), 0.0 * state.tap
-    wanted = direction(settings, state.relay_v, state.tap)
+    wanted = direction(settings._replace(**band._asdict()), state.relay_v, state.tap)
     wanted = wanted if controlled is None else wanted * controlled
     out, sequence = wanted != 0.0, state.in_sequence != 0.0
     counts = out | sequence

@@ -18,9 +18,8 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Field
-from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, largest_relay_view, upstream_view
+from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, upstream_view
 from dcgrid_env.engine.cost.measurement import of_agents
-from dcgrid_env.engine.physics.acting_relays import scenario_relays
 from dcgrid_env.engine.physics.connections import N_NEIGHBOURS, Placement, distance_in_bands
 from dcgrid_env.engine.physics.dynamics import from_nodes, step_kernels
 from dcgrid_env.engine.physics.parameters import inverse, parameters
@@ -32,6 +31,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.scenario import Scenario
 
 _LARGEST_LOADING = 4.0
+_LARGEST_RELAY = 20.0
 
 
 class Seen(NamedTuple):
@@ -90,11 +90,6 @@ def _sees_regulator(scenario: Scenario) -> bool:
     return scenario.sensing.regulator
 
 
-def _relay_range(scenario: Scenario) -> tuple[float, float]:
-    largest = largest_relay_view(scenario_relays(scenario))
-    return -largest, largest
-
-
 _IN_BANDS = "(V - 1) / band, 1 is the edge of the band"
 FIELDS = (
     ObservationField("v_deviation", _IN_BANDS, attrgetter("deviation_pu"), _per_band, _band_edges),
@@ -139,7 +134,7 @@ FIELDS = (
     ),
     ObservationField(
         "upstream_relay", "(relay volts - target) / half band of this regulator; beyond -1 and 1 it is out of band",
-        attrgetter("regulators.relay"), lambda _: 1.0, _relay_range, _sees_regulator,
+        attrgetter("regulators.relay"), lambda _: 1.0, lambda _: (-_LARGEST_RELAY, _LARGEST_RELAY), _sees_regulator,
     ),
     ObservationField(
         "upstream_timer", "share of its delay that has passed, out of band or since the last tap of a sequence",

@@ -252,9 +252,14 @@ def exogenous(
     legs = placed.legs if three_phase else None
     sags = sags_in_interval(scenario, episode.sag, step)
     to_draw = LoadsToDraw(episode.key, step, noise, share)
+    offset_v, settings = None, scenario.grid_control.regulator_settings
+    if settings.has_schedules:
+        begin_h = episode.begin_h + np.maximum(step - 1, 0) * (scenario.dt_s / 3600.0)  # of the interval
+        offset_v = settings.scheduled_v(scenario.feeder.network.regulator, begin_h)
     return Exogenous(
-        None, None, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on, sags, None, to_draw
-    )
+        None, None, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on, sags, None, to_draw,
+        offset_v,
+    )  # fmt: skip
 
 
 def unroll(scenario: Scenario, episode: Episode) -> Iterator[tuple[np.ndarray, Exogenous]]:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, relay_settings, relay_volts
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState, control_taps, initial_regulators
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -93,11 +94,16 @@ def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> Acting
 
 @cached_on_owner
 def scenario_relays(scenario: Scenario) -> RelaySettings:
-    """Return the settings of all regulators of a scenario's three-phase feeder, offsets of set points included."""
+    """Return the settings of all regulators of a scenario's three-phase feeder under the default set points."""
     feeder: Any = scenario.feeder
     settings = relay_settings(feeder)
     offset_v = scenario.grid_control.regulator_settings.offsets_v(feeder.network.regulator)
-    return settings._replace(target_v=settings.target_v + np.array(offset_v))
+    half_band_v = settings.half_band_v.copy()
+    for device in scenario.devices:
+        if isinstance(device, RegulatorSetPoints):
+            for rows, half_v in zip(map(list, device.members), device.rest_half_band_v, strict=True):
+                half_band_v[rows] = np.where(np.isfinite(half_band_v[rows]), half_v, np.inf)
+    return settings._replace(target_v=settings.target_v + offset_v, half_band_v=half_band_v)
 
 
 def _steps(delay_s: np.ndarray, dt_s: float) -> np.ndarray:

@@ -62,7 +62,7 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Grid
     draws = (state.p_kw,) * remembered_draws(scenario) or None
     views, phases = None, state.three_phase
     if phases is not None and (kept := feeder_equipment.remembered_reports(scenario)):
-        views = (feeder_equipment.reported(scenario, phases.equipment),) * kept
+        views = (feeder_equipment.reported(scenario, phases.equipment, state.devices, exogenous.offset_v),) * kept
     return state._replace(
         v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws, regulator_views=views
     ), grid
@@ -140,9 +140,10 @@ def _step(
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
     device_states, views = tuple(devices), state.regulator_views
     if phases is not None:
-        device_states = feeder_equipment.with_relays(scenario, device_states, phases.equipment)
+        device_states = feeder_equipment.with_measurements(scenario, device_states, phases.equipment)
         if views is not None:
-            views = (*views[1:], feeder_equipment.reported(scenario, phases.equipment))
+            report = feeder_equipment.reported(scenario, phases.equipment, device_states, exogenous.offset_v)
+            views = (*views[1:], report)
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
@@ -193,7 +194,9 @@ def _solved(
     if before is None:
         equipment = feeder_equipment.measured(scenario, equipment, solution)
     else:
-        equipment, solution = feeder_equipment.with_controls(scenario, equipment, solution, solve_rows)
+        equipment, solution = feeder_equipment.with_controls(
+            scenario, equipment, devices, exogenous.offset_v, solution, solve_rows
+        )
     return GridStep(solution, noise), equipment
 
 
@@ -261,7 +264,7 @@ def _equipment(
     if before is not None:
         return feeder_equipment.advanced(scenario, before, states)
     shunt_kvar = None if control is None else control.shunt_kvar
-    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on)
+    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on, exogenous.offset_v)
 
 
 def _with_equipment(control: Control | None, of_feeder: Control) -> Control:

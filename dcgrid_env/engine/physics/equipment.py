@@ -4,7 +4,7 @@ At the beginning of a step an agent's equipment follows the agent's action. Then
 controls act on what they measure in it. Whenever a delay ends within the step, taps and switches change, and the power
 flow is solved again (``with_controls``). Under ``timer="per_step"`` controls act at the beginning of a step on the
 measurements of the step before, and taps and switches are then constant. At t = 0 the taps of controlled regulators
-have settled.
+have settled. Agents of set points choose the bands of relays and the thresholds of banks that apply within the step.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, all_true, min_last, namespace, put_rows, take_last
+from dcgrid_env.core.arrays import Array, all_true, as_like, min_last, namespace, put_rows, sum_last, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import (
+    Thresholds,
     bank_delays,
     bank_settings,
     control_banks,
@@ -27,8 +28,10 @@ from dcgrid_env.devices.capacitor_bank.capacitor_control import (
     measured_banks,
     next_switchings,
 )
+from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
+from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, regulator_view
-from dcgrid_env.devices.tap_changer.relay import relay_volts, settings_like
+from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_volts, settings_like
 from dcgrid_env.devices.tap_changer.settling import settled_taps
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.devices.tap_changer.tap_control import MOST_EVENTS, SAME_TIME_S, control_taps, initial_regulators
@@ -47,13 +50,17 @@ class _Group(NamedTuple):
     settings: Any
     """``RelaySettings`` or ``BankSettings``."""
     controlled: Array
-    """1 where a control acts, (n,)."""
+    """1 where a control acts, also under set points of an agent, (n,)."""
     acts: bool
     """Whether a control acts on any of them; otherwise banks have neither measurements nor timers."""
     agents: int | None
     """Position among the scenario's devices of the group that is agents."""
     pick: Array
     """Index of each piece in the feeder's pieces followed by those of the agents, int, (n,)."""
+    setters: int | None
+    """Position among the scenario's devices of the group that chooses set points."""
+    setter: Array
+    """Index of each piece in the feeder's pieces followed by the agents that choose set points, int, (n,)."""
 
 
 class _Plan(NamedTuple):
@@ -65,26 +72,47 @@ class _Plan(NamedTuple):
     """Whether the timers of regulators count down in band."""
 
 
+class _SetPoints(NamedTuple):
+    """Set points in force over a step."""
+
+    band: RelayBand
+    thresholds: Thresholds | None
+    """None where those of the scenario apply."""
+
+
 Solve = Callable[[Equipment, Array, Array], ThreePhaseSolution]
 """The power flow of some rows: under their equipment, at their positions (k,) int, from their ``restart``."""
 
 
 def begun(
-    scenario: Scenario, p_kw: Array, q_kvar: Array, shunt_kvar: Array | None, connected: Array | None
+    scenario: Scenario,
+    p_kw: Array,
+    q_kvar: Array,
+    shunt_kvar: Array | None,
+    connected: Array | None,
+    offset_v: Array | None,
 ) -> Equipment:
     """The equipment at t = 0 under the legs' net loads: taps settled, each row by itself.
 
     Shapes are (row, n_leg) of the loads, (row, n_node) of switched shunts, None without any, and (row, n_capacitor)
-    of what is ``connected``, None where all banks are.
+    of what is ``connected``, None where all banks are. ``offset_v`` are the offsets by schedules, None without any.
     """
     feeder, plan = _feeder(scenario), _plan(scenario, p_kw)
     zeros = 0.0 * p_kw[..., :1]
     tap, on = (zeros + _like(values, p_kw) for values in (feeder.base_tap, feeder.base_capacitor_on))
     if plan.regulators.acts:
         control = Control(None, shunt_kvar, on if connected is None else on * connected)
-        given = (feeder, p_kw, q_kvar, scenario.source_voltage_pu, control)
         regulators = plan.regulators
-        tap = settled_taps(*given, controlled=regulators.controlled, settings=regulators.settings).tap
+        tap = settled_taps(
+            feeder,
+            p_kw,
+            q_kvar,
+            scenario.source_voltage_pu,
+            control,
+            controlled=regulators.controlled,
+            settings=regulators.settings,
+            target_v=None if offset_v is None else regulators.settings.target_v + offset_v,
+        ).tap
     return Equipment(initial_regulators(tap, 0.0 * tap), initial_banks(on))
 
 
@@ -119,28 +147,34 @@ def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> E
 
 
 def with_controls(
-    scenario: Scenario, equipment: Equipment, solution: ThreePhaseSolution, solve: Solve
+    scenario: Scenario,
+    equipment: Equipment,
+    devices: Sequence[Any],
+    offset_v: Array | None,
+    solution: ThreePhaseSolution,
+    solve: Solve,
 ) -> tuple[Equipment, ThreePhaseSolution]:
     """The equipment at the end of a step and the power flow there, from those at its beginning.
 
     Whenever controls act within the step, ``solve`` gives the power flow of the rows concerned. A row without a
-    solution does not act any more.
+    solution does not act any more. ``devices`` are the states of the step's devices, and ``offset_v`` the offsets of
+    regulators by schedules, (row, n_regulator), or None.
     """
     equipment = measured(scenario, equipment, solution)
     plan = _plan(scenario, solution.v_pu)
     if not plan.timed:
         return equipment, solution
-    xp = namespace(solution.v_pu)
+    xp, set_points = namespace(solution.v_pu), _set_points(scenario, plan, equipment, devices, offset_v)
     left_s = 0.0 * solution.v_pu[..., :1] + scenario.dt_s
     for _ in range(MOST_EVENTS):
         if not all_true(solution.converged):
             left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
         before = equipment
-        equipment, left_s = _next_event(scenario, plan, before, left_s)
+        equipment, left_s = _next_event(scenario, plan, before, set_points, left_s)
         if not bool((left_s > 0.0).any()):
             break
         rows = xp.nonzero(_moved(before, equipment))[0]
-        if len(rows):
+        if len(rows):  # a control that looks again and finds its band moves nothing
             some = over_arrays(lambda values: values[rows], equipment)  # noqa: B023 (called at once)
             solved = solve(some, rows, solution.restart[rows])
             solution = over_arrays(lambda whole, new: put_rows(whole, rows, new), solution, solved)  # noqa: B023
@@ -148,15 +182,18 @@ def with_controls(
     return equipment, solution
 
 
-def _next_event(scenario: Scenario, plan: _Plan, equipment: Equipment, left_s: Array) -> tuple[Equipment, Array]:
+def _next_event(
+    scenario: Scenario, plan: _Plan, equipment: Equipment, set_points: _SetPoints, left_s: Array
+) -> tuple[Equipment, Array]:
     """The equipment after its next event, and the time then left of the step, s, (row, 1)."""
     (regulators, banks), of_banks = equipment, plan.banks
     due_s, delay_s = 0.0 * left_s + np.inf, None
     if of_banks.acts:
-        delay_s = bank_delays(scenario.grid_control.capacitor_settings, banks, of_banks.controlled)
+        settings = scenario.grid_control.capacitor_settings
+        delay_s = bank_delays(settings, banks, of_banks.controlled, set_points.thresholds)
         due_s = min_last(delay_s)
     settings, controlled = plan.regulators.settings, plan.regulators.controlled
-    regulators, passed_s = next_taps(settings, regulators, left_s, due_s, plan.integrating, controlled)
+    regulators, passed_s = next_taps(settings, regulators, set_points.band, left_s, due_s, plan.integrating, controlled)
     if delay_s is None:
         banks = banks._replace(since_s=banks.since_s + passed_s)
     else:
@@ -177,20 +214,76 @@ def measured(scenario: Scenario, equipment: Equipment, solution: ThreePhaseSolut
     return Equipment(regulators, measured_banks(plan.banks.settings, solution, banks) if plan.banks.acts else banks)
 
 
-def with_relays(scenario: Scenario, devices: tuple[Any, ...], equipment: Equipment) -> tuple[Any, ...]:
-    """The states of the devices, with what the relays of regulators that are agents measure."""
-    position = _plan(scenario, equipment.regulators.relay_v).regulators.agents
-    if position is None:
-        return devices
-    agents: Any = scenario.devices[position]
-    relay_v = equipment.regulators.relay_v[..., list(agents.rows)]
-    return (*devices[:position], devices[position]._replace(relay_v=relay_v), *devices[position + 1 :])
+def with_measurements(scenario: Scenario, devices: tuple[Any, ...], equipment: Equipment) -> tuple[Any, ...]:
+    """The states of the devices, with what agents of equipment measure and what controls did under their set points."""
+    (regulators, banks), after = equipment, list(devices)
+    of_regulators, of_banks, *_ = _plan(scenario, regulators.relay_v)
+    if (position := of_regulators.agents) is not None:
+        agents: Any = scenario.devices[position]
+        after[position] = after[position]._replace(relay_v=regulators.relay_v[..., list(agents.rows)])
+    if (position := of_regulators.setters) is not None:
+        state, band = after[position], _band(scenario, of_regulators, regulators.tap, devices)
+        off_v = regulators.relay_v - band.target_v
+        tap, deviation_v = (_by_setter(scenario, position, values, True) for values in (regulators.tap, off_v))
+        moved = _by_setter(scenario, position, regulators.moved)
+        after[position] = state._replace(mean_tap=tap, deviation_v=deviation_v, moved=moved)
+    if (position := of_banks.setters) is not None:
+        state = after[position]
+        on, v_pu, switched = (
+            _by_setter(scenario, position, values) for values in (banks.on, banks.v_pu, banks.switched)
+        )
+        after[position] = state._replace(bank_on=on, deviation_pu=v_pu - state.centre_pu, switched=switched)
+    return tuple(after)
 
 
-def reported(scenario: Scenario, equipment: Equipment) -> RegulatorView:
-    """What is reported of the regulators at the end of a step."""
-    settings = _plan(scenario, equipment.regulators.tap).regulators.settings
-    return regulator_view(settings, equipment.regulators)
+def _by_setter(scenario: Scenario, position: int, values: Array, is_mean: bool = False) -> Array:
+    """Sum or mean of a figure over the pieces of each agent that chooses set points, (row, slot)."""
+    setters: Any = scenario.devices[position]
+    sums = [sum_last(values[..., list(rows)]) / (len(rows) if is_mean else 1) for rows in setters.members]
+    return namespace(values).stack(sums, axis=-1)
+
+
+def _set_points(
+    scenario: Scenario, plan: _Plan, equipment: Equipment, devices: Sequence[Any], offset_v: Array | None
+) -> _SetPoints:
+    """The set points in force over a step, from the states of the step's devices and from schedules."""
+    (regulators, banks), of_banks = equipment, plan.banks
+    band = _band(scenario, plan.regulators, regulators.tap, devices, offset_v)
+    if of_banks.setters is None:
+        return _SetPoints(band, None)
+    state, control = devices[of_banks.setters], scenario.grid_control.capacitor_settings
+    on_below_pu = _of_pieces(of_banks, 0.0 * banks.on + control.on_below_pu, state.centre_pu - state.half_width_pu)
+    off_above_pu = _of_pieces(of_banks, 0.0 * banks.on + control.off_above_pu, state.centre_pu + state.half_width_pu)
+    return _SetPoints(band, Thresholds(on_below_pu, off_above_pu))
+
+
+def _band(
+    scenario: Scenario, group: _Group, tap: Array, devices: Sequence[Any], offset_v: Array | None = None
+) -> RelayBand:
+    """The bands of the relays in force over a step, (row, n_regulator); ``offset_v`` are the offsets by schedules."""
+    zero = 0.0 * tap
+    target_v, half_band_v = (at_rest + zero for at_rest in (group.settings.target_v, group.settings.half_band_v))
+    if offset_v is not None:
+        target_v = target_v + offset_v
+    if group.setters is None:
+        return RelayBand(target_v, half_band_v)
+    setters: Any = scenario.devices[group.setters]
+    state, finite = devices[group.setters], half_band_v < np.inf
+    chosen_v = _of_pieces(group, zero, state.offset_v - as_like(setters.parameters.rest_offset_v, tap))
+    half_v = _of_pieces(group, half_band_v, state.half_band_v)
+    return RelayBand(target_v + chosen_v, namespace(tap).where(finite, half_v, half_band_v))
+
+
+def _of_pieces(group: _Group, at_rest: Array, chosen: Array) -> Array:
+    """A part of the set points of all pieces, (row, n), that of the setters' pieces as ``chosen`` by these."""
+    return take_last(namespace(at_rest).concat((at_rest, chosen), axis=-1), group.setter)
+
+
+def reported(scenario: Scenario, equipment: Equipment, devices: Sequence[Any], offset_v: Array | None) -> RegulatorView:
+    """What is reported of the regulators at the end of a step; arguments as in ``with_controls``."""
+    regulators, group = equipment.regulators, _plan(scenario, equipment.regulators.tap).regulators
+    band = _band(scenario, group, regulators.tap, devices, offset_v)
+    return regulator_view(group.settings, band, regulators)
 
 
 def remembered_reports(scenario: Scenario) -> int:
@@ -232,21 +325,26 @@ def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> 
     feeder, like = _feeder(scenario), xp.zeros(0, dtype=dtype, device=device)
     kinds = [kind.kind for kind in scenario.devices]
     groups: list[_Group] = []
-    for settings, deciders, kind in (
-        (scenario_relays(scenario), regulator_deciders, TapChangers),
-        (bank_settings(feeder), capacitor_deciders, CapacitorBanks),
+    for settings, deciders, kind, kind_of_setters in (
+        (scenario_relays(scenario), regulator_deciders, TapChangers, RegulatorSetPoints),
+        (bank_settings(feeder), capacitor_deciders, CapacitorBanks, ThresholdSetPoints),
     ):
         decides = deciders(scenario.grid_control, feeder)
-        controlled = np.array([decider == "controlled" for decider in decides], np.float64)
-        position = kinds.index(kind.kind) if kind.kind in kinds else None
-        pick = np.arange(len(decides))
+        controlled = np.array([decider in ("controlled", "setpoint") for decider in decides], np.float64)
+        position, setters = (kinds.index(of.kind) if of.kind in kinds else None for of in (kind, kind_of_setters))
+        pick, setter = np.arange(len(decides)), np.arange(len(decides))
         if position is not None:
             agents: Any = scenario.devices[position]
             pick[list(agents.rows)] = len(decides) + np.arange(agents.count)
+        if setters is not None:
+            choosing: Any = scenario.devices[setters]
+            for slot, rows in enumerate(choosing.members):
+                setter[list(rows)] = len(decides) + slot
         settings, acts = settings_like(settings, like), bool(controlled.any())
-        groups.append(_Group(settings, _like(controlled, like), acts, position, xp.asarray(pick, device=device)))
+        pick, setter = (xp.asarray(indices, device=device) for indices in (pick, setter))
+        groups.append(_Group(settings, _like(controlled, like), acts, position, pick, setters, setter))
     timer, (regulators, banks) = scenario.grid_control.regulator_settings.timer, groups
-    return _Plan(regulators, banks, timer != "per_step" and any(group.acts for group in groups), timer == "integrating")
+    return _Plan(regulators, banks, timer != "per_step" and (regulators.acts or banks.acts), timer == "integrating")
 
 
 def _feeder(scenario: Scenario) -> Any:

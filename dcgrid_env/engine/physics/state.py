@@ -59,6 +59,8 @@ class Exogenous(NamedTuple):
     """Widths of the surrogate that gives tensors a derivative of what trips and returns; None for no derivative."""
     to_draw: LoadsToDraw | None = None
     """Inputs of loads that are not drawn yet, which are None then; None once they are drawn."""
+    offset_v: Array | None = None
+    """Offsets of regulators' set points by schedules, V, (row, n_regulator); None where a scenario has none."""
 
 
 class GridStep(NamedTuple):

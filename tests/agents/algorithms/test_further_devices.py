@@ -12,11 +12,17 @@ from dcgrid_env.agents.algorithms.safe import require_plain
 from dcgrid_env.agents.training import sb3
 from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from helpers.forms import variant_of
 from helpers.riding import ride_through_34
 from helpers.routing import routed
 from helpers.storages import toy6_storage
 
-SCENARIOS = {"storages": toy6_storage(20), "riding": ride_through_34(horizon=20), "routing": routed(horizon=20)}
+SCENARIOS = {
+    "storages": toy6_storage(20),
+    "riding": ride_through_34(horizon=20),
+    "routing": routed(horizon=20),
+    "set points": variant_of("set points as agents").replace(horizon=20),
+}
 # They are trained on scenarios of their own, which have no name that a configuration could say.
 pytestmark = pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 given = pytest.mark.parametrize("name", SCENARIOS)
@@ -33,6 +39,7 @@ SLOW = ("shared", "riding")
         pytest.param(view, name, marks=pytest.mark.slow) if (view, name) == SLOW else (view, name)
         for view in ("shared", "centralised")
         for name in SCENARIOS
+        if name != "set points"  # which have no derivative
     ],
 )
 def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import TensorEnv, action_layout, field_names, make_scenario
+from dcgrid_env import TensorEnv, action_layout, field_names, make_scenario, under_own_control
 from dcgrid_env.agents import Network, Policy, PolicyError
 from dcgrid_env.agents.policy.interface import KINDS, OUTPUTS, Gains, PolicyInterface, require_one_policy_fits
+from helpers.forms import variant_of
 from helpers.riding import ride_through_34
 from helpers.storages import ieee33_weak_ups, toy6_storage
 
@@ -28,6 +29,19 @@ def policy_for(scenario, kind="shared", **settings):
 
 def seen(scenario, n_env=3):
     return TensorEnv(scenario, like=np.empty(0, np.float32)).reset(range(n_env))
+
+
+def test_a_policy_without_set_points_leaves_them_at_rest_and_one_with_them_chooses():
+    scenario = variant_of("set points as agents")
+    view, joint = PolicyInterface(scenario, "shared"), seen(scenario)
+    assert view.further_channels["regulator_setpoint"] == ("offset", "half_band")
+    is_offset = action_layout(scenario).is_channel("offset")
+    for trained_on, rests in ((under_own_control(scenario), True), (scenario, False)):
+        for kind in KINDS:
+            policy = policy_for(trained_on, kind)
+            policy.reset(scenario)
+            offset = policy.act(joint)[:, is_offset]
+            assert (np.abs(offset) < 1e-12).all() == rests, (kind, rests)
 
 
 def test_a_network_for_each_kind_with_the_channels_of_its_device():

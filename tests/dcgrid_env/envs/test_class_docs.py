@@ -115,6 +115,11 @@ def test_what_further_devices_add_is_what_the_table_lists():
     assert added(day, before)[:2] == tuple(
         row("three-phase feeder")[i] | row("device tap_changer")[i] | row("device capacitor_bank")[i] for i in (0, 1)
     )
+    words = {"grid_control.regulators": "setpoint", "grid_control.capacitors": "setpoint"}
+    chosen = make_scenario("ieee13-3ph", **words, **{"grid_control.regulator_settings": {"timer": "reset"}})
+    assert added(chosen, make_scenario("ieee13-3ph"))[:2] == tuple(
+        row("device regulator_setpoint")[i] | row("device capacitor_setpoint")[i] for i in (0, 1)
+    )
     assert terms(make_scenario("ieee13-3ph")) - terms(before) == row("three-phase feeder")[2]
 
 
@@ -124,14 +129,9 @@ def test_what_observed_regulators_add_is_what_the_table_lists():
 
 
 def test_every_feature_has_a_test():
-    tested = {
-        "three-phase feeder",
-        "sensing.regulator",
-        "device storage",
-        "device tap_changer",
-        "device capacitor_bank",
-        *SETTINGS,
-    }
+    equipment = ("tap_changer", "capacitor_bank", "regulator_setpoint", "capacitor_setpoint")
+    further = {"device storage", *(f"device {kind}" for kind in equipment)}
+    tested = {"three-phase feeder", "sensing.regulator", *further, *SETTINGS}
     assert {feature for feature, *_ in FEATURES} == tested
 
 

@@ -18,6 +18,7 @@ from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.rendering.equipment_labels import signed
 from dcgrid_env.rendering.phase_map import NO_VOLTAGE, PhaseMap
 from helpers.feeders import THREE_PHASE
+from helpers.forms import variant_of
 from helpers.three_phase import one_phase
 
 QUICK = "ieee13-3ph"
@@ -262,3 +263,8 @@ def test_keys_stay_in_the_figure_and_names_of_axes_off_each_other(name):
     assert not any(a.overlaps(b) for i, a in enumerate(keys) for b in keys[:i])
     names = [ax.yaxis.label.get_window_extent() for ax in parts(env)[1].axes]
     assert all(upper.y0 >= lower.y1 for upper, lower in pairwise(names))
+
+
+def test_labels_name_the_agents_of_set_points():
+    env, _ = make(variant_of("set points as agents"))
+    assert [text.split("\n")[1:] for text in labels(env)] == [["regset_0"], ["capset_0"], ["capset_1"]]

@@ -19,6 +19,20 @@ GIVEN = {
         "grid_control.capacitors": "controlled",
         "grid_control.capacitor_settings": {"measures": "kvar", "delay_s": 30.0},
     },
+    "set points": {
+        "grid_control.regulators": {"reg1a": "setpoint", "reg3": "agent"},
+        "grid_control.capacitors": "setpoint",
+        "grid_control.regulator_settings": {"timer": "integrating", "offset_v": {"reg1a": 2.0}, "hold_s": 300.0},
+        "grid_control.capacitor_settings": {"hold_s": 900.0},
+    },
+    "a schedule": {
+        "grid_control.regulator_settings": {
+            "timer": "reset",
+            "offset_v": {"reg1a": [[6.0, 1.5], [22, -0.5]], "reg3": 1.0},
+        },
+        "background.start_hour": 5.0,
+        "grid_control.capacitors": "agent",
+    },
 }
 
 
@@ -35,7 +49,10 @@ def test_defaults_change_nothing():
 @pytest.mark.parametrize("name", GIVEN)
 def test_paths_mappings_and_files_are_one_thing(name, tmp_path):
     flat = ieee123().replace(**GIVEN[name])
-    by_mapping = ieee123().replace(grid_control={key.split(".")[1]: value for key, value in GIVEN[name].items()})
+    parts: dict[str, dict[str, object]] = {}
+    for key, value in GIVEN[name].items():
+        parts.setdefault(key.split(".")[0], {})[key.split(".")[1]] = value
+    by_mapping = ieee123().replace(**parts)
     assert by_mapping.difference(flat) is None
     assert flat.difference(ieee123()) is not None
     assert pickle.loads(pickle.dumps(flat)).difference(flat) is None
@@ -43,7 +60,8 @@ def test_paths_mappings_and_files_are_one_thing(name, tmp_path):
     read = make_scenario(str(tmp_path / "mine.toml"))
     assert read.replace(name=flat.name).difference(flat) is None
     assert scenario_hash(read.replace(name=flat.name)) == scenario_hash(flat) != scenario_hash(ieee123())
-    assert "tap_changer" not in (tmp_path / "mine.toml").read_text()
+    text = (tmp_path / "mine.toml").read_text()
+    assert not any(kind in text for kind in ("tap_changer", "regulator_setpoint", "capacitor_setpoint"))
 
 
 def test_agents_come_and_go_with_the_decision():
@@ -58,17 +76,33 @@ def test_agents_come_and_go_with_the_decision():
     assert len(scenario.candidates) == len(ieee123().candidates)
 
 
+def test_a_bank_whose_set_point_is_chosen_is_one_agent():
+    scenario = ieee123().replace(**GIVEN["set points"])
+    assert scenario.agents[-7:] == ("reg_0", "reg_1", "regset_0", "capset_0", "capset_1", "capset_2", "capset_3")
+    regulators, banks = scenario.devices[-2:]
+    assert (regulators.kind, regulators.names, regulators.members) == ("regulator_setpoint", ("reg1a",), ((0,),))
+    assert (regulators.rest_offset_v, regulators.hold_s) == ((2.0,), 300.0)
+    assert (banks.kind, banks.count, banks.hold_s) == ("capacitor_setpoint", 4, 900.0)
+    assert scenario.replace(devices=scenario.devices).difference(scenario) is None
+    three = ieee123().replace(grid_control={"regulators": "setpoint", "regulator_settings": {"timer": "reset"}})
+    assert three.devices[-1].names == ("reg1a", "reg2", "reg3", "reg4")
+    assert (three.devices[-1].buses[3], three.devices[-1].phases[3]) == ("160r", "abc")
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"grid_control.regulators": "on"}, "grid_control.regulators is 'on'; give one of fixed, controlled, agent"),
+        (
+            {"grid_control.regulators": "on"},
+            "grid_control.regulators is 'on'; give one of fixed, controlled, agent, setpoint",
+        ),
         (
             {"grid_control.regulators": {"reg9": "agent"}},
             "feeder 'ieee123-3ph' has no bank 'reg9'; there are reg1a, reg2, reg3, reg4",
         ),
         (
             {"grid_control.capacitors": {"c83": "off"}},
-            "grid_control.capacitors is .*give one of fixed, controlled, agent",
+            "grid_control.capacitors is .*give one of fixed, controlled, agent, setpoint",
         ),
         (
             {"grid_control.capacitors": "agent", "background.capacitors": False},
@@ -80,6 +114,63 @@ def test_agents_come_and_go_with_the_decision():
         ),
         ({"grid_control.capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
         ({"grid_control.capacitor_settings": 3}, r"grid_control.capacitor_settings is 3; give CapacitorControl\(...\)"),
+        (
+            {"grid_control.regulators": {"reg2": "setpoint"}},
+            r"grid_control.regulators is .*; for mode 'setpoint' set grid_control.regulator_settings.timer to 'reset' "
+            "or 'integrating', it is 'per_step'",
+        ),
+        (
+            {"grid_control.capacitors": "setpoint"},
+            "grid_control.capacitors is 'setpoint'; for mode 'setpoint' set grid_control.regulator_settings.timer to",
+        ),
+        (
+            {
+                "grid_control.capacitors": "setpoint",
+                "grid_control.regulator_settings": {"timer": "reset"},
+                "grid_control.capacitor_settings": {"measures": "kvar"},
+            },
+            "for mode 'setpoint' set grid_control.capacitor_settings.measures to 'voltage', it is 'kvar'",
+        ),
+        (
+            {"grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg2": [[6.0, 1.0]]}}},
+            "grid_control.regulator_settings.offset_v is .*; a schedule needs the hour of the day; set background",
+        ),
+        (
+            {"grid_control.regulator_settings": {"offset_v": {"reg2": [[6.0, 1.0]]}}, "background.start_hour": 0.0},
+            "offset_v is .*; a schedule needs timer 'reset' or 'integrating', it is 'per_step'",
+        ),
+        (
+            {
+                "grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg2": [[6.0, 1.0]]}},
+                "grid_control.regulators": {"reg2": "setpoint"},
+                "background.start_hour": 0.0,
+            },
+            "a schedule needs a bank in mode 'controlled', 'reg2' is in mode 'setpoint'",
+        ),
+        *(
+            (
+                {"grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg2": schedule}}},
+                "or to lists of .hour, volts. with rising hours from 0 to less than 24",
+            )
+            for schedule in ([], [[24.0, 1.0]], [[6.0, 1.0], [6.0, 2.0]], [[6.0, 13.0]], [6.0, 1.0], [["6", 1.0]])
+        ),
+        (
+            {"grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg9": 1.0}}},
+            "feeder 'ieee123-3ph' has no bank or regulator 'reg9'; there are reg1a, reg2, reg3, reg4, creg1a",
+        ),
+        (
+            {"grid_control.regulator_settings": {"hold_s": 59.0}},
+            "grid_control.regulator_settings.hold_s is 59.0",
+        ),
+        ({"grid_control.capacitor_settings": {"hold_s": 10.0}}, "grid_control.capacitor_settings.hold_s is 10.0"),
+        (
+            {
+                "grid_control.regulators": "setpoint",
+                "grid_control.regulator_settings": {"timer": "reset"},
+                "faults": [{"among": ["regset_0"], "begin_s": [1, 2]}],
+            },
+            "a fault among 'regset_0'",
+        ),
         (
             {"grid_control.regulators": "agent", "faults": [{"among": ["tap_changer"], "begin_s": [1, 2]}]},
             "a fault among 'tap_changer'",

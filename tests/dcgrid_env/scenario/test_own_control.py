@@ -25,6 +25,18 @@ def test_banks_that_are_no_agents_keep_who_decides_over_them():
     assert plain.grid_control.capacitors == (("cap1", "fixed"), ("cap2", "controlled"))
 
 
+def test_agents_of_set_points_leave_the_control_with_its_set_points():
+    modes = {"regulators": "setpoint", "capacitors": {"cap1": "setpoint", "cap2": "agent"}}
+    scenario = ieee13().replace(grid_control=modes | {"regulator_settings": {"timer": "reset", "offset_v": 1.0}})
+    plain = under_own_control(scenario)
+    assert plain.agents == ieee13().agents
+    assert (plain.grid_control.regulators, plain.grid_control.capacitors) == (
+        "controlled",
+        (("cap1", "controlled"), ("cap2", "fixed")),
+    )
+    assert plain.grid_control.regulator_settings == scenario.grid_control.regulator_settings
+
+
 @pytest.mark.parametrize("banks", ["fixed", "agent"])
 def test_a_move_costs_what_it_cost(banks):
     heavy = {

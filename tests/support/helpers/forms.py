@@ -36,6 +36,15 @@ VARIANTS = {
             "horizon": 8,
         },
     ),
+    "set points as agents": (
+        "ieee13-3ph",
+        {
+            "grid_control.regulators": "setpoint",
+            "grid_control.capacitors": "setpoint",
+            "grid_control.regulator_settings": {"timer": "integrating"},
+            "horizon": 8,
+        },
+    ),
     "other costs": ("ieee33", {"weights": CostWeights(clock=1.0, step=10.0, loss=2.0), "horizon": 8}),
 }
 """By name a preset and overrides, short, so that every option that changes what is computed comes up."""

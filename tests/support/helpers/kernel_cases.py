@@ -118,6 +118,8 @@ def run():
         steps(make_scenario(preset))
     steps(make_scenario("toy6"), WIDTHS[-1])
     steps(three_phase.one_phase())
+    set_points = {"grid_control.regulators": "setpoint", "grid_control.regulator_settings": {"timer": "reset"}}
+    steps(make_scenario("ieee13-3ph", **set_points))
     control = GridControl(capacitors="controlled")
     steps(make_scenario("ieee13-3ph").replace(feeder=with_banks(ieee13, "675", 60), grid_control=control))
     serving()

@@ -40,13 +40,13 @@ def ours(name, bank, settings, p_kw, q_kvar):
     )
     row, out = scenario.feeder.network.capacitor.name.index(bank), []
     solve = solve_rows_of(scenario, None, p_kw[:1], q_kvar[:1], None)
-    equipment = feeder_equipment.begun(scenario, p_kw[:1], q_kvar[:1], None, None)
+    equipment = feeder_equipment.begun(scenario, p_kw[:1], q_kvar[:1], None, None, None)
     equipment = feeder_equipment.measured(scenario, equipment, solve(equipment, slice(None), None))
     for second in range(1, SECONDS + 1):
         solve = solve_rows_of(scenario, None, p_kw[second : second + 1], q_kvar[second : second + 1], None)
         before, equipment = equipment.banks.on[0, row], feeder_equipment.advanced(scenario, equipment, ())
         solution = solve(equipment, slice(None), None)
-        equipment, _ = feeder_equipment.with_controls(scenario, equipment, solution, solve)
+        equipment, _ = feeder_equipment.with_controls(scenario, equipment, (), None, solution, solve)
         if equipment.banks.on[0, row] != before:
             out.append((second, int(equipment.banks.on[0, row])))
     return out

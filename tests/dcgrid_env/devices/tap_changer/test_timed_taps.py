@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcgrid_env import ScenarioError, ThreePhaseFeeder, load_feeder, make_scenario
-from dcgrid_env.devices.tap_changer.relay import relay_settings, settings_like
+from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings, settings_like
 from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
 from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from dcgrid_env.engine.physics.acting_relays import scenario_relays
@@ -24,6 +24,11 @@ TAP_V = 0.75
 NONE_DUE = np.array([[math.inf]])
 
 
+def band_of(relays, state):
+    """The band of the table in every row."""
+    return RelayBand(relays.target_v + 0.0 * state.tap, relays.half_band_v + 0.0 * state.tap)
+
+
 def at_volts(volts, tap=0.0):
     return initial_regulators(np.full((1, N), tap), np.full((1, N), float(volts)))
 
@@ -35,7 +40,7 @@ def tap_times(volts_of_second, integrating, seconds):
         left = np.array([[1.0]])
         while left[0, 0] > 0.0:
             state = state._replace(relay_v=volts_of_second(second) + TAP_V * state.tap)
-            after, passed = next_taps(SETTINGS, state, left, NONE_DUE, integrating)
+            after, passed = next_taps(SETTINGS, state, band_of(SETTINGS, state), left, NONE_DUE, integrating)
             if after.moves[0, 0] > state.moves[0, 0]:
                 times.append(second + 1.0 - left[0, 0] + passed[0, 0])
             state, left = after, left - passed
@@ -70,9 +75,8 @@ def test_a_regulator_that_may_make_no_tap_is_fixed():
     network = load_feeder("ieee13-3ph").network
     table = replace(network.regulator, max_taps_per_move=(0, 1, 1))
     fixed = relay_settings(ThreePhaseFeeder.from_network(replace(network, regulator=table)))
-    after, _ = next_taps(
-        fixed, at_volts(110.0)._replace(out_of_band_s=np.full((1, N), 15.0)), NONE_DUE, NONE_DUE, False
-    )
+    state = at_volts(110.0)._replace(out_of_band_s=np.full((1, N), 15.0))
+    after, _ = next_taps(fixed, state, band_of(fixed, state), NONE_DUE, NONE_DUE, False)
     assert after.tap.tolist() == [[0.0, 1.0, 1.0]]
 
 
@@ -85,7 +89,7 @@ def test_time_passes_once_and_nothing_is_early(data):
     integrating = data.draw(st.booleans())
     state, left, taps = at_volts(122.0)._replace(relay_v=volts), np.array([[dt_s]]), np.zeros(N)
     while left[0, 0] > 0.0:
-        after, passed = next_taps(SETTINGS, state, left, NONE_DUE, integrating)
+        after, passed = next_taps(SETTINGS, state, band_of(SETTINGS, state), left, NONE_DUE, integrating)
         turned = after.moves[0] > state.moves[0]
         now = dt_s - left[0, 0] + passed[0, 0]
         assert (now >= np.where(turned, 15.0 + 2.0 * taps, 0.0) - 1e-6).all()
@@ -109,15 +113,16 @@ def random_states(n_row):
 @pytest.mark.parametrize("integrating", [False, True])
 def test_rows_and_tensors_have_the_same_bits(integrating):
     state, left, due = random_states(64)
-    together = next_taps(SETTINGS, state, left, due, integrating)
+    together = next_taps(SETTINGS, state, band_of(SETTINGS, state), left, due, integrating)
     for row in (0, 17, 63):
         one = type(state)(*(a[row : row + 1] for a in state))
-        alone = next_taps(SETTINGS, one, left[row : row + 1], due[row : row + 1], integrating)
+        alone = next_taps(SETTINGS, one, band_of(SETTINGS, one), left[row : row + 1], due[row : row + 1], integrating)
         for of_row, of_all in zip(alone.state, together.state, strict=True):
             np.testing.assert_array_equal(of_row[0], of_all[row])
     tensors = type(state)(*map(torch.from_numpy, state))
     given_left, given_due = torch.from_numpy(left), torch.from_numpy(due)
-    on_tensors = next_taps(settings_like(SETTINGS, tensors.tap), tensors, given_left, given_due, integrating)
+    relays = settings_like(SETTINGS, tensors.tap)
+    on_tensors = next_taps(relays, tensors, band_of(relays, tensors), given_left, given_due, integrating)
     for of_tensor, of_array in zip((*on_tensors.state, on_tensors[1]), (*together.state, together[1]), strict=True):
         np.testing.assert_array_equal(of_tensor.numpy(), of_array)
 

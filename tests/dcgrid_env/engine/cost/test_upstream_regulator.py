@@ -87,6 +87,30 @@ def test_the_relay_is_off_from_its_target_in_force():
     assert not after[..., 2].any()  # no control acts on fixed taps, in band or out of it
 
 
+def test_set_points_of_agents_and_schedules_are_in_force():
+    quiet = ieee13().replace(background={"load_sigma": 0.0, "start_hour": 6.0 - 5.0 / 3600.0}, horizon=10)
+    timer = {"timer": "reset"}
+    plain = course(seen_by(quiet.replace(grid_control={"regulator_settings": timer})))
+    schedule = {"offset_v": {"reg1": [[0.0, 0.0], [6.0, 3.0]]}}
+    scheduled = course(seen_by(quiet.replace(grid_control={"regulator_settings": timer | schedule})))
+    np.testing.assert_allclose((scheduled - plain)[..., 1][:, 0, 0], [0.0] * 6 + [-3.0] * 5, atol=1e-6)
+
+    chosen = seen_by(quiet.replace(grid_control={"regulators": "setpoint", "regulator_settings": timer}))
+    layout = action_layout(chosen)
+    action = layout.is_channel("clock").astype(float)
+    offset, half_band = (
+        next(channel for device in chosen.devices for channel in device.channels if channel.name == name)
+        for name in ("offset", "half_band")
+    )
+    action[layout.is_channel("offset")] = 0.5
+    action[layout.is_channel("half_band")] = -0.5
+    offset_v = float(0.75 * offset.highest[0] + 0.25 * offset.lowest[0])
+    half_v = float(0.25 * half_band.highest[0] + 0.75 * half_band.lowest[0])
+    found = course(chosen, actions=np.tile(action, (chosen.horizon, 1, 1)))
+    np.testing.assert_allclose(found[0, 0, 0], plain[0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(found[1:, 0, 0, 1], (plain[1:, 0, 0, 1] - offset_v) / half_v, atol=1e-6)
+
+
 @pytest.mark.parametrize("timer", ["per_step", "reset"])
 @pytest.mark.parametrize(("delay_s", "steps"), [(2.0, 2), (2.1, 3), (0.3, 1), (80_000.0, 45)])
 def test_figures_are_as_old_as_the_delay(timer, delay_s, steps):
