@@ -34,6 +34,9 @@ RANGES = {
     "v_lowest": ("all (a)", "-1/band .. 1/band"),
     "v_highest": ("all (a)", "-1/band .. 1/band"),
     "loading": ("all (b)", "0 .. 4"),
+    "upstream_tap": ("all (c)", "-1 .. 1"),
+    "upstream_relay": ("all (c)", "-20 .. 20"),
+    "upstream_timer": ("all (c)", "0 .. 1"),
 }
 """Agents that observe each field of the grid, and its range."""
 FIELDS = (
@@ -45,6 +48,7 @@ FIELDS = (
 FEATURES = (
     ("three-phase feeder", "", "v_lowest, v_highest", "unbalance, switching"),
     ("sensing.loading", "", "loading", ""),
+    ("sensing.regulator", "", "upstream_tap, upstream_relay, upstream_timer", ""),
     ("clock_law of two classes", "", "p_ref_next_compute, backlog_compute", ""),
     (
         "ride_through (data centre)",
@@ -129,9 +133,9 @@ Each agent observes its own fields, in this order. ``field_names(scenario)`` lis
 all. The band is ``cost.band_pu``, 0.05 p.u. by default, and R and X are those that
 agents believe (``sensing.r_model_share``, ``sensing.x_model_share``).
 
-{table(("field", "agents", "range", "meaning"), FIELDS, (11, 11, 18, 42))}
+{table(("field", "agents", "range", "meaning"), FIELDS, (14, 11, 18, 42))}
 
-(a) on a three-phase feeder, (b) with ``sensing.loading``.
+(a) on a three-phase feeder, (b) with ``sensing.loading``, (c) with ``sensing.regulator``.
 
 ``observe="neighbours"`` adds v_deviation, p and q of the three electrically nearest
 agents. ``observe="feeder"`` adds v_deviation of every bus.

@@ -42,6 +42,16 @@ def check_ratings(scenario: Any) -> None:
         raise FieldError("Scenario", "sensing.loading", True, remedy)
 
 
+def check_regulator_sensing(scenario: Any) -> None:
+    """Raise FieldError for the observation of regulators on a feeder without regulators."""
+    feeder = scenario.feeder
+    if not scenario.sensing.regulator or (isinstance(feeder, ThreePhaseFeeder) and len(feeder.network.regulator)):
+        return
+    kind = "three-phase feeder" if isinstance(feeder, ThreePhaseFeeder) else "balanced feeder"
+    remedy = f"the {kind} {feeder.name!r} has no regulator; give a three-phase feeder with regulators, or leave it out"
+    raise FieldError("Scenario", "sensing.regulator", True, remedy)
+
+
 MOST_STEPS = 10_000
 """Longest window in steps. It may reach beyond an episode: before it a site has always drawn what it draws at t = 0."""
 

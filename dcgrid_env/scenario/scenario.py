@@ -27,7 +27,13 @@ from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.events import check_events
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
-from dcgrid_env.scenario.joint_checks import check_feeder_kind, check_groups, check_ramp_limit, check_ratings
+from dcgrid_env.scenario.joint_checks import (
+    check_feeder_kind,
+    check_groups,
+    check_ramp_limit,
+    check_ratings,
+    check_regulator_sensing,
+)
 from dcgrid_env.scenario.members import check_random_feeders, member, members
 from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
 from dcgrid_env.scenario.sensing import Sensing
@@ -102,6 +108,7 @@ class Scenario(PickledByFields):
         check_groups(self.devices, self.horizon, self.dt_s)
         check_ramp_limit(self)
         check_ratings(self)
+        check_regulator_sensing(self)
         with located(self.name, "workload"):
             check_trace_scale(self)
         for device in self.devices:

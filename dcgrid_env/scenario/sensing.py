@@ -24,6 +24,10 @@ class Sensing:
     """Whether a data centre observes its p_ref over the coming interval."""
     loading: bool = choice(True, False, default=False)
     """Whether an agent observes the loading of the branch that feeds its bus; only for a feeder with ratings."""
+    regulator: bool = choice(True, False, default=False)
+    """Whether an agent observes the regulator upstream of its bus; only for a three-phase feeder with regulators."""
+    regulator_delay_s: float = number(0.0, 86_400.0, default=2.0)
+    """Age of what it observes of the regulator, s, rounded up to steps."""
     r_model_share: float = number(0.0, 10.0, default=1.0)
     """Resistance of every branch in the model of agents and controllers, as a share of the true one."""
     x_model_share: float = number(0.0, 10.0, default=1.0)

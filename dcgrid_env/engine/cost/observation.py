@@ -18,9 +18,10 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Field
+from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, upstream_view
 from dcgrid_env.engine.cost.measurement import of_agents
 from dcgrid_env.engine.physics.connections import N_NEIGHBOURS, Placement, distance_in_bands
-from dcgrid_env.engine.physics.dynamics import step_kernels
+from dcgrid_env.engine.physics.dynamics import from_nodes, step_kernels
 from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -30,6 +31,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.scenario import Scenario
 
 _LARGEST_LOADING = 4.0
+_LARGEST_RELAY = 20.0
 
 
 class Seen(NamedTuple):
@@ -44,6 +46,8 @@ class Seen(NamedTuple):
     """Its change over a step."""
     phases_pu: Array
     """Lowest voltages of the agents' phases, then the highest, p.u., (row, 2 n_agent); None on a balanced feeder."""
+    regulators: RegulatorView | None
+    """Figures of the regulators upstream of the agents, (row, n_agent) each; None unless they are observed."""
 
 
 class ObservationField(NamedTuple):
@@ -80,6 +84,10 @@ def _per_q(scenario: Scenario) -> Array:
 
 def _has_phases(scenario: Scenario) -> bool:
     return isinstance(scenario.feeder, ThreePhaseFeeder)
+
+
+def _sees_regulator(scenario: Scenario) -> bool:
+    return scenario.sensing.regulator
 
 
 _IN_BANDS = "(V - 1) / band, 1 is the edge of the band"
@@ -119,6 +127,18 @@ FIELDS = (
         "loading", "loading of the branch that feeds the bus, of its most loaded phase; 0 where it is not known",
         lambda seen: loading_of_agents(seen.state, seen.placed.nodes), lambda _: 1.0, lambda _: (0.0, _LARGEST_LOADING),
         lambda scenario: scenario.sensing.loading,
+    ),
+    ObservationField(
+        "upstream_tap", "tap of the upstream regulator, share of its farthest tap; 0 without such a regulator",
+        attrgetter("regulators.tap"), lambda _: 1.0, lambda _: (-1.0, 1.0), _sees_regulator,
+    ),
+    ObservationField(
+        "upstream_relay", "(relay volts - target) / half band of this regulator; beyond -1 and 1 it is out of band",
+        attrgetter("regulators.relay"), lambda _: 1.0, lambda _: (-_LARGEST_RELAY, _LARGEST_RELAY), _sees_regulator,
+    ),
+    ObservationField(
+        "upstream_timer", "share of its delay that has passed, out of band or since the last tap of a sequence",
+        attrgetter("regulators.timer"), lambda _: 1.0, lambda _: (0.0, 1.0), _sees_regulator,
     ),
 )  # fmt: skip
 """Fields of the grid, in order."""
@@ -300,7 +320,11 @@ def _raw(
     layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)
     v_now, phases = of_agents(scenario, v_measured_pu, placed.nodes)
     v_before, _ = of_agents(scenario, v_before_pu, placed.nodes)
-    seen = Seen(scenario.n_agents, state, placed, v_now - 1.0, v_now - v_before, phases)
+    regulators = None
+    if state.regulator_views is not None:
+        by_node = upstream_view(scenario.feeder, state.regulator_views[0])  # pyright: ignore[reportArgumentType]
+        regulators = RegulatorView(*(from_nodes(figures, placed.nodes) for figures in by_node))
+    seen = Seen(scenario.n_agents, state, placed, v_now - 1.0, v_now - v_before, phases, regulators)
     raw = [of_field(seen) for of_field in layout.raw]
     for i, its_state in enumerate(state.devices):
         if its_state:

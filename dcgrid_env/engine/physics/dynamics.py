@@ -60,7 +60,12 @@ def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, Grid
     before = State(v, v, agents, agents, None, agents, agents, agents, devices, phases)
     state, grid = _step(scenario, params, before, setpoints, agents, exogenous)
     draws = (state.p_kw,) * remembered_draws(scenario) or None
-    return state._replace(v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws), grid
+    views, phases = None, state.three_phase
+    if phases is not None and (kept := feeder_equipment.remembered_reports(scenario)):
+        views = (feeder_equipment.reported(scenario, phases.equipment, state.devices, exogenous.offset_v),) * kept
+    return state._replace(
+        v_last_pu=state.v_pu, v_agent_last_pu=state.v_agent_pu, p_window_kw=draws, regulator_views=views
+    ), grid
 
 
 def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) -> tuple[State, GridStep]:
@@ -133,9 +138,12 @@ def _step(
             loading = xp.where(solved, loading, 0.0 * v if state.loading is None else state.loading)
         if phases is not None:
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
-    device_states = tuple(devices)
+    device_states, views = tuple(devices), state.regulator_views
     if phases is not None:
         device_states = feeder_equipment.with_measurements(scenario, device_states, phases.equipment)
+        if views is not None:
+            report = feeder_equipment.reported(scenario, phases.equipment, device_states, exogenous.offset_v)
+            views = (*views[1:], report)
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
@@ -149,6 +157,7 @@ def _step(
         three_phase=phases,
         p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
         loading=loading,
+        regulator_views=views,
     ), grid
 
 

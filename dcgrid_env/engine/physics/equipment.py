@@ -10,6 +10,7 @@ have settled. Agents of set points choose the bands of relays and the thresholds
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import ceil
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -29,6 +30,7 @@ from dcgrid_env.devices.capacitor_bank.capacitor_control import (
 )
 from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
+from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, regulator_view
 from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_volts, settings_like
 from dcgrid_env.devices.tap_changer.settling import settled_taps
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
@@ -246,9 +248,7 @@ def _set_points(
 ) -> _SetPoints:
     """The set points in force over a step, from the states of the step's devices and from schedules."""
     (regulators, banks), of_banks = equipment, plan.banks
-    band = _band(scenario, plan.regulators, regulators.tap, devices)
-    if offset_v is not None:
-        band = band._replace(target_v=band.target_v + offset_v)
+    band = _band(scenario, plan.regulators, regulators.tap, devices, offset_v)
     if of_banks.setters is None:
         return _SetPoints(band, None)
     state, control = devices[of_banks.setters], scenario.grid_control.capacitor_settings
@@ -257,22 +257,41 @@ def _set_points(
     return _SetPoints(band, Thresholds(on_below_pu, off_above_pu))
 
 
-def _band(scenario: Scenario, group: _Group, tap: Array, devices: Sequence[Any]) -> RelayBand:
-    """The bands of the relays in force over a step, (row, n_regulator)."""
+def _band(
+    scenario: Scenario, group: _Group, tap: Array, devices: Sequence[Any], offset_v: Array | None = None
+) -> RelayBand:
+    """The bands of the relays in force over a step, (row, n_regulator); ``offset_v`` are the offsets by schedules."""
     zero = 0.0 * tap
     target_v, half_band_v = (at_rest + zero for at_rest in (group.settings.target_v, group.settings.half_band_v))
+    if offset_v is not None:
+        target_v = target_v + offset_v
     if group.setters is None:
         return RelayBand(target_v, half_band_v)
     setters: Any = scenario.devices[group.setters]
     state, finite = devices[group.setters], half_band_v < np.inf
-    offset_v = _of_pieces(group, zero, state.offset_v - as_like(setters.parameters.rest_offset_v, tap))
+    chosen_v = _of_pieces(group, zero, state.offset_v - as_like(setters.parameters.rest_offset_v, tap))
     half_v = _of_pieces(group, half_band_v, state.half_band_v)
-    return RelayBand(target_v + offset_v, namespace(tap).where(finite, half_v, half_band_v))
+    return RelayBand(target_v + chosen_v, namespace(tap).where(finite, half_v, half_band_v))
 
 
 def _of_pieces(group: _Group, at_rest: Array, chosen: Array) -> Array:
     """A part of the set points of all pieces, (row, n), that of the setters' pieces as ``chosen`` by these."""
     return take_last(namespace(at_rest).concat((at_rest, chosen), axis=-1), group.setter)
+
+
+def reported(scenario: Scenario, equipment: Equipment, devices: Sequence[Any], offset_v: Array | None) -> RegulatorView:
+    """What is reported of the regulators at the end of a step; arguments as in ``with_controls``."""
+    regulators, group = equipment.regulators, _plan(scenario, equipment.regulators.tap).regulators
+    band = _band(scenario, group, regulators.tap, devices, offset_v)
+    return regulator_view(group.settings, band, regulators)
+
+
+def remembered_reports(scenario: Scenario) -> int:
+    """Number of reports that a state keeps, ``State.regulator_views``; 0 where agents do not observe regulators."""
+    if not scenario.sensing.regulator:
+        return 0
+    steps = ceil((scenario.sensing.regulator_delay_s - SAME_TIME_S) / scenario.dt_s)
+    return 1 + min(max(steps, 0), scenario.horizon)
 
 
 def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None) -> Control:

@@ -10,6 +10,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.capacitor_bank.capacitor_control import BankState
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
+from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState
 
 if TYPE_CHECKING:
@@ -127,6 +128,9 @@ class State(NamedTuple):
     loading: Array | None = None
     """Current of the branch that feeds each node as a share of its rating, (row, n_node), 0 where that is not known;
     None for a feeder without ratings."""
+    regulator_views: tuple[RegulatorView, ...] | None = None
+    """What is reported of the feeder's regulators, the report that agents observe now first, and the last step's
+    last; None where agents do not observe them."""
 
     def __getattr__(self, name: str) -> Any:
         return field_of_devices(self.devices, name)

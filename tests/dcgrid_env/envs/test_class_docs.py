@@ -123,9 +123,15 @@ def test_what_further_devices_add_is_what_the_table_lists():
     assert terms(make_scenario("ieee13-3ph")) - terms(before) == row("three-phase feeder")[2]
 
 
+def test_what_observed_regulators_add_is_what_the_table_lists():
+    before = make_scenario("ieee13-3ph")
+    assert added(before.replace(sensing={"regulator": True}), before) == row("sensing.regulator")
+
+
 def test_every_feature_has_a_test():
     equipment = ("tap_changer", "capacitor_bank", "regulator_setpoint", "capacitor_setpoint")
-    tested = {"three-phase feeder", "device storage", *(f"device {kind}" for kind in equipment), *SETTINGS}
+    further = {"device storage", *(f"device {kind}" for kind in equipment)}
+    tested = {"three-phase feeder", "sensing.regulator", *further, *SETTINGS}
     assert {feature for feature, *_ in FEATURES} == tested
 
 
