@@ -3,10 +3,10 @@
 `python -m docs.studies.relays` replays episodes of three presets and loads that jump, in OpenDSS (``controlmode=time``,
 steps of a second) and with ``timer="reset"``. It needs the extra ``bench`` or ``test``.
 
-OpenDSS queues an action for each tap. It cannot take back the action that it queued after a tap of a sequence: the
-action stays when the volts return into band, and a regulator can then have two sequences at once, with taps closer
-together than ``tapdelay``. And it ends a sequence where the volts before a tap lacked less than 1.5 taps, whatever they
-are afterwards. ``queued_taps`` repeats this with our power flow and agrees on every tap. Our regulators have one drive
+OpenDSS queues an action for each tap. It cannot take back the action that it queued after a tap of a sequence. The
+action stays when the volts return into band. A regulator can then have two sequences at once, with taps closer together
+than ``tapdelay``. And it ends a sequence if the volts before a tap lacked less than 1.5 taps, whatever they are
+afterwards. ``queued_taps`` repeats this with our power flow and agrees on every tap. Our regulators have one drive
 each and go by what they measure, so they differ from OpenDSS after such moments.
 """
 
@@ -155,7 +155,7 @@ def opendss_taps(feeder: ThreePhaseFeeder, p_kw: np.ndarray, q_kvar: np.ndarray)
 
 
 def in_both(some: Taps, others: Taps) -> int:
-    """How many taps are in both lists."""
+    """Count the taps that are in both lists."""
     return sum((Counter(some) & Counter(others)).values())
 
 
