@@ -1,6 +1,6 @@
 """Controllers that are not learned, written on the public interface only."""
 
-from dcgrid_env.baselines.controller import Controller, Local, LocalController, NeedsPlacement
+from dcgrid_env.baselines.controller import Controller, Local, LocalController, NeedsPlacement, NeedsRegulators
 from dcgrid_env.baselines.hindsight_costs import Published, published
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
@@ -42,6 +42,7 @@ __all__ = [
     "ModelAided",
     "Mpc",
     "NeedsPlacement",
+    "NeedsRegulators",
     "NoControl",
     "PeakShaving",
     "PlacementRule",

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env import RegulatorState, Scenario, action_layout, field_names
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents, at_rest
 
 
@@ -37,6 +37,18 @@ class NeedsPlacement(Protocol):
 
     def place(self, buses: np.ndarray) -> None:
         """Set the agents' buses, positions in ``bus_ids``, (row, n_agent); called between ``reset`` and ``act``."""
+        ...
+
+
+@runtime_checkable
+class NeedsRegulators(Protocol):
+    """Interface of a controller that also needs measurements of a three-phase feeder's regulators, as utilities have.
+
+    They are ``env.transition.state.three_phase.equipment.regulators`` of an environment.
+    """
+
+    def measure(self, regulators: RegulatorState) -> None:
+        """Receive taps, relay volts and timers of all regulators, each (row, n_regulator); called before ``act``."""
         ...
 
 

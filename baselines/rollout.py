@@ -18,7 +18,7 @@ from dcgrid_env import (
     Scenario,
     StreamingRecorder,
 )
-from dcgrid_env.baselines.controller import Controller, NeedsPlacement
+from dcgrid_env.baselines.controller import Controller, NeedsPlacement, NeedsRegulators
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
 
 AnyRecorder = TypeVar("AnyRecorder", Recorder, StreamingRecorder)
@@ -32,7 +32,7 @@ class ControllerError(OwnCodeError):
     name
         Name of the controller.
     during
-        Method that failed: ``reset``, ``place`` or ``act``.
+        Method that failed: ``reset``, ``place``, ``measure`` or ``act``.
     cause
         The exception.
     refuses
@@ -65,7 +65,7 @@ def rollout(
         Scenario to run; its split determines the episode of each seed.
     controller
         Controller to run. It is reset once and receives the agents' buses if it is :class:`NeedsPlacement`. Then
-        ``act`` is called at each step.
+        ``act`` is called at each step, after ``measure`` if the controller is :class:`NeedsRegulators`.
     seeds
         Seeds of the episodes, one environment each.
     on_step
@@ -196,6 +196,9 @@ def transitions(
     try:
         yield env.transition
         while True:
+            phases = env.transition.state.three_phase
+            if isinstance(controller, NeedsRegulators) and phases is not None:
+                _asked(called, "measure", controller.measure, phases.equipment.regulators)
             action = _asked(called, "act", action_of, controller, observations)
             try:
                 observations, *_ = env.step(action)

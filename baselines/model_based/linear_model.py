@@ -118,9 +118,11 @@ class ModelController(LocalController):
         self._limit_at = np.cumsum([0, *widths])[:-1] + names[s.agents[0]].index("q_limit")
         self._bus_at = np.arange(widths[0] - len(s.feeder.load_nodes), widths[0])
         self._slopes: Slopes | None = None
+        self._fixed_buses: np.ndarray | None = None
         if s.datacenters.buses is not None or not s.datacenters.count:
             fixed = (*(s.datacenters.buses or ()), *s.inverters.buses)
-            self._slopes = slopes(s, np.array([[s.feeder.index(bus) for bus in fixed]]))
+            self._fixed_buses = np.array([[s.feeder.index(bus) for bus in fixed]])
+            self._slopes = slopes(s, self._fixed_buses)
         self._gain = _gain(s)
         self._past: list[np.ndarray] = []
         self._v_smooth_pu: np.ndarray | None = None

@@ -7,9 +7,10 @@
               low <= d <= high,  |q| <= q_high,  (base_k + d)^2 + q^2 <= s_rated^2
 
 the benchmark's own cost (see ``engine.cost.reward``). If the cost has a voltage profile, the first term is w_v mean
-max(|e_k - target| - uncharged, 0). Powers are shares of a device's own size throughout. It is solved for all rows at
-once by ADMM (S. Boyd, N. Parikh, E. Chu, B. Peleato, J. Eckstein, "Distributed optimization and statistical learning
-via the alternating direction method of multipliers", 2011), split as
+max(|e_k - target| - uncharged, 0). Entries of e that are limits cost a price times max(e_k, 0) instead. Powers are
+shares of a device's own size throughout. It is solved for all rows at once by ADMM (S. Boyd, N. Parikh, E. Chu, B.
+Peleato, J. Eckstein, "Distributed optimization and statistical learning via the alternating direction method of
+multipliers", 2011), split as
 
     e = offset + slopes x,   y = x,   b = work - cumulated d
 
@@ -26,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+_FAR = 1e9  # beyond all deviations
 RELAXATION = 1.6
 """Over-relaxation of ADMM (Boyd et al., section 3.4.3)."""
 
@@ -60,6 +62,10 @@ class Program(NamedTuple):
     """Target of each bus less 1 p.u., (m,), which the deviation is charged from; None for 0."""
     uncharged_pu: float = 0.0
     """Half the width of the band around the targets in which no deviation is charged."""
+    n_limits: int = 0
+    """Number of limits: the last entries m of ``offset`` and ``slopes`` cost only what they are above 0."""
+    beyond_limit: float = 0.0
+    """Price of what is above 0 there."""
 
 
 class Iterate(NamedTuple):
@@ -114,7 +120,7 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
         for values in (system.w_y, system.w_b, system.over_time, system.inverse, system.sites, system.share)
     ]
     by, by_more = p.voltage / system.w_e, p.violation / system.w_e
-    kinks = _kinks(p, by, by_more)
+    kinks = _kinks(p, by, by_more, p.beyond_limit / system.w_e)
 
     def part(first: int, last: int) -> int:
         return kernel(
@@ -125,22 +131,37 @@ def solve(program: Program, start: Iterate | None, rounds: int) -> Iterate:
     return done
 
 
-def _kinks(p: Program, by: float, by_more: float) -> tuple[np.ndarray, np.ndarray]:
+def _kinks(p: Program, by: float, by_more: float, beyond: float) -> tuple[np.ndarray, np.ndarray]:
     """Kinks of the cost of each bus's deviation in their order, and the rise of its slope there, (m, 4) each.
 
-    Without targets, (0, 4) each: the kernel knows that cost.
+    Without targets and limits, (0, 4) each: the kernel knows that cost.
     """
-    if p.target is None:
+    if p.target is None and not p.n_limits:
         return np.empty((0, 4)), np.empty((0, 4))
-    edge = np.full(len(p.target), p.band_pu)
-    kinks = np.stack((p.target - p.uncharged_pu, p.target + p.uncharged_pu, -edge, edge), axis=1)
+    m = p.offset.shape[-1] - p.n_limits
+    target, edge = np.zeros(m) if p.target is None else p.target, np.full(m, p.band_pu)
+    kinks = np.stack((target - p.uncharged_pu, target + p.uncharged_pu, -edge, edge), axis=1)
     order = np.argsort(kinks, axis=1)
-    return np.take_along_axis(kinks, order, axis=1), np.array([by, by, by_more, by_more])[order]
+    # The kernel begins at the steepest fall of a voltage's cost, which a limit's ends at once.
+    kinks, rises = np.take_along_axis(kinks, order, axis=1), np.array([by, by, by_more, by_more])[order]
+    of_limits = np.tile([-_FAR, 0.0, _FAR, _FAR], (p.n_limits, 1))
+    rises_there = np.tile([by + by_more, beyond, 0.0, 0.0], (p.n_limits, 1))
+    return np.concatenate((kinks, of_limits)), np.concatenate((rises, rises_there))
 
 
 def moved_on(iterate: Iterate) -> Iterate:
     """The iterate one step later; the last step stays as it was."""
     return Iterate(*(np.concatenate((part[:, 1:], part[:, -1:]), axis=1) for part in iterate))
+
+
+def restarted(program: Program, iterate: Iterate) -> Iterate:
+    """The iterate with the limits of another program: they begin from what it has, and without a multiplier."""
+    if not program.n_limits:
+        return iterate
+    e, u_e, last = iterate.e.copy(), iterate.u_e.copy(), slice(-program.n_limits, None)
+    e[..., last] = program.offset[..., last] + np.matmul(iterate.y, program.slopes[..., last])
+    u_e[..., last] = np.where(e[..., last] < 0.0, 0.0, u_e[..., last])
+    return iterate._replace(e=e, u_e=u_e)
 
 
 def _begin(program: Program) -> Iterate:

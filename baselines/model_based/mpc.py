@@ -12,6 +12,9 @@ work at the end of the horizon is charged like leftover work at the end of an ep
 always defer work. With a horizon of one step it is one-step control, which knows all that it needs if p_ref is
 observed. (J. B. Rawlings, D. Q. Mayne, M. Diehl, "Model predictive control: theory, computation, and design", 2017.)
 
+Where regulators' built-in controls act within steps (``timer`` other than ``per_step``), ``tap_plan`` adds demands on
+their relays to the first step. It requires taps, relay volts and timers, which ``measure`` receives before each step.
+
 The price of what is left does most of it. J on the validation split of ieee33-weak (hindsight 2.674), 20 episodes, and
 10 under two other loads; 14 s is when the default load's autocorrelation has fallen to some 0.3:
 
@@ -28,9 +31,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from dcgrid_env import Scenario, voltage_targets
+from dcgrid_env import RegulatorState, Scenario, acting_relays, voltage_targets
 from dcgrid_env.baselines.model_based.linear_model import Estimate, ModelController
-from dcgrid_env.baselines.model_based.lookahead import Iterate, Program, moved_on, solve
+from dcgrid_env.baselines.model_based.lookahead import Iterate, Program, moved_on, restarted, solve
+from dcgrid_env.baselines.model_based.relay_model import relay_model
+from dcgrid_env.baselines.model_based.tap_plan import Demands, Outlook, TapPlan
 
 _SETTLED = 1e-3  # share of a site's dynamic power by which the solver's work served may fall short of all there is
 
@@ -78,15 +83,43 @@ class Mpc(ModelController):
         self._solution: Iterate | None = None
         self._drawn_kw: np.ndarray | float = 0.0
         self._drawn_steps = 0
+        # Regulators that are agents do not follow their built-in control.
+        timer = s.grid_control.regulator_settings.timer
+        self._relays = None if timer == "per_step" else acting_relays(env_info)
+        self._regulators: RegulatorState | None = None
+        self._steps_left = s.horizon
+        self._taps = None if self._fixed_buses is None else self._tap_plan(self._fixed_buses)
+
+    def place(self, buses: np.ndarray) -> None:
+        """See :class:`NeedsPlacement`."""
+        super().place(buses)
+        self._taps = self._tap_plan(np.asarray(buses)[:, self._equipment.is_other])
+
+    def measure(self, regulators: RegulatorState) -> None:
+        """See :class:`NeedsRegulators`."""
+        self._regulators = regulators
+
+    def _tap_plan(self, buses: np.ndarray) -> TapPlan | None:
+        """The plan of taps where built-in controls act within steps, for agents at these positions of ``bus_ids``."""
+        if self._relays is None:
+            return None
+        if (buses == buses[:1]).all():
+            buses = buses[:1]
+        is_integrating = self.scenario.grid_control.regulator_settings.timer == "integrating"
+        return TapPlan(relay_model(self.scenario, self._relays, buses), self.scenario.dt_s, is_integrating)
 
     def plan(self, now: Estimate) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`ModelController`."""
         s, dc, n_dc = self.scenario, self.scenario.datacenters.parameters, self.scenario.datacenters.count
         p_ref_kw = self._forecast(now)
         program = self._program(now, p_ref_kw)
-        start = None if self._solution is None else moved_on(self._solution)
+        if self._taps is not None:
+            program = self._with_taps(program, self._taps, now, p_ref_kw[:, 0])
+        start = None if self._solution is None else restarted(program, moved_on(self._solution))
         self._solution = solve(program, start, self.rounds)
         first = self._solution.y[:, 0]
+        if self._taps is not None:
+            self._taps.expect(first[:, n_dc:] * self._size)
         ceiling = np.maximum(1.0, (p_ref_kw[:, 0] - dc.p_idle_kw) / self._size[:n_dc])
         # Where all work is to be served the clock may as well be at its top: more may come than was forecast.
         served = first[:, :n_dc]
@@ -94,6 +127,38 @@ class Mpc(ModelController):
         return np.clip(share * s.datacenters.f_max_mhz, s.datacenters.f_min_mhz, s.datacenters.f_max_mhz), first[
             :, n_dc:
         ] * self._size
+
+    def _with_taps(self, program: Program, plan: TapPlan, now: Estimate, p_ref_kw: np.ndarray) -> Program:
+        """The program with the taps of the coming step, and the demands on relays there; work does not wait."""
+        if self._regulators is None:
+            raise ValueError(
+                f"{self.name}: the regulators were not measured; call measure(regulators) with a RegulatorState "
+                "before each act"
+            )
+        local, n_dc, n_row = now.local, self.scenario.datacenters.count, len(p_ref_kw)
+        size, size_kvar = self._size[:n_dc], self._size[:, None]
+        measured_v = self._regulators.relay_v[:, plan.model.relays.rows]
+        without_q_v = measured_v - np.matmul(local.q_kvar[:, None], plan.model.by_q)[:, 0]
+        outlooks = []
+        for drawn_kw in (self._drawn_kw / self._drawn_steps, np.minimum(p_ref_kw, program.s_rated[:, 0] * size)):
+            served = np.maximum(drawn_kw / size - program.base[:, 0], 0.0)
+            change_kw = (program.base[:, 0] + served) * size - local.p_kw[:, :n_dc]
+            deviation_pu = program.offset[:, 0] + np.matmul(served[:, None], program.slopes[:, :n_dc])[:, 0]
+            relay_v = without_q_v + np.matmul(change_kw[:, None], plan.model.by_p[:, :n_dc])[:, 0]
+            outlooks.append(Outlook(deviation_pu, relay_v))
+        usual, coming = outlooks
+        room = np.sqrt(np.maximum(program.s_rated[:, 0] ** 2 - (program.base[:, 0] + served) ** 2, 0.0))
+        q_high = np.concatenate((np.minimum(program.q_high[:, :n_dc], room), program.q_high[:, n_dc:]), axis=1)
+        by_q = plan.model.by_q * size_kvar
+        reactive = plan.limited(program._replace(slopes=program.slopes[:, n_dc:], q_high=q_high), by_q)
+        choice = plan.choose(reactive, usual, coming, self._regulators, self._steps_left)
+        self._regulators, self._steps_left = None, max(self._steps_left - 1, 1)
+        anything = np.full((n_row, self.horizon - 1, choice.taps.shape[-1]), np.inf)
+        low, high = (side[:, None] for side in choice.demands)
+        demands = Demands(np.concatenate((low, -anything), axis=1), np.concatenate((high, anything), axis=1))
+        moved_pu = program.offset + (choice.taps @ plan.model.v_by_tap)[:, None]
+        limited = plan.limited(program, np.concatenate((0.0 * plan.model.by_p[:, :n_dc], by_q), axis=1))
+        return limited._replace(offset=plan.offset(moved_pu, coming.relay_v[:, None], demands))
 
     def _forecast(self, now: Estimate) -> np.ndarray:
         """p_ref of the steps ahead, kW, (row, step, n_dc)."""

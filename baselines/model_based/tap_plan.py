@@ -1,0 +1,243 @@
+"""Plan the taps that regulators' built-in controls make, and the relay volts that lead to them.
+
+A control moves its tap if its relay is out of band when its delay ends (``timed_taps``). In each step a relay is
+
+- free if its delay does not end in this step;
+- held in band if its delay ends and its tap is to stay;
+- pushed out of band on the side of a useful tap, while its delay runs and when it ends.
+
+Held and pushed relays have a demand on their volts in the coming step, with a margin for the error of the prediction.
+
+Targets of the taps come from a local search, one tap of one regulator in each step, for the least long-run cost
+
+    c(taps) = (1 - s) c_free(taps) + s c_held(taps) + a price for each tap away from the present ones
+
+A relay that is otherwise out of band is held in the share s of all steps. It is one step per delay for a timer that
+resets, and half of all steps for one that integrates. A step of a push is worth the gain of the taps until the end
+of the episode, divided by the steps that they take. The candidates for the coming step are the last choice, that choice
+with one relay changed, and all relays in the same mode. The plan takes the candidate with the least cost of the step
+plus the expected later cost of its taps. All costs are optima of one-step programs over reactive power. ``lookahead``
+solves them together, with candidates in the place of steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env import RegulatorState
+from dcgrid_env.baselines.model_based.lookahead import Iterate, Program, restarted, solve
+from dcgrid_env.baselines.model_based.relay_model import RelayModel
+
+MARGIN = 2.0
+"""Margin of a demand, as a multiple of the root mean square error of the prediction so far."""
+TAP_PRICE = 0.02
+"""Share of the cost of a step that each tap has to save in the long run: gains change with the load."""
+_DEMAND_PRICE = 20.0  # cost of a volt off a demand in a program
+_LONG_RUN_PRICE = 1.0  # the same in the long run, where a tap follows, which is not as bad
+_PER_VOLT = 0.1  # a volt in the units of the program, in which voltages are per unit
+_ROUNDS = 60  # of the solver in each step
+_NO_LIMIT = -1.0  # offset of a limit that does not apply
+_FIRST_ERROR_V, _FIRST_COUNT = 0.1, 5.0  # error assumed before there are measurements, and its weight
+_SAME_TIME_S = 1e-6
+_FREE, _PUSHED, _HELD = 0.0, 1.0, -1.0
+
+
+class Outlook(NamedTuple):
+    """A step without reactive power."""
+
+    deviation_pu: np.ndarray
+    """Voltages less 1 p.u., (row, n_load_node)."""
+    relay_v: np.ndarray
+    """Relay volts, (row, R)."""
+
+
+class Demands(NamedTuple):
+    """Lowest and highest relay volts that a step is to have, infinite where any are allowed, (row, .., R)."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+
+class Choice(NamedTuple):
+    """Demands on the coming step."""
+
+    demands: Demands
+    taps: np.ndarray
+    """Taps that are made at its beginning if these are met, (row, R)."""
+
+
+class _LongRun(NamedTuple):
+    """What taps save or cost in each step, (row, R)."""
+
+    gain: np.ndarray
+    """Saved by each regulator's taps up to its target."""
+    up: np.ndarray
+    """Cost of a tap up."""
+    down: np.ndarray
+
+
+class TapPlan:
+    """The plan for the regulators of a batch of environments over an episode.
+
+    Parameters
+    ----------
+    model
+        The relays' model.
+    dt_s
+        Length of a step, s.
+    integrating
+        Whether timers count down in band.
+    """
+
+    def __init__(self, model: RelayModel, dt_s: float, integrating: bool) -> None:
+        self.model, self._dt_s = model, dt_s
+        relays, rows = model.relays, model.relays.rows
+        self._delay_s, self._tap_delay_s = relays.settings.delay_s[rows], relays.settings.tap_delay_s[rows]
+        self._lowest, self._highest = relays.settings.lowest[rows], relays.settings.highest[rows]
+        self._held_share = 0.5 if integrating else dt_s / max(self._delay_s.min(), 2.0 * dt_s)
+        self._target: np.ndarray | None = None
+        self._mode: np.ndarray | None = None
+        self._expected_v: np.ndarray | None = None
+        self._runs: Iterate | None = None
+        self._steps: Iterate | None = None
+
+    def limited(self, program: Program, slopes: np.ndarray) -> Program:
+        """The program with limits for the relays, whose volts have these slopes by its unknowns, (row, n, R)."""
+        both = _PER_VOLT * np.concatenate((slopes, -slopes), axis=-1)
+        both = np.broadcast_to(both, (len(program.slopes), *both.shape[1:]))
+        return program._replace(
+            slopes=np.concatenate((program.slopes, both), axis=-1),
+            n_limits=both.shape[-1],
+            beyond_limit=_DEMAND_PRICE / _PER_VOLT,
+        )
+
+    def offset(self, deviation_pu: np.ndarray, relay_v: np.ndarray, demands: Demands) -> np.ndarray:
+        """Offsets of a limited program from those of the voltages and the relay volts, (row, step, m + 2 R)."""
+        beyond = np.concatenate((relay_v - demands.high, demands.low - relay_v), axis=-1)
+        limits = np.where(np.isfinite(beyond), _PER_VOLT * beyond, _NO_LIMIT)
+        lead = np.broadcast_shapes(deviation_pu.shape[:-1], limits.shape[:-1])
+        both = (np.broadcast_to(part, (*lead, part.shape[-1])) for part in (deviation_pu, limits))
+        return np.concatenate(tuple(both), axis=-1)
+
+    def choose(
+        self, program: Program, usual: Outlook, coming: Outlook, regulators: RegulatorState, steps_left: int
+    ) -> Choice:
+        """Choose the demands on the coming step.
+
+        Parameters
+        ----------
+        program
+            Limited program whose unknowns are the reactive powers; its offsets do not matter.
+        usual, coming
+            A step with the usual draws of the sites, and the coming one.
+        regulators
+            All regulators of the feeder, as measured.
+        steps_left
+            Steps until the end of the episode.
+        """
+        rows = self.model.relays.rows
+        tap, in_sequence = regulators.tap[:, rows], regulators.in_sequence[:, rows] > 0.0
+        self._measure_error(tap, regulators.relay_v[:, rows])
+        self._target = tap if self._target is None else self._target
+        long_run = self._search(program, usual, tap)
+        wanted, far = np.sign(self._target - tap), np.abs(self._target - tap)
+        left_s = np.where(in_sequence, self._tap_delay_s, self._delay_s) - regulators.out_of_band_s[:, rows]
+        due = left_s < self._dt_s - _SAME_TIME_S
+        wait = np.where(in_sequence, 0.0, np.maximum(np.ceil(left_s / self._dt_s - _SAME_TIME_S), 0.0))
+        worth = long_run.gain * np.maximum(steps_left - wait - far + 1.0, 0.0) / np.maximum(wait + far, 1.0)
+        # After a tap the delay runs in any case.
+        modes = self._candidates(due, (wanted != 0.0) & (due | ~in_sequence))
+        demands = self._demands(modes, wanted[:, None], tap[:, None])
+        offset = self.offset(coming.deviation_pu[:, None], coming.relay_v[:, None], demands)
+        cost, self._steps = self._solved(program, offset, self._steps)
+        slopes = program.slopes[..., -program.n_limits : -len(rows)] / _PER_VOLT
+        up, down = self._likelihoods(coming.relay_v[:, None] + np.matmul(self._steps.y, slopes), tap[:, None])
+        if_due = steps_left * (up * long_run.up[:, None] + down * long_run.down[:, None])
+        if_not = -worth[:, None] * np.where(wanted[:, None] > 0.0, up, down) * (modes == _PUSHED)
+        best = (cost + np.where(due[:, None], if_due, if_not).sum(axis=-1)).argmin(axis=1)
+        row = np.arange(len(tap))
+        self._mode, self._coming_v = modes[row, best], coming.relay_v
+        chosen = Demands(demands.low[row, best], demands.high[row, best])
+        return Choice(chosen, np.where(due & (self._mode == _PUSHED), wanted, 0.0))
+
+    def expect(self, q_kvar: np.ndarray) -> None:
+        """Keep the relay volts that are expected with the reactive powers that were decided, (row, n_agent)."""
+        self._expected_v = self._coming_v + np.matmul(q_kvar[:, None], self.model.by_q)[:, 0]
+
+    def _measure_error(self, tap: np.ndarray, relay_v: np.ndarray) -> None:
+        """Take the error of the prediction from the steps without a tap so far."""
+        if self._expected_v is None:
+            self._squares, self._count = np.full_like(tap, _FIRST_COUNT * _FIRST_ERROR_V**2), _FIRST_COUNT
+        else:
+            stayed = (tap == self._tap).all(axis=1, keepdims=True)
+            self._squares = self._squares + np.where(stayed, (relay_v - self._expected_v) ** 2, 0.0)
+            self._count = self._count + stayed
+        self._tap, self._error_v = tap, np.sqrt(self._squares / self._count)
+
+    def _demands(self, modes: np.ndarray, wanted: np.ndarray | float, tap: np.ndarray) -> Demands:
+        """Demands on relays in these modes, at these taps, (row, k, R)."""
+        margin = MARGIN * self._error_v[:, None]
+        low, high = self.model.relays.band_volts
+        rest_low, rest_high = self.model.relays.rest_volts(tap)
+        held, pushed = modes == _HELD, modes == _PUSHED
+        return Demands(
+            np.where(held, rest_low + margin, np.where(pushed & (wanted < 0.0), high + margin, -np.inf)),
+            np.where(held, rest_high - margin, np.where(pushed & (wanted > 0.0), low - margin, np.inf)),
+        )
+
+    def _candidates(self, due: np.ndarray, useful: np.ndarray) -> np.ndarray:
+        """Modes of the relays in each candidate, (row, k, R); a push only where it is ``useful``."""
+        n = due.shape[-1]
+        last = np.full(due.shape, _HELD) if self._mode is None else self._mode
+        changed = [np.where(np.eye(n, dtype=bool), mode, last[:, None]) for mode in (_FREE, _PUSHED, _HELD)]
+        alike = np.broadcast_to(np.array([_FREE, _PUSHED, _HELD])[:, None], (len(due), 3, n))
+        modes = np.concatenate((last[:, None], *changed, alike), axis=1)
+        modes = np.where((modes == _PUSHED) & ~useful[:, None], _HELD, modes)
+        return np.where((modes == _HELD) & ~due[:, None], _FREE, modes)
+
+    def _search(self, program: Program, usual: Outlook, tap: np.ndarray) -> _LongRun:
+        """Move the targets to the best of their neighbours."""
+        assert self._target is not None
+        at, one, now = self._target[:, None], np.eye(tap.shape[-1]), tap[:, None]
+        taps = np.concatenate((now, at, at + one, at - one), axis=1)
+        change = taps - now
+        deviation_pu = usual.deviation_pu[:, None] + change @ self.model.v_by_tap
+        relay_v = usual.relay_v[:, None] + change @ self.model.by_tap
+        demands = (self._demands(np.full_like(taps, mode), 0.0, taps) for mode in (_FREE, _HELD))
+        offset = np.concatenate([self.offset(deviation_pu, relay_v, demand) for demand in demands], axis=1)
+        cost, self._runs = self._solved(program, offset, self._runs, _LONG_RUN_PRICE)
+        free, held = np.split(cost, 2, axis=1)
+        cost = free + self._held_share * (held - free)
+        cost += TAP_PRICE * np.abs(cost[:, :1]) * np.abs(change).sum(axis=-1)
+        inside = ((taps >= self._lowest) & (taps <= self._highest)).all(axis=-1)
+        best, row = np.where(inside, cost, np.inf).argmin(axis=1), np.arange(len(tap))
+        self._target = taps[row, best]
+        moves = self._target - tap
+        each = (cost[:, 0] - cost[row, best])[:, None] / np.maximum(np.abs(moves).sum(axis=1, keepdims=True), 1.0)
+        up, down = np.split(cost[:, 2:] - cost[:, 1:2], 2, axis=1)
+        return _LongRun(each * np.abs(moves), np.where(moves > 0.0, -each, up), np.where(moves < 0.0, -each, down))
+
+    def _likelihoods(self, relay_v: np.ndarray, tap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Likelihood that relays with these expected volts ask for a tap up, and for one down."""
+        low, high = self.model.relays.rest_volts(tap)
+        sides = (beyond / self._error_v[:, None] for beyond in (low - relay_v, relay_v - high))
+        up, down = (0.5 + 0.5 * np.tanh(0.85 * side) for side in sides)  # the normal distribution to within 0.01
+        return up, down
+
+    def _solved(
+        self, program: Program, offset: np.ndarray, start: Iterate | None, demand_price: float = 0.0
+    ) -> tuple[np.ndarray, Iterate]:
+        """Cost of each candidate (row, k) with its offsets, and the solver's iterate."""
+        none = np.zeros((*offset.shape[:2], 0))
+        candidates = program._replace(
+            offset=offset, base=none, low=none, high=none, s_rated=none, work=none, price=none[0]
+        )
+        found = solve(candidates, None if start is None else restarted(candidates, start), _ROUNDS)
+        v_pu, beyond = np.split(offset + np.matmul(found.y, program.slopes), [-program.n_limits], axis=-1)
+        apart = np.abs(v_pu if program.target is None else v_pu - program.target) - program.uncharged_pu
+        cost = program.voltage * np.maximum(apart, 0.0).sum(axis=-1)
+        cost += program.violation * np.maximum(np.abs(v_pu) - program.band_pu, 0.0).sum(axis=-1)
+        cost += np.abs(found.y) @ program.effort
+        return cost + demand_price / _PER_VOLT * np.maximum(beyond, 0.0).sum(axis=-1), found
