@@ -12,12 +12,14 @@ from matplotlib.ticker import MaxNLocator
 
 from dcgrid_env.engine.physics.acting_relays import ActingRelays, acting_relays
 from dcgrid_env.engine.record.episode_record import Series
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.rendering.equipment_labels import banks_of
 from dcgrid_env.rendering.feeder_map import agent_colour
 from dcgrid_env.rendering.history import node_words
 from dcgrid_env.rendering.phase_curves import TAP_STYLES, UNBALANCE, phases_of_feeder, tap_looks
 from dcgrid_env.rendering.replay_course import agent_figures, p_ref_kw
+from dcgrid_env.scenario.grid_control import regulator_deciders
 from dcgrid_env.scenario.scenario import Scenario
 
 _SMALL: dict[str, Any] = {"fontsize": 8, "frameon": False}
@@ -82,7 +84,7 @@ def phase_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
     if any(np.ptp(run.three_phase.equipment.regulators.tap, axis=0).any() for run in runs):
         rows.append(_taps(feeder))
         relays = acting_relays(scenario)
-        if relays is not None and not scenario.grid_control.regulator_settings.has_schedules:
+        if relays is not None and not _set_points_move(scenario):
             rows.append(_relays(feeder, relays))
     return rows
 
@@ -208,6 +210,13 @@ def _unbalance(feeder: Any) -> Row:
             ax.legend(loc="upper right", ncols=2, **_SMALL)
 
     return Row("V2 / V1 (%)", 1.5, draw, finish)
+
+
+def _set_points_move(scenario: Scenario) -> bool:
+    """Whether set points of regulators change in an episode, by agents or a schedule."""
+    control, feeder = scenario.grid_control, scenario.feeder
+    by_agents = isinstance(feeder, ThreePhaseFeeder) and "setpoint" in regulator_deciders(control, feeder)
+    return by_agents or control.regulator_settings.has_schedules
 
 
 def _relays(feeder: Any, relays: ActingRelays) -> Row:

@@ -78,13 +78,15 @@ class BankControl:
 def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> ActingRelays | None:
     """Return the relays of the regulators that the given decider controls; None without such regulators.
 
-    The default decider is the built-in control.
+    The default decider is the built-in control, also where agents choose its set points. The settings have the default
+    set points.
     """
     feeder = scenario.feeder
     if not isinstance(feeder, ThreePhaseFeeder):
         return None
     deciders = regulator_deciders(scenario.grid_control, feeder)
-    rows = np.array([row for row, of_row in enumerate(deciders) if of_row == decider], np.int64)
+    alike = ("controlled", "setpoint") if decider == "controlled" else (decider,)
+    rows = np.array([row for row, of_row in enumerate(deciders) if of_row in alike], np.int64)
     if not len(rows):
         return None
     settings = scenario_relays(scenario)

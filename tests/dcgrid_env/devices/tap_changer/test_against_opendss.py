@@ -45,8 +45,10 @@ def test_preset_episodes_have_opendss_taps_at_its_seconds():
 @pytest.mark.parametrize("name", FEEDERS)
 def test_the_step_length_does_not_move_a_tap(name, timer):
     """Loads that are constant over ten seconds; the taps and timers at the end of each ten."""
-    loads = [np.concatenate((a[:1], np.repeat(a[1::10], 10, axis=0))) for a in moving_loads(load_feeder(name), 1)]
-    (of_seconds, end), *others = (engine_taps(name, *loads, dt_s, timer) for dt_s in (1, 2, 5, 10))
+    p_kw, q_kvar = (
+        np.concatenate((a[:1], np.repeat(a[1::10], 10, axis=0))) for a in moving_loads(load_feeder(name), 1)
+    )
+    (of_seconds, end), *others = (engine_taps(name, p_kw, q_kvar, dt_s, timer) for dt_s in (1, 2, 5, 10))
     assert len(of_seconds) > 10
     for taps, other_end in others:
         last = {(second - 1) // 10 * 100 + i: tap for second, i, tap in of_seconds}

@@ -1,5 +1,7 @@
 """Offsets of set points by regulator or bank, and daily schedules."""
 
+from typing import Any
+
 import numpy as np
 
 from dcgrid_env import load_feeder
@@ -7,7 +9,8 @@ from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 
 TABLE = load_feeder("ieee123-3ph").network.regulator
 """creg1a, creg2a, creg3a, creg4a, creg3c, creg4b, creg4c of the banks reg1a, reg2, reg3 and reg4."""
-SETTINGS = RegulatorControl(timer="reset", offset_v={"reg2": [[6, 1.5], [22.0, -0.5]], "reg4": 2.0, "creg4b": -1.0})
+OFFSETS: Any = {"reg2": [[6, 1.5], [22.0, -0.5]], "reg4": 2.0, "creg4b": -1.0}
+SETTINGS = RegulatorControl(timer="reset", offset_v=OFFSETS)
 
 
 def test_an_entry_applies_from_its_hour_until_the_next_and_over_midnight():

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -137,8 +138,10 @@ def test_offsets_of_banks_move_what_their_relays_hold():
     offset_v = [-4.2 if name == "creg4b" else -4.0 if name.startswith("creg4") else 0.0 for name in table.name]
     expected = before.target_v + np.array(offset_v)
     np.testing.assert_array_equal(scenario_relays(shifted).target_v, expected)
-    state = Simulation(shifted, 1).reset([0]).state.three_phase.equipment.regulators
-    np.testing.assert_allclose(state.relay_v[0], expected, rtol=0.0, atol=before.half_band_v.max())
+    state: Any = Simulation(shifted, 1).reset([0]).state
+    np.testing.assert_allclose(
+        state.three_phase.equipment.regulators.relay_v[0], expected, rtol=0.0, atol=before.half_band_v.max()
+    )
 
 
 @pytest.mark.parametrize(

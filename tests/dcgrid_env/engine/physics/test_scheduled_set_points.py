@@ -20,7 +20,7 @@ def scheduled(start_hour: Any, schedule: Any, **overrides: Any) -> Any:
 
 def play(scenario, seeds, steps):
     simulation = Simulation(scenario, len(seeds))
-    transitions = [simulation.reset(seeds)]
+    transitions: list[Any] = [simulation.reset(seeds)]
     for _ in range(steps):
         transitions.append(simulation.step(np.tile(at_rest(scenario), (len(seeds), 1))))
     return np.array([t.state.three_phase.equipment.regulators.tap for t in transitions])

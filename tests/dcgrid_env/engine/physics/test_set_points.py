@@ -64,7 +64,8 @@ def play(scenario, steps, *actions: Any) -> Any:
     simulation = Simulation(scenario, len(actions))
     transitions = [simulation.reset([0] * len(actions))]
     for k in range(steps):
-        transitions.append(simulation.step(np.stack([a(k) if callable(a) else a for a in actions])))
+        joint: list[Any] = [a(k) if callable(a) else a for a in actions]
+        transitions.append(simulation.step(np.stack(joint)))
     return transitions
 
 
