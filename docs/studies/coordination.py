@@ -1,12 +1,17 @@
 """Search the offsets of set points that a utility's coordination study would choose.
 
-`python -m docs.studies.coordination SCENARIO` moves the offset of one regulator after the other, in smaller and smaller
-steps, to the least mean cost of validation episodes without any other control. Timers integrate. It prints the offsets,
-and the costs of no control, the tuned droop of the preset and MPC in test episodes before and after.
+`python -m docs.studies.coordination SCENARIO.. [FIGURE.png]` moves the offset of one regulator after the other, in
+smaller and smaller steps, to the least mean cost of validation episodes without any other control. Timers integrate. It
+prints the offsets, and the costs of no control, the tuned droop of the preset and MPC in test episodes before and
+after, and draws them.
 """
 
 import sys
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
 
 from dcgrid_env import Scenario, make_scenario
 from dcgrid_env.baselines import make_controller, rollout
@@ -18,6 +23,11 @@ STEPS_V = (2.0, 1.0, 0.5, 0.2, 0.1)
 FARTHEST_V = 6.0
 SHOWN = ("none", "droop-tuned", "mpc-one-step", "mpc")
 TEST_EPISODES = 100
+SET_POINTS = ("published", "coordinated")
+LABELS = {"droop-tuned": "tuned\ndroop", "mpc-one-step": "one-step\nmpc"}
+COLOURS = ("#9A9A9A", "#0072B2")
+Costs = dict[str, list[float]]
+"""Mean J of the controllers of ``SHOWN`` under each of ``SET_POINTS``."""
 
 
 def with_offsets(name: str, offset_v: dict[str, float], split: str = "validation") -> Scenario:
@@ -58,16 +68,44 @@ def coordinated(name: str) -> dict[str, float]:
     return offset_v
 
 
-def main(name: str) -> None:
-    """Print the offsets and a table of costs."""
+def costs_of(name: str) -> Costs:
+    """Print the offsets and a table of costs in test episodes; return the costs."""
     found = coordinated(name)
-    print(found)
+    print(name, found)
     print("| set points | " + " | ".join(SHOWN) + " |")
     print("|---" * (len(SHOWN) + 1) + "|")
-    for what, offset_v in (("published", dict.fromkeys(found, 0.0)), ("coordinated", found)):
-        costs = [f"{mean_cost(name, offset_v, controller, TEST_EPISODES, 'test'):.3f}" for controller in SHOWN]
-        print(f"| {what} | " + " | ".join(costs) + " |")
+    costs = {}
+    for what, offset_v in zip(SET_POINTS, (dict.fromkeys(found, 0.0), found), strict=True):
+        costs[what] = [mean_cost(name, offset_v, controller, TEST_EPISODES, "test") for controller in SHOWN]
+        print(f"| {what} | " + " | ".join(f"{cost:.3f}" for cost in costs[what]) + " |")
+    return costs
+
+
+def draw(by_scenario: dict[str, Costs], path: Path) -> None:
+    """Draw a panel of bars for each scenario: controllers under published and coordinated set points."""
+    figure = Figure(figsize=(3.2 * len(by_scenario), 3.4), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(by_scenario)))
+    places = np.arange(len(SHOWN))
+    for ax, (name, costs) in zip(panels, by_scenario.items(), strict=True):
+        for side, (what, colour) in zip((-0.2, 0.2), zip(SET_POINTS, COLOURS, strict=True), strict=True):
+            bars = ax.bar(places + side, costs[what], width=0.38, color=colour, label=f"{what} set points")
+            ax.bar_label(bars, fmt="%.2f", fontsize=7, padding=1)
+        ax.set_xticks(places, [LABELS.get(controller, controller) for controller in SHOWN])
+        ax.set_title(name, fontsize=10)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.margins(y=0.12)
+    panels[0].set_ylabel("mean cost J of a test episode")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+def main(args: list[str]) -> None:
+    """Run the study for each scenario, and draw a figure if a path is given."""
+    pictures = [Path(arg) for arg in args if arg.endswith(".png")]
+    by_scenario = {name: costs_of(name) for name in args if not name.endswith(".png")}
+    for path in pictures:
+        draw(by_scenario, path)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1:])

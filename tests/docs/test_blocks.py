@@ -106,6 +106,8 @@ ELSEWHERE = {
     # there with a Chromium
     "python -m docs.studies.replay_picture": "tests/dcgrid_env/rendering/test_replay_in_browser.py",
     "python -m docs.studies.long_episodes": "tests/docs/studies/test_long_episodes.py",
+    "python -m docs.studies.coordination": "tests/docs/studies/test_coordination.py",
+    "python -m docs.studies.relays": "tests/dcgrid_env/devices/tap_changer/test_against_opendss.py",
     "python -m docs.studies.paired_speed": "tests/docs/studies/test_paired_speed.py",
     "python -m docs.studies.first_step": "tests/docs/studies/test_first_step.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
