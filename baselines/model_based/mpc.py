@@ -83,6 +83,11 @@ class Mpc(ModelController):
         self._solution: Iterate | None = None
         self._drawn_kw: np.ndarray | float = 0.0
         self._drawn_steps = 0
+        if s.grid_control.regulator_settings.has_schedules:
+            raise ValueError(
+                f"{self.name} plans taps under constant set points; scenario {s.name!r} has a schedule in "
+                "grid_control.regulator_settings.offset_v: give it numbers"
+            )
         # Regulators that are agents do not follow their built-in control.
         timer = s.grid_control.regulator_settings.timer
         self._relays = None if timer == "per_step" else acting_relays(env_info)

@@ -117,6 +117,9 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Back
         _check_offsets(control, feeder, background)
     except FieldError as error:
         raise error.within("GridControl", "regulator_settings") from None
+    if not isinstance(feeder, ThreePhaseFeeder) and control.regulator_settings != RegulatorControl():
+        remedy = f"the balanced feeder {feeder.name!r} has no regulators that act; leave it out"
+        raise refuse(control, "regulator_settings", remedy)
     fixed: dict[str, Any] = {"regulators": REGULATORS, "capacitors": CAPACITORS}
     for name, default in fixed.items():
         value = getattr(control, name)

@@ -48,8 +48,8 @@ class RegulatorControl:
         settle(self, offset_v=_pairs)
         check_fields(self)
         value = self.offset_v
-        pairs = value if isinstance(value, tuple) else ((None, value),)
-        if not all(isinstance(pair, tuple) and len(pair) == 2 and _is_allowed(pair[1]) for pair in pairs):
+        pairs = value if isinstance(value, tuple) else (("all", value),)
+        if not all(map(_is_pair, pairs)) or len({name for name, _ in pairs}) < len(pairs):
             volts = f"volts between -{FARTHEST_OFFSET_V:g} and {FARTHEST_OFFSET_V:g}"
             schedules = "to lists of (hour, volts) with rising hours from 0 to less than 24"
             raise refuse(
@@ -83,6 +83,11 @@ class RegulatorControl:
             return [self.offset_v] * len(table)
         named = dict(self.offset_v)
         return [named.get(name, named.get(bank, 0.0)) for name, bank in zip(table.name, table.bank, strict=True)]
+
+
+def _is_pair(pair: object) -> bool:
+    """Whether a value is a name with its offset or schedule."""
+    return isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) and _is_allowed(pair[1])
 
 
 def _is_allowed(value: object) -> bool:

@@ -87,7 +87,6 @@ class RegulatorSetPoints(GridEquipment):
         names = tuple(dict.fromkeys(table.bank[row] for row in rows))
         members = tuple(tuple(row for row in rows if table.bank[row] == name) for name in names)
         narrowest = [float(settings.volts_per_tap[row, row].max() / 2.0) for row in map(list, members)]
-        acting = [[half for half in settings.half_band_v[list(row)] if np.isfinite(half)] for row in members]
         ends = np.maximum(np.abs(settings.lowest), np.abs(settings.highest))
         return cls(
             names=names,
@@ -97,7 +96,7 @@ class RegulatorSetPoints(GridEquipment):
             farthest=tuple(max(float(ends[list(row)].max()), 1.0) for row in members),
             target_v=tuple(float(settings.target_v[list(row)].mean()) for row in members),
             rest_offset_v=tuple(float(offset_v[list(row)].mean()) for row in members),
-            rest_half_band_v=tuple(float(max(half, default=n)) for half, n in zip(acting, narrowest, strict=True)),
+            rest_half_band_v=tuple(float(settings.half_band_v[list(row)].max()) for row in members),
             narrowest_v=tuple(narrowest),
             hold_s=control.hold_s,
         )

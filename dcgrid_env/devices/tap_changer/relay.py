@@ -34,13 +34,12 @@ class RelaySettings(NamedTuple):
     """Those ahead of it by 90 degrees."""
     target_v: Array
     half_band_v: Array
-    """Infinite for a regulator that may make no tap (``max_taps_per_move`` 0)."""
     delay_s: Array
     """Before the first tap."""
     tap_delay_s: Array
     """Between further ones."""
     lowest: Array
-    """Lowest tap."""
+    """Lowest tap; that of the table for a fixed tap, like ``highest`` (``max_taps_per_move`` 0)."""
     highest: Array
     volts_per_tap: Array
     """Change of the column regulator's relay volts per tap of the row regulator, (n_regulator, n_regulator).
@@ -65,6 +64,7 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
     )
     pt, ct, step = (np.array(column, np.float64) for column in (table.pt_ratio, table.ct_primary_a, table.tap_step))
     nominal_v = np.array(table.kv_ln, np.float64) * 1000.0 / pt
+    moves = np.array(table.max_taps_per_move) > 0
     volts_per_tap = _feeds(feeder, node) * step[:, None] * nominal_v
     return RelaySettings(
         node=node,
@@ -72,15 +72,11 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
         r_ohm=np.array(table.r_ldc_v) / ct,
         x_ohm=np.array(table.x_ldc_v) / ct,
         target_v=np.array(table.vreg_v, np.float64),
-        half_band_v=np.where(
-            np.array(table.max_taps_per_move) > 0,
-            0.5 * np.maximum(np.array(table.band_v, np.float64), step * nominal_v),
-            np.inf,
-        ),
+        half_band_v=0.5 * np.maximum(np.array(table.band_v, np.float64), step * nominal_v),
         delay_s=np.array(table.delay_s, np.float64),
         tap_delay_s=np.array(table.tap_delay_s, np.float64),
-        lowest=np.array(table.tap_min, np.float64),
-        highest=np.array(table.tap_max, np.float64),
+        lowest=np.where(moves, table.tap_min, table.tap).astype(np.float64),
+        highest=np.where(moves, table.tap_max, table.tap).astype(np.float64),
         volts_per_tap=volts_per_tap,
     )
 

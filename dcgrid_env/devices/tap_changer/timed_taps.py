@@ -54,6 +54,8 @@ def next_taps(
     controlled
         1 for a regulator whose control acts and 0 for one that stays, (n_regulator,); None where all act.
     """
+    if not state.tap.shape[-1]:
+        return NextTaps(state, namespace(left_s).where(due_s < left_s - SAME_TIME_S, due_s, left_s))
     *fields, passed = _next_taps(settings, state, band, left_s, due_s, integrating, controlled)
     return NextTaps(RegulatorState(*fields), passed[..., :1])
 

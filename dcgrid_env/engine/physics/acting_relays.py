@@ -104,7 +104,7 @@ def scenario_relays(scenario: Scenario) -> RelaySettings:
     for device in scenario.devices:
         if isinstance(device, RegulatorSetPoints):
             for rows, half_v in zip(map(list, device.members), device.rest_half_band_v, strict=True):
-                half_band_v[rows] = np.where(np.isfinite(half_band_v[rows]), half_v, np.inf)
+                half_band_v[rows] = half_v
     return settings._replace(target_v=settings.target_v + offset_v, half_band_v=half_band_v)
 
 

@@ -179,7 +179,21 @@ def with_controls(
             solved = solve(some, rows, solution.restart[rows])
             solution = over_arrays(lambda whole, new: put_rows(whole, rows, new), solution, solved)  # noqa: B023
             equipment = measured(scenario, equipment, solution)
+    else:  # controls that would act without end within the step
+        equipment = _waited(equipment, left_s)
     return equipment, solution
+
+
+def _waited(equipment: Equipment, left_s: Array) -> Equipment:
+    """The equipment after the rest of a step in which no control decides, s, (row, 1); timers that run go on."""
+    (regulators, banks), xp = equipment, namespace(left_s)
+    out_of_band_s, beyond_s = (
+        xp.where(timer_s > 0.0, timer_s + left_s, timer_s) for timer_s in (regulators.out_of_band_s, banks.beyond_s)
+    )
+    return Equipment(
+        regulators._replace(out_of_band_s=out_of_band_s, since_s=regulators.since_s + left_s),
+        banks._replace(beyond_s=beyond_s, since_s=banks.since_s + left_s),
+    )
 
 
 def _next_event(
@@ -268,10 +282,9 @@ def _band(
     if group.setters is None:
         return RelayBand(target_v, half_band_v)
     setters: Any = scenario.devices[group.setters]
-    state, finite = devices[group.setters], half_band_v < np.inf
+    state = devices[group.setters]
     chosen_v = _of_pieces(group, zero, state.offset_v - as_like(setters.parameters.rest_offset_v, tap))
-    half_v = _of_pieces(group, half_band_v, state.half_band_v)
-    return RelayBand(target_v + chosen_v, namespace(tap).where(finite, half_v, half_band_v))
+    return RelayBand(target_v + chosen_v, _of_pieces(group, half_band_v, state.half_band_v))
 
 
 def _of_pieces(group: _Group, at_rest: Array, chosen: Array) -> Array:

@@ -10,12 +10,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcgrid_env import ScenarioError, ThreePhaseFeeder, load_feeder, make_scenario
+from dcgrid_env import DcgridVectorEnv, ScenarioError, ThreePhaseFeeder, load_feeder, make_scenario
+from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings, settings_like
 from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
 from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from dcgrid_env.engine.physics.acting_relays import scenario_relays
 from dcgrid_env.engine.simulation import Simulation
+from dcgrid_env.grid.three_phase_tables import RegulatorTable, SwitchTable
 from dcgrid_env.scenario.toml import to_toml
 
 SETTINGS = relay_settings(load_feeder("ieee13-3ph"))
@@ -75,10 +77,55 @@ def test_a_second_in_band_between_two_taps_does_not_end_their_sequence():
 def test_a_regulator_that_may_make_no_tap_is_fixed():
     network = load_feeder("ieee13-3ph").network
     table = replace(network.regulator, max_taps_per_move=(0, 1, 1))
-    fixed = relay_settings(ThreePhaseFeeder.from_network(replace(network, regulator=table)))
-    state = at_volts(110.0)._replace(out_of_band_s=np.full((1, N), 15.0))
+    feeder = ThreePhaseFeeder.from_network(replace(network, regulator=table))
+    state = at_volts(110.0)._replace(tap=feeder.base_tap[None], out_of_band_s=np.full((1, N), 15.0))
+    fixed = relay_settings(feeder)
     after, _ = next_taps(fixed, state, band_of(fixed, state), NONE_DUE, NONE_DUE, False)
-    assert after.tap.tolist() == [[0.0, 1.0, 1.0]]
+    assert (after.tap - state.tap).tolist() == [[0.0, 1.0, 1.0]]
+
+
+def equipment_of(capacitor_settings, **overrides):
+    """Equipment of ieee13, whose capacitor banks are controlled, after 20 steps of zero actions."""
+    control = {
+        "capacitors": "controlled",
+        "regulator_settings": {"timer": "reset"},
+        "capacitor_settings": capacitor_settings,
+    }
+    env = DcgridVectorEnv(2, make_scenario("ieee13-3ph", grid_control=control, **overrides))
+    env.reset(seed=0)
+    for _ in range(20):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    state: Any = env.transition.state
+    return state.three_phase.equipment
+
+
+def test_banks_act_on_a_feeder_without_regulators():
+    network = load_feeder("ieee13-3ph").network
+    closed = SwitchTable(
+        name=(*network.switch.name, "x"), from_bus=(*network.switch.from_bus, "650"),
+        to_bus=(*network.switch.to_bus, "rg60"), phases=(*network.switch.phases, "abc"),
+        state=(*network.switch.state, "closed"), r_ohm=(*network.switch.r_ohm, 1e-4),
+        x_ohm=(*network.switch.x_ohm, 0.0),
+    )  # fmt: skip
+    feeder = ThreePhaseFeeder.from_network(replace(network, regulator=RegulatorTable(), switch=closed))
+    banks = equipment_of({"on_below_pu": 0.8, "off_above_pu": 0.85, "delay_s": 5.0}, feeder=feeder).banks
+    assert banks.switchings.tolist() == [[1.0, 1.0]] * 2
+    assert (banks.on == 0.0).all()
+
+
+def test_time_passes_beside_a_bank_that_switches_without_end():
+    """Without a delay, and with thresholds closer than what the bank does to its voltage."""
+    equipment = equipment_of({"on_below_pu": 0.99, "off_above_pu": 0.991, "delay_s": 0.0})
+    assert equipment.banks.switchings.max() > 1000
+    still = equipment.regulators.moves == 0.0
+    np.testing.assert_allclose(equipment.regulators.since_s[still], 20.0)
+
+
+def test_mpc_refuses_schedules():
+    schedule = {"timer": "reset", "offset_v": {"reg1": [[0.0, -2.0]]}}
+    day = make_scenario("ieee13-3ph", background={"start_hour": 0.0}, **{"grid_control.regulator_settings": schedule})
+    with pytest.raises(ValueError, match=r"plans taps under constant set points; .* give it numbers"):
+        rollout(day, make_controller("mpc"), [0])
 
 
 @settings(max_examples=60, deadline=None)
@@ -151,6 +198,8 @@ def test_offsets_of_banks_move_what_their_relays_hold():
         ({"offset_v": 40.0}, "regulator_settings.offset_v is 40.0; give volts between -12 and 12"),
         ({"offset_v": {"reg4": True}}, "give volts between -12 and 12, or a mapping from banks or regulators to these"),
         ({"offset_v": {"creg9": 1.0}}, "has no bank or regulator 'creg9'; there are reg1a, reg2, reg3, reg4"),
+        ({"offset_v": [["reg4", 1.0], ["reg4", 2.0]]}, "or a mapping from banks or regulators to these"),
+        ({"offset_v": [[{"a": 1}, 2.0]]}, "or a mapping from banks or regulators to these"),
         ({"offset": 1.0}, "no grid_control.regulator_settings field 'offset'; did you mean offset_v"),
     ],
 )
@@ -163,6 +212,11 @@ def test_what_cannot_be_set_is_refused_by_name(control, message):
 def test_offsets_of_a_balanced_feeder_are_refused():
     with pytest.raises(ScenarioError, match="has no bank or regulator 'creg1'; there are none"):
         make_scenario("ieee33", **{"grid_control.regulator_settings": {"offset_v": {"creg1": 1.0}}})
+
+
+def test_timers_of_a_balanced_feeder_are_refused():
+    with pytest.raises(ScenarioError, match="the balanced feeder 'ieee33' has no regulators that act; leave it out"):
+        make_scenario("ieee33", **{"grid_control.regulator_settings": {"timer": "reset"}})
 
 
 def test_a_file_holds_timers_and_offsets(tmp_path):
