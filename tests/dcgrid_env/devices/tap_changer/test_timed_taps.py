@@ -94,7 +94,7 @@ def equipment_of(capacitor_settings, **overrides):
     env = DcgridVectorEnv(2, make_scenario("ieee13-3ph", grid_control=control, **overrides))
     env.reset(seed=0)
     for _ in range(20):
-        env.step(np.zeros(env.action_space.shape, np.float32))
+        env.step(np.zeros_like(env.action_space.sample()))
     state: Any = env.transition.state
     return state.three_phase.equipment
 
