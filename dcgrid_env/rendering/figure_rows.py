@@ -233,7 +233,7 @@ def _relays(feeder: Any, relays: ActingRelays) -> Row:
         del runs
         across[-1].annotate("in band", (1.01, 0.0), xycoords=("axes fraction", "data"), va="center", fontsize=8)
 
-    return Row("relay error\n(half bands)", 1.8, draw, finish)
+    return Row("relay deviation\n(half bands)", 1.8, draw, finish)
 
 
 def _taps(feeder: Any) -> Row:

@@ -23,7 +23,7 @@ class RegulatorView(NamedTuple):
     tap: Array
     """Share of the farthest tap, -1 to 1."""
     relay: Array
-    """Deviation of the relay volts from their target, in half bands; 0 for a regulator that may make no tap."""
+    """Deviation of the relay volts from their target, in half bands."""
     timer: Array
     """Share of the delay that has passed, 0 to 1; 0 where the built-in control does not act."""
 

@@ -47,7 +47,7 @@ def test_relays_have_a_curve_each_in_half_bands_around_their_set_point():
     control = {"grid_control.regulator_settings": {"timer": "integrating", "offset_v": -2.0}}
     scenario = make_scenario("ieee34-3ph", horizon=90, **control)
     runs, figure = figure_of(scenario, "none")
-    (axes,) = [ax for ax in figure.axes if ax.get_ylabel().startswith("relay error")]
+    (axes,) = [ax for ax in figure.axes if ax.get_ylabel().startswith("relay deviation")]
     table = scenario.feeder.network.regulator
     target_v, half_band_v = np.array(table.vreg_v) - 2.0, 0.5 * np.array(table.band_v)
     relay_v = runs["none"].three_phase.equipment.regulators.relay_v
