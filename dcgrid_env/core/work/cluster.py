@@ -13,7 +13,7 @@ import re
 import socket
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -43,6 +43,8 @@ class Cluster(Place):
     ray: Any
     """The module."""
     address: str
+    own_connection: bool = False
+    """Whether :func:`cluster` made the connection, so that it may also end it."""
     is_remote = True
 
     @property
@@ -76,6 +78,8 @@ class Cluster(Place):
         if waiting := self.waits_for(units):
             warnings.warn(waiting, stacklevel=2)
         ray, expected = self.ray, _asked()(SAME)
+        if self.own_connection and not ray.is_initialized():  # an earlier run ended before its units did
+            _connect(ray, self.address)
         values = ray.put(packed(dict(shared or {})))  # into the object store, which keeps one copy a node
         task = ray.remote(_on_a_node())
         pending: dict[Any, tuple[Unit[Item, Result], bytes, int]] = {}
@@ -109,9 +113,21 @@ class Cluster(Place):
                     result = Lost(f"its worker died {TRIES} times, at last: {_first_line(error)}")
                 yield unit, result
         finally:
-            for sent in pending:
-                with contextlib.suppress(Exception):
-                    ray.cancel(sent, force=True)
+            if pending:
+                self._stop(pending)
+
+    def _stop(self, pending: Collection[Any]) -> None:
+        """End units that nobody waits for.
+
+        Leaving the cluster ends them. Ray can abort the whole process if a unit is cancelled in the moment in which its
+        result arrives (ray-project/ray, pull request 54798), so units are cancelled only under another's connection.
+        """
+        if self.own_connection:
+            self.ray.shutdown()
+            return
+        for sent in pending:
+            with contextlib.suppress(Exception):
+                self.ray.cancel(sent, force=True)
 
 
 def cluster(address: str) -> Cluster:
@@ -138,15 +154,21 @@ def cluster(address: str) -> Cluster:
         ray = importlib.import_module("ray")
     except ImportError as error:
         raise ValueError(f"ray: {error}; install it {from_clone('ray')}") from None
-    if not ray.is_initialized():
-        try:
-            with warnings.catch_warnings(action="ignore"):
-                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-        except Exception as error:  # of many kinds, whatever is not there
-            raise _unreachable(address, _first_line(error)) from None
-    found = Cluster(ray, address)
+    own_connection = not ray.is_initialized()
+    if own_connection:
+        _connect(ray, address)
+    found = Cluster(ray, address, own_connection)
     _require_same_code(found)
     return found
+
+
+def _connect(ray: Any, address: str) -> None:
+    """OSError where no cluster answers."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+    except Exception as error:  # of many kinds, whatever is not there
+        raise _unreachable(address, _first_line(error)) from None
 
 
 def _check(address: str) -> None:
