@@ -4,9 +4,9 @@ The costs of the presets are in ``data/hindsight/<preset>.json``, with the hashe
 command that made them, ``dcgrid hindsight``. That command writes the costs of other scenarios into a folder, in the
 same form. They apply only to exactly the same scenario: none of them is used if any field differs.
 
-If sites trip or agents smooth their power, no linear program describes the episode. The files of such presets contain
-the best known cost instead, the result of a search over its actions, which their ``kind`` states. The actions are in
-``recorded_actions``.
+Where regulators act within steps, and where sites trip or agents smooth their power, a search finds the costs. Its
+result may be more than 0.1 % above the least cost; the ``kind`` of the file is then "best known". No linear program
+describes trips and smoothing. Files of such presets have no bounds, and their actions are in ``recorded_actions``.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from dcgrid_env.baselines.file_names import file_name
 FOLDER = Path("results/hindsight")
 """Where ``dcgrid hindsight`` writes by default, in the working directory."""
 FIELDS = {"seed": int, "hash": str, "J": float, "bound": float, "rounds": int}
-"""Fields of an episode's record in a file of hindsight costs, with their types."""
+"""Fields of an episode's record in a file with bounds, with their types."""
+FIELDS_WITHOUT_BOUND = {"seed": int, "hash": str, "J": float, "start": str, "rounds": int}
+"""Fields of an episode's record in a file without bounds, with their types."""
 BEST_KNOWN = "best known"
 """Value of ``kind`` in a file of best-known costs; files of hindsight have no ``kind``."""
-FIELDS_OF_BEST_KNOWN = {"seed": int, "hash": str, "J": float, "start": str, "rounds": int}
-"""Fields of an episode's record in a file of best-known costs, with their types."""
 
 
 class Published(NamedTuple):
@@ -43,11 +43,8 @@ class Published(NamedTuple):
     bound: np.ndarray
     """Optimum of the linear program behind the actions, see ``hindsight``; -inf without one."""
     episode_hashes: tuple[str, ...]
-
-    @property
-    def is_best_known(self) -> bool:
-        """Whether the costs are best-known costs, which a controller may beat, instead of hindsight costs."""
-        return not np.isfinite(self.bound).any()
+    is_best_known: bool = False
+    """Whether the costs are best-known costs, which a controller may beat, instead of hindsight costs."""
 
     def missing(self, seeds: Iterable[int]) -> list[int]:
         """Return the seeds that have not been solved."""
@@ -59,7 +56,7 @@ class Published(NamedTuple):
         position = {int(seed): i for i, seed in enumerate(self.seeds)}
         index = [position[seed] for seed in seeds]
         hashes = tuple(self.episode_hashes[i] for i in index)
-        return Published(self.seeds[index], self.J[index], self.bound[index], hashes)
+        return Published(self.seeds[index], self.J[index], self.bound[index], hashes, self.is_best_known)
 
     def check_episodes(self, scenario: Scenario, n: int) -> None:
         """Raise ValueError unless the first ``n`` episodes are drawn as they were when the values were computed."""
@@ -98,18 +95,27 @@ def published(scenario: Scenario, folder: Path | None = None) -> Published | Non
     if not episodes:
         return None
     seeds, j, bound = (np.array([e.get(key, -np.inf) for e in episodes]) for key in ("seed", "J", "bound"))
-    return Published(seeds, j, bound, tuple(e["hash"] for e in episodes))
+    is_best_known = any(e["is_best_known"] for e in episodes)
+    return Published(seeds, j, bound, tuple(e["hash"] for e in episodes), is_best_known)
 
 
 def records(scenario: Scenario, folder: Path | None = None) -> list[dict[str, Any]]:
-    """Return the records of the episodes of exactly this scenario, by seed; ``published`` converts them to arrays."""
-    about, shipped = scenario_hash(scenario), shipped_content(scenario.name)
-    solved: dict[int, dict[str, Any]] = {}
-    if folder is not None and (content := read_hindsight(folder, scenario.name)) and content["scenario_hash"] == about:
-        solved |= {episode["seed"]: episode for episode in content["episodes"]}
-    if shipped is not None and shipped["scenario_hash"] == about:
-        solved |= {episode["seed"]: episode for episode in shipped["episodes"]}
+    """Return the records of the episodes of exactly this scenario, by seed; ``published`` converts them to arrays.
+
+    Each has ``is_best_known`` from the kind of its file.
+    """
+    about, solved = scenario_hash(scenario), {}
+    for content in (folder and read_hindsight(folder, scenario.name), shipped_content(scenario.name)):
+        if content and content["scenario_hash"] == about:
+            is_best_known = content.get("kind") == BEST_KNOWN
+            solved |= {one["seed"]: one | {"is_best_known": is_best_known} for one in content["episodes"]}
     return [solved[seed] for seed in sorted(solved)]
+
+
+def is_without_bounds(content: Mapping[str, Any]) -> bool:
+    """Return whether a file has best-known costs of a search over actions, which gives no bounds."""
+    bounded = any(isinstance(episode, dict) and "bound" in episode for episode in content["episodes"])
+    return content.get("kind") == BEST_KNOWN and not bounded
 
 
 def hindsight_file(folder: Path, name: str) -> Path:
@@ -133,7 +139,7 @@ def read_hindsight(folder: Path, name: str) -> dict[str, Any] | None:
         raise _damaged(path, "has no 'scenario_hash' and 'episodes'")
     if not isinstance(content["episodes"], list):
         raise _damaged(path, "has 'episodes' that are no list")
-    fields = FIELDS_OF_BEST_KNOWN if content.get("kind") == BEST_KNOWN else FIELDS
+    fields = FIELDS_WITHOUT_BOUND if is_without_bounds(content) else FIELDS
     for place, episode in enumerate(content["episodes"]):
         if wrong := _wrong(episode, fields):
             raise _damaged(path, f"has {wrong} in its episode at place {place}")

@@ -40,8 +40,8 @@ LEGEND = (
 )
 
 IS_NO_BOUND = (
-    "No linear program describes this scenario. A score of 1 is the best known cost of each episode, found by a search "
-    "of that episode and by controllers. It is not a bound: a controller may score more than 1."
+    "A score of 1 is the best known cost of each episode, found by a search of that episode and by controllers. It is "
+    "not a bound: a controller may score more than 1."
 )
 
 

@@ -29,8 +29,10 @@ from scipy.optimize import linprog
 from dcgrid_env import Forecast, Scenario, acting_relays, voltage_targets
 from dcgrid_env.baselines.model_based.relay_rows import PRICE, RelayRows
 from dcgrid_env.baselines.model_based.storage_rows import StorageRows
+from dcgrid_env.baselines.model_based.tap_trajectory import Demands, TapTrajectory
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
 from dcgrid_env.baselines.model_based.voltage_rows import voltage_rows
+from dcgrid_env.scenario.costs.equipment_moves import n_moving
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
@@ -54,10 +56,13 @@ class EpisodeProgram(Trajectory):
         n_bus, self.storage_rows = len(s.feeder.load_nodes), StorageRows(s, episode.available)
         widths = {"d": n_dc + self.n_storages, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
-        relays = acting_relays(s) if same_taps else None
-        self.relay_rows = None if relays is None else RelayRows(relays, s.horizon)
-        self.has_own_taps = relays is not None
-        self.sizes["z"] = 0 if self.relay_rows is None else self.relay_rows.count
+        self.relays = acting_relays(s) if same_taps else None
+        self.demands: Demands | None = None
+        """Volts that the relays have to measure; see ``lead``."""
+        self.has_own_taps = self.relays is not None
+        self.tap_price = 0.0 if self.relays is None else s.cost.weights.switching / n_moving(s) / s.horizon
+        """Share of J that each tap costs."""
+        self.sizes["z"] = 0 if self.relays is None else s.horizon * len(self.relays.rows)
         self.sizes |= self.storage_rows.sizes | self.work_rows.sizes
         of_storages = [(self._rows(**parts), most) for parts, most in self.storage_rows.limits(ANGLES)]
         of_work = [(self._rows(**parts), most) for parts, most in self.work_rows.limits(self._in_d(0, n_dc))]
@@ -66,10 +71,10 @@ class EpisodeProgram(Trajectory):
     def solve(self) -> tuple[float, np.ndarray]:
         """Optimum and the actions (T, n_action) behind it; the next program is around them."""
         s, self._before = self.scenario, self._done
-        solution, ranges = self._around(), self._ranges(inf_w=not self.keep_band)
+        solution, ranges = self.flows(), self._ranges(inf_w=not self.keep_band)
         d, q = (rows.reshape(s.horizon, -1, 2) for rows in (self._part(ranges, "d"), self._part(ranges, "q")))
         targets = None if s.cost.reference == "nominal" else voltage_targets(s)[s.feeder.load_slice]
-        v_pu = self._linear(solution.v_pu[..., s.feeder.load_slice])
+        v_pu = self.linear(solution.v_pu[..., s.feeder.load_slice])
         voltages = voltage_rows(v_pu, d, q, s.cost.band_pu, targets, s.cost.uncharged_pu)
         limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._same_taps(solution))]
         prices = self._prices()
@@ -84,7 +89,8 @@ class EpisodeProgram(Trajectory):
         received, sent = (self._part(result.x, name).reshape(-1, s.datacenters.count) for name in "yo")
         moved = received - sent if len(received) else self.moved_kw
         self._solution = self._done = (d[:, : s.datacenters.count], d[:, s.datacenters.count :], q, moved)
-        return float(result.fun + price * voltages.at_zero), self.actions()
+        moves = np.abs(np.diff(self.taps, axis=0)).sum() if self.tap_price else 0.0
+        return float(result.fun + price * voltages.at_zero + self.tap_price * moves), self.actions()
 
     def go(self, share: float) -> np.ndarray:
         """Go a share of the way to the last solution from the trajectory that it is around; the actions of that.
@@ -145,16 +151,22 @@ class EpisodeProgram(Trajectory):
     def _done(self, done: tuple[np.ndarray, ...]) -> None:
         self.served_kw, self.storage_kw, self.q_kvar, self.moved_kw = done
 
-    @property
-    def taps(self) -> np.ndarray:
-        """Taps at t = 0 and in each step, (1 + T, n_regulator), as they were followed."""
-        return np.concatenate((self._first_tap[None], self._tap))
-
     def _same_taps(self, solution: Any) -> list[tuple[dict[str, Any], np.ndarray]]:
         """The rows of ``relay_rows`` where taps are to change as they did."""
-        if self.relay_rows is None:
+        if self.relays is None:
             return []
-        return self.relay_rows.limits(self.taps, self._linear(self.relay_rows.relays.volts(solution)))
+        volts = self.linear(self.relays.volts(solution))
+        if self.demands is None:
+            return RelayRows(self.relays, self.scenario.horizon).limits(self.taps, volts)
+        return list(self.demands.limits(volts))
+
+    def lead(self, trajectory: TapTrajectory) -> None:
+        """Go around the taps of a trajectory, and make the relays follow it."""
+        assert self.relays is not None
+        self._tap[:, self.relays.rows] = trajectory.tap[1:]
+        volts = self.relays.volts(self.flows_at(np.stack((self.taps[:-1], self.taps[1:]))))
+        before, after = volts.reshape(2, self.scenario.horizon, -1)
+        self.demands = trajectory.demands(self.relays, after - before)
 
     def _prices(self) -> np.ndarray:
         """What each unknown costs, as shares of J."""

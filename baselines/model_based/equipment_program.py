@@ -74,7 +74,7 @@ class EquipmentProgram(Trajectory):
         """Optimum, to a share of it, and the actions (T, n_action) behind it; the next program is around them."""
         s = self.scenario
         n_dc, n_u, steps = s.datacenters.count, self.n_further, s.horizon
-        v_pu, dense = self._around_positions(self._around().v_pu[..., s.feeder.load_slice])
+        v_pu, dense = self._around_positions(self.flows().v_pu[..., s.feeder.load_slice])
         k = dense.shape[-1]
         one, shift = sparse.identity(steps), sparse.eye(steps, k=-1)
         of_d = np.arange(k) < n_dc
@@ -110,6 +110,11 @@ class EquipmentProgram(Trajectory):
             actions[:, layout.is_channel(CHANNELS[device.kind])] = entries
         return actions
 
+    def ranges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest positions, (T, n_u)."""
+        steps = self.scenario.horizon
+        return np.tile(self.lowest, (steps, 1)), np.tile(self.highest, (steps, 1))
+
     def _split(self, columns: np.ndarray) -> list[np.ndarray]:
         """The columns of each group of equipment."""
         return np.split(columns, np.cumsum([device.count for device in self.groups])[:-1], axis=-1)
@@ -120,14 +125,14 @@ class EquipmentProgram(Trajectory):
         return taps if device.kind == "tap_changer" else on
 
     def _control(self, copies: int) -> Control | None:
-        """The equipment in each power flow of ``_around``: in the last ones each unknown position moved by itself."""
+        """The equipment in each power flow of ``flows``: in the last ones each unknown position moved by itself."""
         taps, on = (np.tile(rows, (copies, 1, 1)) for rows in (self._tap, self._on))
         still = copies - self.n_further
         moved = np.tile(self.position, (copies, 1, 1))
         moved[np.arange(still, copies), :, np.arange(self.n_further)] += self._spans().T
         for device, positions in zip(self.groups, self._split(moved), strict=True):
             self._of_kind(device, taps, on)[..., list(device.rows)] = positions
-        return self._acting(taps, on)
+        return self.acting(taps, on)
 
     def _spans(self) -> np.ndarray:
         """By how much each unknown position is moved, away from its nearer end, (T, n_further)."""
@@ -136,7 +141,7 @@ class EquipmentProgram(Trajectory):
 
     def _around_positions(self, v_pu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Voltages where all unknowns are 0, (T, n_node), and their slopes by d, q and u, (T, n_node, k)."""
-        s, linear = self.scenario, self._linear(v_pu)
+        s, linear = self.scenario, self.linear(v_pu)
         values = v_pu.reshape(-1, s.horizon, v_pu.shape[-1])
         by_u = np.moveaxis(values[len(values) - self.n_further :] - values[0], 0, -1) / self._spans()[:, None]
         v_at_zero = linear.at_zero - (by_u @ self.position[:, : self.n_further, None])[..., 0]
@@ -215,7 +220,7 @@ class EquipmentProgram(Trajectory):
         steps, n_u = self.scenario.horizon, self.n_further
         change = (sparse.identity(u.size) - sparse.eye(u.size, k=-n_u)) @ identity[u]
         before = np.concatenate((self.rest, np.zeros(u.size - n_u)))
-        low, high, most = (np.tile(side, steps) for side in (self.lowest, self.highest, self.most))
+        (low, high), most = (side.ravel() for side in self.ranges()), np.tile(self.most, steps)
         parts = [
             (identity[u], np.inf, high),
             (-identity[u], np.inf, -low),

@@ -6,10 +6,13 @@ bound. It is a lower bound on the grid linearised around the last trajectory. On
 curvature between that trajectory and a better one: a few 1e-5 of J in the cases that were checked.
 
 Automatic regulators change their taps in response to the actions, which a linear program cannot express. Programs are
-therefore solved around several trajectories of taps, namely those under steady shares of reactive power. Additional
-rows make the relays change the taps at these steps and at no other, and the best replay is the result. If regulators or
-capacitor banks are agents, ``equipment_program`` plans their positions too. ``storage_rows`` plans storages, which
-cannot be combined with such equipment.
+therefore solved around given tap trajectories. Additional rows make the relays change the taps at these steps and at no
+other, and the best replay is the result. ``tap_search`` finds the trajectories, from those without control and under
+MPC on. ``tap_bound`` finds a lower bound over all trajectories. For timers that decide once per step, the trajectories
+are those under steady shares of reactive power.
+
+If regulators or capacitor banks are agents, ``equipment_program`` plans their positions too. ``storage_rows`` plans
+storages, which cannot be combined with such equipment.
 """
 
 from __future__ import annotations
@@ -29,12 +32,30 @@ from dcgrid_env import (
     forecast,
 )
 from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_draws_of_work, require_known_devices
+from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
+from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.model_based.storage_rows import storages_of
+from dcgrid_env.baselines.model_based.tap_bound import tap_bound
+from dcgrid_env.baselines.model_based.tap_search import TapSearch
+from dcgrid_env.baselines.model_based.tap_trajectory import TapTrajectory
+from dcgrid_env.baselines.rollout import ControllerError, rollout
 
 STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Steady shares of the available reactive power; each gives a trajectory of taps to try."""
+STARTS = (NoControl, Mpc)
+"""Controllers around whose tap trajectories better ones are searched."""
+ROUNDS_SEARCHED = 15
+"""Maximum number of linear programs around the tap trajectories that are found from a start."""
+FOLLOWED = 3
+"""Maximum number of linear programs around one tap trajectory."""
+GAP_FOLLOWED = 3e-4
+"""Gap between replay and program at which a tap trajectory has been followed, as a share of J."""
+SEARCHED = 1e-4
+"""Change of J from one tap trajectory to the next at which the search has settled, as a share of it."""
+GAP_BEST_KNOWN = 1e-3
+"""Gap to the bound, as a share of J, above which a cost that was searched is called the best known."""
 HOPELESS = 0.01
 """Share of J: a trajectory of taps is dropped if its first program is worse than the best replay by more than this."""
 SHORTER = (0.5, 0.25, 0.1, 0.03)
@@ -70,6 +91,8 @@ def effort_of(scenario: Scenario) -> Effort:
     """Return the default stopping criteria for episodes of a scenario."""
     if scenario.datacenters.routing is not None:
         return Effort(ROUNDS_ROUTED, GAP_ROUTED)
+    if searches_taps(scenario):
+        return Effort(ROUNDS_SEARCHED, GAP_BEST_KNOWN)
     return Effort(ROUNDS, TOLERANCE) if storages_of(scenario) is None else Effort(ROUNDS_SHORTENED, GAP_SHORTENED)
 
 
@@ -79,9 +102,10 @@ class Hindsight(NamedTuple):
     J: float
     """Cost of the actions, replayed in the environment."""
     bound: float
-    """Optimum of the last linear program, around a trajectory close to that of the actions. With automatic regulators
-    it applies to one trajectory of their taps and includes the penalty for relays that cannot follow it; it does not
-    bound the cost of other trajectories. If they are agents, it is the optimum over continuous positions."""
+    """Optimum of the last linear program, around a trajectory close to that of the actions. If regulators are agents,
+    or controls that act within steps, it is the optimum over continuous taps. For timers that decide once per step it
+    applies to one tap trajectory and includes the penalty for relays that cannot follow it; it does not bound the cost
+    of other trajectories."""
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int
@@ -104,13 +128,16 @@ def hindsight(
     ----------
     scenario
         Scenario with the linear clock law and the l1 voltage cost, without a price on clock movement, voltage steps or
-        losses. A price on switching is allowed only if all equipment that is not fixed is an agent.
+        losses. A price on switching is allowed if all equipment that is not fixed is an agent, or if it is regulators
+        whose controls act within steps.
     seed
         The episode.
     rounds
-        Maximum number of linear programs; None for that of :func:`effort_of`.
+        Maximum number of linear programs, around each tap trajectory where there are several to begin with; None for
+        that of :func:`effort_of`.
     tolerance
-        Gap between replay and program, or change of J between programs, at which to stop, as a share of J.
+        Gap between replay and program, or change of J between programs, at which to stop, as a share of J. Not for
+        regulators whose controls act within steps.
     keep_band
         Whether every voltage of the program must stay within the band at any cost.
 
@@ -129,20 +156,74 @@ def hindsight(
     program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
     if acting_relays(scenario) is None:
         return _settled(program, seed, rounds, tolerance)
-    return _over_tap_courses(program, seed, rounds, tolerance)
+    if searches_taps(scenario):
+        return _over_searched_taps(program, seed, rounds)
+    return _over_steady_shares(program, seed, rounds, tolerance)
 
 
-def _over_tap_courses(program: EpisodeProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
+def searches_taps(scenario: Scenario) -> bool:
+    """Return whether hindsight searches tap trajectories: some controls of regulators act within steps."""
+    within_steps = scenario.grid_control.regulator_settings.timer != "per_step"
+    return within_steps and acting_relays(scenario) is not None and not _has_equipment_agents(scenario)
+
+
+def _over_searched_taps(program: EpisodeProgram, seed: int, rounds: int) -> Hindsight:
+    """Search tap trajectories around those of the controllers of ``STARTS``; return the least cost."""
+    scenario, found = program.scenario, []
+    for controller in STARTS:
+        try:
+            start = rollout(scenario.replace(observe="feeder"), controller(), [seed])
+        except ControllerError as error:
+            if error.refuses is None:
+                raise
+            continue
+        found.append(_searched(program, start, seed, rounds))
+    best = min(found, key=lambda one: one.J)
+    bound = tap_bound(scenario, program.episode, best.recorder)
+    return best._replace(bound=bound, rounds=sum(one.rounds for one in found))
+
+
+def _searched(program: EpisodeProgram, start: Recorder, seed: int, rounds: int) -> Hindsight:
+    """Search tap trajectories around that of a replay, and lead the relays along each, until J settles."""
+    assert program.relays is not None
+    program.follow(start)
+    program.retrace(start)
+    search, trajectory = TapSearch(program), TapTrajectory.of_taps(program.taps[:, program.relays.rows])
+    best = _replayed(program, -np.inf, program.actions(), 0, seed)
+    done = 0
+    while done < rounds:
+        search.around()
+        trajectory, _ = search.improved(trajectory)
+        before = best.J
+        for _ in range(min(FOLLOWED, rounds - done)):
+            program.lead(trajectory)
+            done += 1
+            replayed = _replayed(program, *program.solve(), done, seed)
+            best = min(best, replayed, key=lambda one: one.J)
+            tap = replayed.recorder.series(0).three_phase.equipment.regulators.tap
+            if np.array_equal(tap, program.taps) and abs(replayed.gap) <= GAP_FOLLOWED * replayed.J:
+                break
+        if before - best.J <= SEARCHED * best.J:
+            break
+    return best._replace(rounds=done)
+
+
+def _replayed(program: EpisodeProgram, bound: float, actions: np.ndarray, rounds: int, seed: int) -> Hindsight:
+    recorder = replay(program.scenario, actions, seed)
+    return Hindsight(recorder.metrics()[0]["J"], bound, actions, rounds, recorder)
+
+
+def _over_steady_shares(program: EpisodeProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
     """Solve around the trajectory of taps under each steady share of reactive power; return the least cost."""
     best: Hindsight | None = None
-    courses, solved = set(), 0
+    trajectories, solved = set(), 0
     for share in STEADY_SHARES:
         program.begin(share)
         program.follow(replay(program.scenario, program.actions(), seed))
-        course = program.taps.tobytes()
-        if course in courses:
+        trajectory = program.taps.tobytes()
+        if trajectory in trajectories:
             continue
-        courses.add(course)
+        trajectories.add(trajectory)
         found = _settled(program, seed, rounds, tolerance, hopeless=best and best.J * (1.0 + HOPELESS))
         solved += found.rounds
         best = found if best is None else min(found, best, key=lambda one: one.J)
@@ -285,19 +366,19 @@ def _check(scenario: Scenario) -> None:
         )
     if scenario.cost.voltage != "l1":
         raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.cost.voltage!r}")
-    weights, alone = scenario.cost.weights, planned and not _acts_by_itself(scenario)
-    priced = [name for name in weights.unmodelled if not (name == "switching" and alone)]
-    if priced == ["switching"] and planned:
+    weights, searches = scenario.cost.weights, searches_taps(scenario)
+    others = _has_controlled_banks(scenario) or (planned and acting_relays(scenario) is not None)
+    priced = [name for name in weights.unmodelled if name != "switching" or others or not (planned or searches)]
+    if priced == ["switching"] and (planned or searches):
+        what = "taps of built-in controls" if searches else "moves of agents"
         raise ValueError(
-            "hindsight prices the moves of agents alone; make all equipment that is controlled fixed or agents, or set "
-            "the weight of switching to 0"
+            f"hindsight prices the {what} alone; make all other equipment fixed, or set the weight of switching to 0"
         )
     if priced:
         raise ValueError(f"hindsight does not price {priced[0]}; set its weight to 0, {CostWeights()!r}")
 
 
-def _acts_by_itself(scenario: Scenario) -> bool:
-    """Whether any regulator or capacitor bank is controlled automatically."""
+def _has_controlled_banks(scenario: Scenario) -> bool:
+    """Whether any capacitor bank is controlled automatically."""
     capacitors = scenario.grid_control.capacitors
-    deciders = (capacitors,) if isinstance(capacitors, str) else dict(capacitors).values()
-    return acting_relays(scenario) is not None or "controlled" in deciders
+    return "controlled" in ((capacitors,) if isinstance(capacitors, str) else dict(capacitors).values())

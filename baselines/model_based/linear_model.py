@@ -107,8 +107,8 @@ class ModelController(LocalController):
             )
         if s.cost.voltage != "l1":
             raise ValueError(f"{self.name}: cost.voltage is {s.cost.voltage!r}; make the scenario with 'l1'")
-        # Who moves no equipment has nothing to weigh its moves against.
-        priced = [name for name in s.cost.weights.unmodelled if name != "switching" or s is env_info]
+        # Equipment is moved by its own controls, or by agents that are not these: switching is not theirs to price.
+        priced = [name for name in s.cost.weights.unmodelled if name != "switching"]
         if priced:
             weight = getattr(s.cost.weights, priced[0])
             raise ValueError(f"{self.name}: weights.{priced[0]} is {weight:g}, which it does not minimise; set it to 0")

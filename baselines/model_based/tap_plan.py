@@ -8,7 +8,8 @@ A control moves its tap if its relay is out of band when its delay ends (``timed
 
 Held and pushed relays have a demand on their volts in the coming step, with a margin for the error of the prediction.
 
-Targets of the taps come from a local search, one tap of one regulator in each step, for the least long-run cost
+Targets of the taps come from a local search for the least long-run cost. In each step it tries one tap of each
+regulator, and, for one regulator in turn, a tap of it together with one of another:
 
     c(taps) = (1 - s) c_free(taps) + s c_held(taps) + a price for each tap away from the present ones
 
@@ -32,8 +33,8 @@ from dcgrid_env.baselines.model_based.relay_model import RelayModel
 
 MARGIN = 2.0
 """Margin of a demand, as a multiple of the root mean square error of the prediction so far."""
-TAP_PRICE = 0.02
-"""Share of the cost of a step that each tap has to save in the long run: gains change with the load."""
+TAP_PRICE = 0.04
+"""Share of the cost of the voltage that a tap moves, which it has to save in each step: gains change with the load."""
 _DEMAND_PRICE = 20.0  # cost of a volt off a demand in a program
 _LONG_RUN_PRICE = 1.0  # the same in the long run, where a tap follows, which is not as bad
 _PER_VOLT = 0.1  # a volt in the units of the program, in which voltages are per unit
@@ -89,10 +90,12 @@ class TapPlan:
         Length of a step, s.
     integrating
         Whether timers count down in band.
+    price
+        Cost of a tap, in units of the cost of a step.
     """
 
-    def __init__(self, model: RelayModel, dt_s: float, integrating: bool) -> None:
-        self.model, self._dt_s = model, dt_s
+    def __init__(self, model: RelayModel, dt_s: float, integrating: bool, price: float) -> None:
+        self.model, self._dt_s, self._price = model, dt_s, price
         relays, rows = model.relays, model.relays.rows
         self._delay_s, self._tap_delay_s = relays.settings.delay_s[rows], relays.settings.tap_delay_s[rows]
         self._lowest, self._highest = relays.settings.lowest[rows], relays.settings.highest[rows]
@@ -141,7 +144,7 @@ class TapPlan:
         tap, in_sequence = regulators.tap[:, rows], regulators.in_sequence[:, rows] > 0.0
         self._measure_error(tap, regulators.relay_v[:, rows])
         self._target = tap if self._target is None else self._target
-        long_run = self._search(program, usual, tap)
+        long_run = self._search(program, usual, tap, steps_left)
         wanted, far = np.sign(self._target - tap), np.abs(self._target - tap)
         left_s = np.where(in_sequence, self._tap_delay_s, self._delay_s) - regulators.out_of_band_s[:, rows]
         due = left_s < self._dt_s - _SAME_TIME_S
@@ -197,11 +200,13 @@ class TapPlan:
         modes = np.where((modes == _PUSHED) & ~useful[:, None], _HELD, modes)
         return np.where((modes == _HELD) & ~due[:, None], _FREE, modes)
 
-    def _search(self, program: Program, usual: Outlook, tap: np.ndarray) -> _LongRun:
+    def _search(self, program: Program, usual: Outlook, tap: np.ndarray, steps_left: int) -> _LongRun:
         """Move the targets to the best of their neighbours."""
         assert self._target is not None
         at, one, now = self._target[:, None], np.eye(tap.shape[-1]), tap[:, None]
-        taps = np.concatenate((now, at, at + one, at - one), axis=1)
+        turn = steps_left % len(one)
+        pairs = np.delete(one, turn, axis=0) + one[turn]
+        taps = np.concatenate((now, at, at + one, at - one, at + pairs, at - pairs), axis=1)
         change = taps - now
         deviation_pu = usual.deviation_pu[:, None] + change @ self.model.v_by_tap
         relay_v = usual.relay_v[:, None] + change @ self.model.by_tap
@@ -210,13 +215,14 @@ class TapPlan:
         cost, self._runs = self._solved(program, offset, self._runs, _LONG_RUN_PRICE)
         free, held = np.split(cost, 2, axis=1)
         cost = free + self._held_share * (held - free)
-        cost += TAP_PRICE * np.abs(cost[:, :1]) * np.abs(change).sum(axis=-1)
+        moved_cost = program.voltage * np.abs(self.model.v_by_tap).sum(axis=-1)
+        cost += np.abs(change) @ (TAP_PRICE * moved_cost + self._price / steps_left)
         inside = ((taps >= self._lowest) & (taps <= self._highest)).all(axis=-1)
         best, row = np.where(inside, cost, np.inf).argmin(axis=1), np.arange(len(tap))
         self._target = taps[row, best]
         moves = self._target - tap
         each = (cost[:, 0] - cost[row, best])[:, None] / np.maximum(np.abs(moves).sum(axis=1, keepdims=True), 1.0)
-        up, down = np.split(cost[:, 2:] - cost[:, 1:2], 2, axis=1)
+        up, down = np.split(cost[:, 2 : 2 + 2 * len(one)] - cost[:, 1:2], 2, axis=1)
         return _LongRun(each * np.abs(moves), np.where(moves > 0.0, -each, up), np.where(moves < 0.0, -each, down))
 
     def _likelihoods(self, relay_v: np.ndarray, tap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,7 @@ class Trajectory:
     """
 
     n_further = 0
-    """Power flows in addition to those by which ``_linear`` finds slopes."""
+    """Power flows in addition to those by which ``linear`` finds slopes."""
     has_own_taps = False
     """Whether taps change by themselves, as what is done makes them."""
 
@@ -63,19 +63,31 @@ class Trajectory:
         )
         self._first_tap, self._tap, self._on = phases.equipment.regulators.tap[0], taps, on
 
-    def _around(self) -> Any:
+    def retrace(self, replayed: Recorder) -> None:
+        """Do what was done in a replay to its end; it moved no work to other sites."""
+        series, n_dc = replayed.series(0), self.scenario.datacenters.count
+        self.served_kw = series.p_kw[:, :n_dc] - self.base_kw
+        self.storage_kw = series.p_kw[:, self.n - self.n_storages :]
+        self.q_kvar, self.moved_kw = series.q_kvar, 0.0 * self.arrived_kw
+
+    @property
+    def taps(self) -> np.ndarray:
+        """Taps at t = 0 and in each step, (1 + T, n_regulator), as they were followed."""
+        return np.concatenate((self._first_tap[None], self._tap))
+
+    def loads(self) -> tuple[np.ndarray, np.ndarray]:
+        """Active and reactive power of all legs in each step of the trajectory, kW and kvar, (T, n_leg)."""
+        episode, shares = self.episode, self._shares()
+        p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw, self.storage_kw), axis=1)
+        p_agent *= episode.available[:, : self.n]
+        return episode.p_load_kw + p_agent @ shares, episode.q_load_kvar - self.q_kvar @ shares
+
+    def flows(self) -> Any:
         """Power flows (1 + n_d + n_agent + n_further, T), flattened.
 
         They are of the trajectory, with each power moved by itself, and with the powers of the trajectory again.
         """
-        s, episode = self.scenario, self.episode
-        p_agent = np.concatenate((self.base_kw + self.served_kw, -episode.p_inverter_kw, self.storage_kw), axis=1)
-        p_agent *= episode.available[:, : self.n]
-        p_kw, q_kvar = episode.p_load_kw.copy(), episode.q_load_kvar.copy()
-        shares = self._shares()
-        p_kw += p_agent @ shares
-        q_kvar -= self.q_kvar @ shares
-        moved = _SPAN * shares
+        s, (p_kw, q_kvar), moved = self.scenario, self.loads(), _SPAN * self._shares()
         zero = np.zeros((1, s.feeder.n_leg))
         still = np.zeros((self.n_further, s.feeder.n_leg))
         active = moved[self.is_active]
@@ -91,8 +103,15 @@ class Trajectory:
             )
         return solution
 
-    def _linear(self, values: np.ndarray) -> Linear:
-        """What is measured in the flows of ``_around``, (flow, n), as a linear function of the unknowns d and q."""
+    def flows_at(self, taps: np.ndarray) -> Any:
+        """Power flows of the trajectory under other taps, (flow, T, n_regulator), flattened."""
+        s, copies = self.scenario, len(taps)
+        p_kw, q_kvar = (np.tile(load, (copies, 1)) for load in self.loads())
+        control = self.acting(taps, np.tile(self._on, (copies, 1, 1)))
+        return solver_for(s.feeder, s.power_flow)(s.feeder, p_kw, q_kvar, s.source_voltage_pu, control)
+
+    def linear(self, values: np.ndarray) -> Linear:
+        """What is measured in the flows of ``flows``, (flow, n), as a linear function of the unknowns d and q."""
         s, n_d = self.scenario, self.scenario.datacenters.count + self.n_storages
         values = values.reshape(-1, s.horizon, values.shape[-1])
         # What a tripped data centre draws, the grid does not see.
@@ -117,9 +136,9 @@ class Trajectory:
         """Taps and switches in each step of the episode, and as many copies of them; None before they are followed."""
         if not len(self._tap):
             return None
-        return self._acting(*(np.tile(rows, (copies, 1, 1)) for rows in (self._tap, self._on)))
+        return self.acting(*(np.tile(rows, (copies, 1, 1)) for rows in (self._tap, self._on)))
 
-    def _acting(self, taps: np.ndarray, on: np.ndarray) -> Control:
+    def acting(self, taps: np.ndarray, on: np.ndarray) -> Control:
         """Inputs of equipment to the power flow by taps and switches in each step, (flow, T, n); flattened."""
         if self.episode.capacitor_on is not None:
             on = on * self.episode.capacitor_on

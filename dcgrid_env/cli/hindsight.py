@@ -143,18 +143,19 @@ def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
 
 def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
     """Return a summary of a scenario's file on one line."""
-    from dcgrid_env.baselines.model_based.hindsight import effort_of
+    from dcgrid_env.baselines.model_based.hindsight import effort_of, searches_taps
 
     rounds, settled = effort_of(scenario)
     j = [episode["J"] for episode in episodes.values()]
     gaps = [abs(episode["J"] - episode["bound"]) / max(abs(episode["J"]), 1e-12) for episode in episodes.values()]
     most = sum(e["rounds"] >= rounds and gap > settled for e, gap in zip(episodes.values(), gaps, strict=True))
     missing = max(episodes) + 1 - len(episodes)
+    stopped = f"{most} stopped after {rounds} programs with a gap above {settled:g} of J"
+    if searches_taps(scenario):
+        stopped = f"{sum(gap > settled for gap in gaps)} above {settled:g} of J"
     return (
-        f"{len(j)} episodes, mean J {sum(j) / len(j):.4f}, largest gap to the bound {max(gaps):.1e} of J, "
-        f"{most} stopped after {rounds} programs with a gap above {settled:g} of J"
-        + f"; {missing} of the seeds 0 to {max(episodes)} are missing"
-        * (missing > 0)
+        f"{len(j)} episodes, mean J {sum(j) / len(j):.4f}, largest gap to the bound {max(gaps):.1e} of J, {stopped}"
+        + f"; {missing} of the seeds 0 to {max(episodes)} are missing" * (missing > 0)
     )
 
 
@@ -162,15 +163,15 @@ def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) ->
     """Return the episodes of a scenario in a folder, by seed.
 
     Raises ValueError if the file is damaged, belongs to another scenario, or is not of the requested kind:
-    ``best_known`` requests best known costs, otherwise hindsight costs.
+    ``best_known`` requests best known costs without bounds, otherwise the costs that ``dcgrid hindsight`` writes.
     """
     from dcgrid_env import scenario_hash
-    from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, hindsight_file, read_hindsight
+    from dcgrid_env.baselines.hindsight_costs import hindsight_file, is_without_bounds, read_hindsight
 
     content = read_hindsight(folder, scenario.name)
     if content is None:
         return {}
-    if (content.get("kind") == BEST_KNOWN) != best_known:
+    if is_without_bounds(content) != best_known:
         what = "hindsight costs" if best_known else "best known costs"
         raise ValueError(f"out: {hindsight_file(folder, scenario.name)} contains {what}; choose another --out")
     if content["scenario_hash"] != scenario_hash(scenario):
@@ -183,14 +184,18 @@ def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) ->
 
 def _write(path: Path, spec: ScenarioSpec, split: str, episodes: dict[int, dict[str, Any]]) -> None:
     from dcgrid_env import scenario_hash
+    from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
+    from dcgrid_env.baselines.model_based.hindsight import GAP_BEST_KNOWN, searches_taps
 
     scenario, count = spec.make(split), max(episodes) + 1
+    is_far = any(one["J"] - one["bound"] > GAP_BEST_KNOWN * abs(one["J"]) for one in episodes.values())
     command = f"dcgrid hindsight {spec.options('--scenarios')} --split {split} --episodes {count}"
     write_json(
         path,
         {
             "scenario": scenario.name,
             "split": scenario.split,
+            **({"kind": BEST_KNOWN} if is_far and searches_taps(scenario) else {}),
             "scenario_hash": scenario_hash(scenario),
             "command": command,
             "versions": meta()["versions"],

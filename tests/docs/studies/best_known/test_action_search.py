@@ -111,7 +111,7 @@ def test_tables_say_best_known_and_not_hindsight():
     costs = {"none": values.J + 2.0, "droop-tuned": values.J + 1.0}
     own = {name: [{"J": j} | dict.fromkeys(FIGURES, 0.0) for j in of_name] for name, of_name in costs.items()}
     observes = dict.fromkeys(costs, "local")
-    best = values._replace(bound=np.full(3, -np.inf))
+    best = values._replace(bound=np.full(3, -np.inf), is_best_known=True)
     summary = summarise("toy6", 3, own, observes, {}, list(costs), best)
     notes = " ".join(scenario_table(summary).notes)
     assert notes.startswith(f"Best known: J {values.J.mean():.4f}, ")
