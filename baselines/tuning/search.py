@@ -15,7 +15,7 @@ gains reduced until the closed loop is stable. The result is the cheapest set wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,6 +42,8 @@ class Tuned(NamedTuple):
     trials: int
     spectral_radius: float | None = None
     """Spectral radius of a droop's closed loop (:class:`laws.stability.ClosedLoops`); None for other laws."""
+    overrides: Mapping[str, Any] = {}
+    """Fields of the scenario that the parameters require, see ``Scenario.replace``."""
 
 
 class Trial(NamedTuple):
@@ -82,7 +84,8 @@ def tune(
     trials = _search(law, scenarios, episodes, law.parameters, on_trial)
     if law.law is not Droop:
         best = min(trials, key=_cost)
-        return Tuned(best.parameters, best.cost, len(trials))
+        overrides = law.overrides(scenarios[0], best.parameters)
+        return Tuned(best.parameters, best.cost, len(trials), overrides=overrides)
     loops = ClosedLoops(scenarios)
 
     def is_steady(trial: Trial) -> bool:
