@@ -149,7 +149,7 @@ def _search(
     return [trial for trial, _ in tried]
 
 
-CANDIDATES, ELITES, ITERATIONS = 48, 8, 25
+CANDIDATES, ELITES, ITERATIONS = 48, 8, 40
 """Sets of parameters in an iteration of the cross-entropy method, those that determine the next, and iterations."""
 _STD, _EXTRA_STD = 0.25, 0.05
 """Initial and extra standard deviation, as shares of the bounds."""
