@@ -8,6 +8,7 @@ from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
+from dcgrid_env.baselines.laws.set_points import ConstantSetPoints, TwoTimescale
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
@@ -31,6 +32,7 @@ __all__ = [
     "CONTROLLER_REGISTRY",
     "TUNED",
     "ConstantQ",
+    "ConstantSetPoints",
     "Controller",
     "DeadbandDroop",
     "Droop",
@@ -51,6 +53,7 @@ __all__ = [
     "RouteToStrongest",
     "StaggeredReturn",
     "SwitchingReference",
+    "TwoTimescale",
     "VoltVar",
     "centred_voltage",
     "find_controller",

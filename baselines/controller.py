@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -147,9 +148,17 @@ class LocalController:
     scenario: Scenario
     """The scenario with regulators and capacitor banks under automatic control."""
 
+    @property
+    def set_points(self) -> Mapping[str, Mapping[str, Any]]:
+        """Return constant set points for agents of regulators and capacitor banks, by channel and bank.
+
+        Set points that are not named keep their default.
+        """
+        return {}
+
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes of a scenario; raise ValueError if the controller cannot drive it."""
-        self._equipment = EquipmentAgents(env_info, self.moves_taps)
+        self._equipment = EquipmentAgents(env_info, self.moves_taps, set_points=self.set_points)
         self.scenario = env_info = self._equipment.others
         kinds = np.array([device.kind for device in env_info.devices for _ in range(device.count)])
         order = np.argsort(kinds != "datacenter", kind="stable")

@@ -16,8 +16,8 @@ _TAP = "tap"
 class EquipmentAgents:
     """Feeder equipment among a scenario's agents, if any.
 
-    Regulators follow the automatic control of their bank; capacitor banks keep their state, and set points the
-    default. The object stores the timers of the relays, so each run of episodes needs a new one.
+    Regulators follow the automatic control of their bank, capacitor banks keep their state, and set points are
+    constant. The object stores the timers of the relays, so each run of episodes needs a new one.
 
     Parameters
     ----------
@@ -27,9 +27,18 @@ class EquipmentAgents:
         Whether regulators are driven; if not, they also keep their position of t = 0.
     keep_set_points
         Whether agents of set points are among the other agents.
+    set_points
+        Set points by channel and bank: numbers, or arrays with a value for each environment (row,). Others keep the
+        default.
     """
 
-    def __init__(self, scenario: Scenario, moves_taps: bool = True, keep_set_points: bool = False) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        moves_taps: bool = True,
+        keep_set_points: bool = False,
+        set_points: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         self.scenario, self.others = scenario, under_own_control(scenario, keep_set_points)
         """``others`` is the scenario that a controller of the other agents receives."""
         among = set(self.others.agents)
@@ -39,7 +48,7 @@ class EquipmentAgents:
         seen = np.array([agent in among for agent in scenario.agents for _ in names[agent]])
         self._seen = None if seen.all() else np.flatnonzero(seen)
         self._others_at = np.array([agent in among for agent, _ in self._layout.names])
-        self._rest = at_rest(scenario)
+        self._rest = _with_set_points(scenario, set_points or {})
         driven = moves_taps and any(device.kind == "tap_changer" for device in scenario.devices)
         self._regulators = _Regulators(scenario) if driven else None
 
@@ -57,7 +66,7 @@ class EquipmentAgents:
         if self._seen is None:
             return of_others(joint)
         of_policy = of_others(joint[..., self._seen])
-        actions = np.empty((*of_policy.shape[:-1], len(self._rest)), of_policy.dtype)
+        actions = np.empty((*of_policy.shape[:-1], self._rest.shape[-1]), of_policy.dtype)
         actions[...] = self._rest
         actions[..., self._others_at] = of_policy
         if self._regulators is not None:
@@ -98,6 +107,25 @@ def at_rest(scenario: Scenario) -> np.ndarray:
         if device.count and device.channels
     ]
     return np.concatenate([np.empty(0), *entries])
+
+
+def _with_set_points(scenario: Scenario, set_points: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
+    """Return the joint action ``at_rest`` with constant set points, (n_action,), or (row, n_action) for arrays."""
+    position, rest = {entry: i for i, entry in enumerate(action_layout(scenario).names)}, at_rest(scenario)
+    devices: tuple[Any, ...] = scenario.devices
+    chosen = [
+        (position[f"{device.prefix}_{slot}", channel.name], channel.lowest[slot], channel.highest[slot], of_banks[bank])
+        for device in devices
+        for channel in device.channels
+        if (of_banks := set_points.get(channel.name))
+        for slot, bank in enumerate(device.names)
+        if bank in of_banks
+    ]
+    rows = np.broadcast_shapes(*(np.shape(value) for *_, value in chosen))
+    actions = np.zeros((*rows, len(rest))) + rest
+    for entry, lowest, highest, value in chosen:
+        actions[..., entry] = 2.0 * (value - lowest) / (highest - lowest) - 1.0
+    return actions
 
 
 def _at_rest(channel: Channel) -> np.ndarray:

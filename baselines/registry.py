@@ -18,6 +18,7 @@ from dcgrid_env.baselines.laws.fixed_smoothing import PROFILES, FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
+from dcgrid_env.baselines.laws.set_points import ConstantSetPoints, TwoTimescale
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference
@@ -78,6 +79,15 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "smoothing-strong": ("the same with a floor of 90 % and ramps of two seconds", _profile("strong")),
     "constant-q": ("the same constant share of the reactive limit at every agent", ConstantQ),
     "placement": ("a constant share that is a linear function of R_ii and X_ii", PlacementRule),
+    "set-points": (
+        "constant set points of regulators and capacitor banks (default: the scenario's)",
+        ConstantSetPoints,
+    ),
+    "static": ("the same and a constant share of the reactive limit for each agent (default: 0)", ConstantSetPoints),
+    "two-timescale": (
+        "constant set points, and reactive power that follows the local voltage: 10 times the deviation within 300 s",
+        TwoTimescale,
+    ),
     "model-aided": (
         "local measurements and the feeder's model: what is best for an estimate of all voltages from the own one",
         ModelAided,

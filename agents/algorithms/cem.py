@@ -2,7 +2,7 @@
 
 Each iteration draws candidates, the parameters of small networks, from a normal distribution. All candidates run
 through the same episodes of the training split, each in some rows of one native batch. The distribution moves to the
-candidates of least cost (``training.cross_entropy``).
+candidates of least cost (``core.cross_entropy``).
 
 The method needs no model and no credit assignment: a candidate's cost is the cost of complete episodes. Use it if
 actions have effects many steps later that gradients and value functions miss, such as the taps of regulators, which
@@ -26,12 +26,12 @@ from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.candidates import Candidates
 from dcgrid_env.agents.training.config import Training, check, trained_on
-from dcgrid_env.agents.training.cross_entropy import CrossEntropy
 from dcgrid_env.agents.training.episodes import episode_seeds
 from dcgrid_env.agents.training.normalisation import normalisation
 from dcgrid_env.agents.training.run_folder import Run, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation, made_with, stepped
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.core.cross_entropy import CrossEntropy
 
 
 @dataclass(frozen=True)

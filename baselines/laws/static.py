@@ -19,6 +19,7 @@ injecting is wrong if PV raises the voltage (``mixed``). What was found for each
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -37,6 +38,8 @@ class ConstantQ(LocalController):
         Share of the reactive limit, -1 to 1, injection positive: one number, or one for each agent, data centres first.
     """
 
+    name: ClassVar[str] = "constant-q"
+
     q_share: float | tuple[float, ...] = 0.7122
 
     def __post_init__(self) -> None:
@@ -44,7 +47,7 @@ class ConstantQ(LocalController):
             self.q_share = tuple(self.q_share)
         for value in self.q_share if isinstance(self.q_share, tuple) else (self.q_share,):
             if not -1.0 <= value <= 1.0:
-                raise ValueError(f"constant-q: q_share is {value!r}; give shares from -1 to 1")
+                raise ValueError(f"{self.name}: q_share is {value!r}; give shares from -1 to 1")
 
     def reset(self, env_info: Scenario) -> None:
         """Begin new episodes; ValueError where there is not one share for each agent."""
@@ -52,7 +55,7 @@ class ConstantQ(LocalController):
         n_agent = self.scenario.n_agents
         if isinstance(self.q_share, tuple) and len(self.q_share) != n_agent:
             raise ValueError(
-                f"constant-q: q_share has {len(self.q_share)} shares; {env_info.name} has {n_agent} agents with a bus"
+                f"{self.name}: q_share has {len(self.q_share)} shares; {env_info.name} has {n_agent} agents with a bus"
             )
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:

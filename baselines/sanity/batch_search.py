@@ -14,24 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv, Scenario
+from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.tuning.batch import episode_costs, mean_costs
 from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters
-
-
-def episode_costs(scenario: Scenario, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
-    """J of an episode for each seed, (n_seed,); a record of many long episodes would not fit in memory."""
-    env = DcgridVectorEnv(len(seeds), scenario.replace(reward="shared"))
-    observations, _ = env.reset(seed=list(seeds))
-    controller.reset(scenario)
-    j, over = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
-    while not over.all():
-        observations, _, terminated, truncated, _ = env.step(controller.act(observations))
-        j += env.transition.cost_j * ~over
-        over |= terminated | truncated
-    env.close()
-    return j / scenario.horizon
-
 
 CANDIDATES, GENERATIONS, TRIALS = 24, 8, 100
 _FEWEST = 8
@@ -74,7 +60,7 @@ def fitted(name: str, scenario: Scenario, seeds: Sequence[int], until_s: float) 
             break
         x = np.clip(middle + spread * rng.standard_normal((count, len(low))), low, high)
         x[0] = best
-        j = _mean_costs(name, scenario, x, seeds)
+        j = mean_costs(law, scenario, [law.parameters(row, [scenario]) for row in x], seeds)
         order = np.argsort(j, kind="stable")[: max(2, count // _ELITE)]
         if j[order[0]] < best_j:
             best, best_j = x[order[0]], float(j[order[0]])
@@ -116,15 +102,3 @@ def _polished(
 
 class _OutOfTime(Exception):
     """No time is left for another trial."""
-
-
-def _mean_costs(name: str, scenario: Scenario, x: np.ndarray, seeds: Sequence[int]) -> np.ndarray:
-    """Mean J of each row of parameters over the episodes, (row,)."""
-    law = TUNABLE[name]
-    each = [law.parameters(row, [scenario]) for row in x]
-    controller = law.law()
-    for field in each[0]:
-        values = np.array([parameters[field] for parameters in each])
-        per_env = np.repeat(values.reshape(len(x), -1), len(seeds), axis=0)
-        setattr(controller, field, per_env)  # (row, 1), or (row, n_agent), which broadcast
-    return episode_costs(scenario, controller, list(seeds) * len(x)).reshape(len(x), len(seeds)).mean(axis=1)

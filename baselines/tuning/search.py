@@ -6,13 +6,16 @@ derivatives) from the middle of the bounds. Laws of up to three parameters, and 
 searched by differential evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997), and by COBYQA from
 its best point. Both are the implementations of scipy. The same call finds the same parameters.
 
+Set points are searched by the cross-entropy method (``core.cross_entropy``) on one scenario. A tap changes the cost by
+a step, and all candidates run in one batch.
+
 A droop must also be steady (``steadiness``). If the cheapest gains are not, the search is repeated with each set of
 gains reduced until the closed loop is stable. The result is the cheapest set without a limit cycle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,8 +26,10 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.stability import ClosedLoops, is_stable
 from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.baselines.tuning.batch import mean_costs
 from dcgrid_env.baselines.tuning.steadiness import drawn_back, has_limit_cycle
 from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters, Tunable
+from dcgrid_env.core.cross_entropy import CrossEntropy
 from dcgrid_env.core.suggestions import unknown
 
 
@@ -37,6 +42,8 @@ class Tuned(NamedTuple):
     trials: int
     spectral_radius: float | None = None
     """Spectral radius of a droop's closed loop (:class:`laws.stability.ClosedLoops`); None for other laws."""
+    overrides: Mapping[str, Any] = {}
+    """Fields of the scenario that the parameters require, see ``Scenario.replace``."""
 
 
 class Trial(NamedTuple):
@@ -77,7 +84,8 @@ def tune(
     trials = _search(law, scenarios, episodes, law.parameters, on_trial)
     if law.law is not Droop:
         best = min(trials, key=_cost)
-        return Tuned(best.parameters, best.cost, len(trials))
+        overrides = law.overrides(scenarios[0], best.parameters)
+        return Tuned(best.parameters, best.cost, len(trials), overrides=overrides)
     loops = ClosedLoops(scenarios)
 
     def is_steady(trial: Trial) -> bool:
@@ -106,6 +114,8 @@ def _search(
     from scipy.optimize import differential_evolution, minimize
 
     low, high = np.array(law.bounds(scenarios)).T
+    if law.by_cross_entropy:
+        return _by_cross_entropy(law, scenarios, episodes, on_trial)
     alone = len(scenarios) == 1
     j_free = [1.0] if alone else [mean_cost(s, NoControl(), episodes) for s in scenarios]
     tried: list[tuple[Trial, np.ndarray]] = []
@@ -137,6 +147,35 @@ def _search(
     for start in starts:
         minimize(score, start, method="COBYQA", bounds=[(0.0, 1.0)] * n, options=budget)
     return [trial for trial, _ in tried]
+
+
+CANDIDATES, ELITES, ITERATIONS = 48, 8, 40
+"""Sets of parameters in an iteration of the cross-entropy method, those that determine the next, and iterations."""
+_STD, _EXTRA_STD = 0.25, 0.05
+"""Initial and extra standard deviation, as shares of the bounds."""
+_SETTLED_STD = 1e-3
+"""Standard deviation of all parameters below which the search ends."""
+
+
+def _by_cross_entropy(
+    law: Tunable, scenarios: Sequence[Scenario], episodes: int, on_trial: Callable[[], None] | None
+) -> list[Trial]:
+    """Every set of parameters that the cross-entropy method tries on one scenario."""
+    (scenario,), bounds = scenarios, np.array(law.bounds(scenarios))
+    distribution = CrossEntropy(np.full(len(bounds), 0.5), _STD, _EXTRA_STD, ELITES)
+    trials: list[Trial] = []
+    for iteration in range(1, ITERATIONS + 1):
+        shares = distribution.candidates(np.random.default_rng([0, iteration]), CANDIDATES).clip(0.0, 1.0)
+        sets = [law.parameters(bounds[:, 0] + share * np.ptp(bounds, axis=1), scenarios) for share in shares]
+        costs = mean_costs(law, scenario, sets, range(episodes))
+        distribution.update(shares, costs, iteration / ITERATIONS)
+        trials += map(Trial, costs.tolist(), sets)
+        if on_trial is not None:
+            for _ in sets:
+                on_trial()
+        if distribution.std.max() < _SETTLED_STD:
+            break
+    return trials
 
 
 def _cost(trial: Trial) -> float:

@@ -15,6 +15,14 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving, has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest, has_routing
+from dcgrid_env.baselines.laws.set_points import (
+    ConstantSetPoints,
+    SetPoint,
+    TwoTimescale,
+    has_set_points,
+    offset_overrides,
+    open_set_points,
+)
 from dcgrid_env.baselines.laws.site_return import (
     SLOWEST_PACE,
     ReturnByHand,
@@ -42,6 +50,10 @@ class Tunable:
     """Generations of differential evolution; None for three where there are up to three parameters, else none."""
     fits: Callable[[Scenario], bool] = lambda _: True
     """Whether the law can drive a scenario at all."""
+    by_cross_entropy: bool = False
+    """Whether the cross-entropy method searches the parameters, all candidates in one batch."""
+    overrides: Callable[[Scenario, Parameters], dict[str, Any]] = lambda *_: {}
+    """Fields of the scenario that the parameters require, see ``Scenario.replace``."""
 
 
 def _droop(x: np.ndarray, _: Sequence[Scenario]) -> Parameters:
@@ -153,6 +165,48 @@ def _smoothing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     }
 
 
+_STEP = {"offset_v": 0.1, "half_band_v": 0.1, "centre_pu": 0.001}
+"""Resolution of the settings of controls, in the unit of the parameter."""
+
+
+def _set_points(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    parameters: Parameters = {}
+    for point, value in zip(_points(scenarios), x.tolist(), strict=True):
+        step = _STEP[point.parameter]
+        rounded = round(min(max(step * round(value / step), point.lowest), point.highest), 6)
+        parameters.setdefault(point.parameter, {})[point.name] = rounded
+    return parameters
+
+
+def _set_points_and_q(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    n = len(_points(scenarios))
+    return _set_points(x[:n], scenarios) | _constant(x[n:], scenarios)
+
+
+def _two_timescale(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    fast = {"slope_per_pu": _power(x[-2]), "response_s": _rounded(scenarios[0].dt_s * 10.0 ** x[-1])}
+    return _set_points_and_q(x[:-2], scenarios) | fast
+
+
+def _set_point_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
+    return [(point.lowest, point.highest) for point in _points(scenarios)]
+
+
+def _points(scenarios: Sequence[Scenario]) -> list[SetPoint]:
+    """Return the open set points of one scenario; ValueError for several, or a scenario without any."""
+    if len(scenarios) > 1:
+        names = ", ".join(scenario.name for scenario in scenarios)
+        raise ValueError(f"tune: set points belong to one scenario, got {names}; tune each by itself")
+    points = open_set_points(scenarios[0])
+    if not points:
+        ConstantSetPoints().reset(scenarios[0])  # raises the error
+    return points
+
+
+def _offset_overrides(scenario: Scenario, parameters: Parameters) -> dict[str, Any]:
+    return offset_overrides(scenario, parameters.get("offset_v", {}))
+
+
 TUNABLE: dict[str, Tunable] = {
     "droop": Tunable(Droop, _droop, _droop_bounds),
     "droop-q": Tunable(
@@ -186,6 +240,31 @@ TUNABLE: dict[str, Tunable] = {
     "constant-q": Tunable(ConstantQ, _constant, _constant_bounds),
     # The cost has plateaus and several valleys: the rule saturates.
     "placement": Tunable(PlacementRule, _placement, lambda _: [(-2.0, 2.0), (-3.5, 3.5), (-3.5, 3.5)], 12),
+    # Taps make steps of the cost, and banks act on each other.
+    "set-points": Tunable(
+        ConstantSetPoints,
+        _set_points,
+        _set_point_bounds,
+        fits=has_set_points,
+        by_cross_entropy=True,
+        overrides=_offset_overrides,
+    ),
+    "static": Tunable(
+        ConstantSetPoints,
+        _set_points_and_q,
+        lambda s: [*_set_point_bounds(s), *_constant_bounds(s)],
+        fits=has_set_points,
+        by_cross_entropy=True,
+        overrides=_offset_overrides,
+    ),
+    "two-timescale": Tunable(
+        TwoTimescale,
+        _two_timescale,
+        lambda s: [*_set_point_bounds(s), *_constant_bounds(s), (0.0, 2.0), (0.0, 1.8)],
+        fits=has_set_points,
+        by_cross_entropy=True,
+        overrides=_offset_overrides,
+    ),
 }
 """Laws that can be tuned, by the names of ``CONTROLLERS``."""
 

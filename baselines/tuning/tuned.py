@@ -138,7 +138,7 @@ def identity(scenario: Scenario) -> dict[str, str]:
 
 def grid_hash(scenario: Scenario) -> str:
     """Return the hash of the fields that a law's gains depend on."""
-    return scenario_hash(_grid(scenario))
+    return scenario_hash(_grid(_without_agents(scenario)))
 
 
 def grid_difference(scenario: Scenario, other: Scenario) -> str | None:

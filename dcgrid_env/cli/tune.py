@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -37,6 +38,9 @@ class Tune(OverWorkers):
     The file is written after each law. If you run an interrupted command again, it keeps the laws that are done for the
     same scenario and settings, unless you pass --again. Other entries of the file stay unchanged.
 
+    The laws set-points, static and two-timescale choose constant set points of regulators and capacitor banks. Offsets
+    of controlled regulators are fields of the scenario: the command prints them as an option --set.
+
     Droop gains are chosen among those with a stable closed loop: spectral radius at most 1, no limit cycle.
 
     `dcgrid run`, `benchmark`, `evaluate` and `train` use results/tuned.json if it has gains for their scenario. The
@@ -45,7 +49,8 @@ class Tune(OverWorkers):
 
     laws: str = "all"
     """Laws, separated by commas: droop, droop-q, deadband, peak-shaving, return-by-hand, staggered-return, smoothing,
-    route-to-strongest, constant-q or placement; or all for every law that applies to the scenario."""
+    route-to-strongest, constant-q, placement, set-points, static or two-timescale; or all for every law that applies to
+    the scenario."""
     scenarios: Scenarios = "all"
     """Scenarios, separated by commas: names (dcgrid list), path/to/file.toml, path/to/file.py:function or
     package.module:function; or all for every preset."""
@@ -126,6 +131,8 @@ def _search(cfg: Tune, asked: Sequence[Search], place: Place) -> None:
             values = ", ".join(f"{name} = {value}" for name, value in entry["parameters"].items())
             radius = entry.get("spectral_radius")
             said = f"; spectral radius {radius:.3f}" if radius is not None else ""
+            if required := entry.get("set"):
+                said += f"; set in the scenario: --set {shlex.join(required)}"
             console.print(f"{search.key} {search.law}: {values}; J {entry['J']:.4f}{said}")
             progress.advance(bar)
     console.print(f"wrote {cfg.out}" if due else f"nothing to do: all results are already in {cfg.out}")
@@ -140,6 +147,11 @@ def _tuned(episodes: int, search: Search) -> dict[str, Any]:
         "J": best.score,
         "trials": best.trials,
         **({} if best.spectral_radius is None else {"spectral_radius": best.spectral_radius}),
+        **(
+            {"set": [f"{field}={json.dumps(value)}" for field, value in best.overrides.items()]}
+            if best.overrides
+            else {}
+        ),
         "command": _command(search, episodes),
         **_identity(search),
     }

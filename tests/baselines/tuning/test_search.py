@@ -11,6 +11,7 @@ import pytest
 from dcgrid_env import PRESETS, make_scenario
 from dcgrid_env.baselines import CONTROLLERS, ConstantQ, Droop, NoControl, make_controller, rollout
 from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.baselines.tuning import search
 from dcgrid_env.baselines.tuning.search import mean_cost, tune
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
@@ -81,7 +82,7 @@ def test_what_cannot_be_tuned(arguments, message):
 
 
 def test_every_preset_ships_every_law():
-    assert set(SHIPPED["laws"]) == set(TUNABLE)
+    assert set(SHIPPED["laws"]) == {law for law in TUNABLE if any(TUNABLE[law].fits(make_scenario(p)) for p in PRESETS)}
     for law, of_scenario in SHIPPED["laws"].items():
         assert set(of_scenario) == {name for name in PRESETS if TUNABLE[law].fits(make_scenario(name))}, law
         for name, record in of_scenario.items():
@@ -169,3 +170,40 @@ def test_equipment_has_no_share_of_reactive_power_to_search_for():
         shares = law.parameters(np.linspace(0.1, 0.9, width), [scenario])["q_share"]
         assert len(shares) == (12 if scenario is drawn else 6)
         assert (np.array(shares) != 0.0).all()
+
+
+@pytest.mark.parametrize("law", ["set-points", "static", "two-timescale"])
+def test_set_points_are_searched_with_the_rest_of_the_law(law, monkeypatch):
+    monkeypatch.setattr(search, "CANDIDATES", 12)
+    monkeypatch.setattr(search, "ITERATIONS", 5)
+    settings = {"grid_control.regulator_settings": {"timer": "integrating"}}
+    controlled = make_scenario("ieee13-3ph", split="validation", horizon=40, **settings)
+    agents = controlled.replace(grid_control={"regulators": "setpoint", "capacitors": {"cap2": "setpoint"}})
+    for scenario in (controlled, agents):
+        found = tune(law, [scenario], episodes=2)
+        assert found.trials <= 60
+        tuned = scenario.replace(**found.overrides)
+        assert bool(found.overrides) is (scenario is controlled)
+        assert mean_cost(tuned, TUNABLE[law].law(**found.parameters), 2) == pytest.approx(found.score)
+        assert found.score < mean_cost(scenario, TUNABLE[law].law(), 2) - 0.5
+        for name, offset_v in found.parameters["offset_v"].items():
+            assert offset_v == round(offset_v, 1), name
+        assert ("q_share" in found.parameters) is (law != "set-points")
+    assert tune(law, [agents], episodes=2) == found
+
+
+def test_a_search_of_set_points_ends_once_all_candidates_are_alike(monkeypatch):
+    monkeypatch.setattr(search, "_EXTRA_STD", 0.0)
+    monkeypatch.setattr(search, "CANDIDATES", 8)
+    monkeypatch.setattr(search, "ELITES", 2)
+    settings = {"grid_control.regulator_settings": {"timer": "reset"}}
+    short = make_scenario("ieee13-3ph", split="validation", horizon=5, **settings)
+    assert tune("set-points", [short], episodes=1).trials < 8 * search.ITERATIONS
+
+
+def test_set_points_belong_to_one_scenario_that_leaves_some_open():
+    scenario = make_scenario("ieee13-3ph", **{"grid_control.regulator_settings": {"timer": "reset"}})
+    with pytest.raises(ValueError, match="set points belong to one scenario, got ieee13-3ph, ieee13-3ph; tune each by"):
+        tune("static", [scenario, scenario], episodes=1)
+    with pytest.raises(ValueError, match="scenario 'ieee13-3ph' has no set points to choose"):
+        tune("set-points", [make_scenario("ieee13-3ph")], episodes=1)

@@ -149,4 +149,6 @@ def test_a_three_phase_grid_is_told_from_another():
     assert grid_difference(base, base.replace(horizon=7, trace="chat", weights={"unbalance": 3.0})) is None
     assert grid_difference(base, ieee34()) == "feeder"
     assert grid_hash(base) == grid_hash(base.replace(observe="feeder"))
+    slow = {"regulators": "setpoint", "regulator_settings": {"timer": "reset", "offset_v": -2.0}}
+    assert grid_hash(base) == grid_hash(base.replace(grid_control=slow))
     assert grid_hash(base) != grid_hash(base.replace(inverters={"phases": ("a", "abc", "c", "a")}))

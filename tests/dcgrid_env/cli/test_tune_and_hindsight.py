@@ -7,15 +7,17 @@ import subprocess
 import sys
 import time
 from importlib.resources import files
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from dcgrid_env import episode_hash, make_scenario, scenario_hash
-from dcgrid_env.baselines import make_controller, published
+from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.baselines.hindsight_costs import FOLDER
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.tuning import search
 from dcgrid_env.baselines.tuning.search import Tuned, tune
 from dcgrid_env.cli.main import main
 from helpers.places import ROOT
@@ -91,6 +93,26 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
     record["spectral_radius"] = found.spectral_radius
     assert laws == {"droop": other["droop"], "droop-q": other["droop-q"] | {"toy6": record}}
     assert f"k_q_mvar_per_pu_s = {found.parameters['k_q_mvar_per_pu_s']}" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_offsets_of_controlled_regulators_are_printed_as_an_option_that_the_tuned_law_requires(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(search, "CANDIDATES", 8)
+    monkeypatch.setattr(search, "ITERATIONS", 2)
+    monkeypatch.chdir(tmp_path)
+    option = 'grid_control.regulator_settings={timer="reset"}'
+    arguments = ["tune", "--laws", "static", "--scenarios", "ieee13-3ph", "--set", option, "--episodes", "1"]
+    main([*arguments, "--workers", "1"])
+    entry = json.loads(Path("results/tuned.json").read_text())["laws"]["static"]["ieee13-3ph"]
+    (required,) = entry["set"]
+    printed = "".join(capsys.readouterr().out.split())
+    assert f"setinthescenario:--set'{required}'".replace(" ", "") in printed
+    before, after = (ScenarioSpec("ieee13-3ph", (text,)).make("validation") for text in (option, required))
+    assert before.grid_control.regulator_settings.timer == after.grid_control.regulator_settings.timer == "reset"
+    assert rollout(after, make_controller("static-tuned", after), [0]).costs().mean() == pytest.approx(entry["J"])
+    with pytest.raises(ValueError, match=r"static: offset_v of 'reg1' is .* add --set 'grid_control"):
+        make_controller("static-tuned", before).reset(before)
 
 
 def test_tune_keeps_each_law_as_it_is_found_and_goes_on_from_there(tmp_path, capsys, monkeypatch):

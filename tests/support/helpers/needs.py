@@ -6,6 +6,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.peak_shaving import has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
+from dcgrid_env.baselines.laws.set_points import has_set_points
 from dcgrid_env.baselines.laws.site_return import has_return_channel
 
 
@@ -33,6 +34,9 @@ NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "smoothing-light": has_smoothing_channels,
     "smoothing-strong": has_smoothing_channels,
     "route-to-strongest": has_routing,
+    "set-points": has_set_points,
+    "static": has_set_points,
+    "two-timescale": has_set_points,
     "mpc": is_known_to_models,
     "mpc-one-step": is_known_to_models,
     "feedback": is_known_to_models,
@@ -40,7 +44,7 @@ NEEDS: dict[str, Callable[[Scenario], bool]] = {
 }
 NEEDING_A_DEVICE = (
     "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",
-    "route-to-strongest",
+    "route-to-strongest", "set-points", "static", "two-timescale",
 )  # fmt: skip
 """Controllers that refuse a scenario of data centres and inverters alone."""
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env.agents.training.cross_entropy import CrossEntropy
+from dcgrid_env.core.cross_entropy import CrossEntropy
 
 
 def searched(cost, n, iterations, seed=0, population=64, elites=10):
