@@ -2,13 +2,13 @@
 
 from dcgrid_env.baselines.controller import Controller, Local, LocalController, NeedsPlacement, NeedsRegulators
 from dcgrid_env.baselines.hindsight_costs import Published, published
+from dcgrid_env.baselines.laws.constant_set_points import ConstantSetPoints, TwoTimescale
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
-from dcgrid_env.baselines.laws.set_points import ConstantSetPoints, TwoTimescale
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.laws.constant_set_points import ConstantSetPoints, TwoTimescale
 from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import PROFILES, FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
-from dcgrid_env.baselines.laws.set_points import ConstantSetPoints, TwoTimescale
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 from dcgrid_env.baselines.laws.switching import SwitchingReference

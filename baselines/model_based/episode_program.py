@@ -32,7 +32,6 @@ from dcgrid_env.baselines.model_based.storage_rows import StorageRows
 from dcgrid_env.baselines.model_based.tap_trajectory import Demands, TapTrajectory
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
 from dcgrid_env.baselines.model_based.voltage_rows import voltage_rows
-from dcgrid_env.scenario.costs.equipment_moves import n_moving
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
 Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is at most
@@ -60,7 +59,7 @@ class EpisodeProgram(Trajectory):
         self.demands: Demands | None = None
         """Volts that the relays have to measure; see ``lead``."""
         self.has_own_taps = self.relays is not None
-        self.tap_price = 0.0 if self.relays is None else s.cost.weights.switching / n_moving(s) / s.horizon
+        self.tap_price = 0.0 if self.relays is None else s.cost.weights.switching / len(self.relays.rows) / s.horizon
         """Share of J that each tap costs."""
         self.sizes["z"] = 0 if self.relays is None else s.horizon * len(self.relays.rows)
         self.sizes |= self.storage_rows.sizes | self.work_rows.sizes

@@ -13,7 +13,6 @@ import numpy as np
 
 from dcgrid_env import ActingRelays, Forecast, Recorder, RegulatorControl, Scenario, acting_relays
 from dcgrid_env.baselines.model_based.equipment_program import EquipmentProgram
-from dcgrid_env.scenario.grid_control import regulator_deciders
 
 _NARROWEST = 1e-3  # of a tap: no range is so narrow that it has no inside
 _TOLERANCE = 1e-4  # share of the optimum to which it is found; the dual is a bound at any accuracy
@@ -30,7 +29,7 @@ class _FreeTaps(EquipmentProgram):
     """The program whose taps need not follow relays."""
 
     def __init__(self, scenario: Scenario, relays: ActingRelays, episode: Forecast, replayed: Recorder) -> None:
-        super().__init__(_with_agents(scenario), episode, keep_band=False)
+        super().__init__(_with_agents(scenario, relays), episode, keep_band=False)
         self.follow(replayed)
         self.retrace(replayed)
         rows, settings = relays.rows, relays.settings
@@ -45,9 +44,9 @@ class _FreeTaps(EquipmentProgram):
         return np.maximum(self.rest - self._reach, self.lowest), np.minimum(self.rest + self._reach, self.highest)
 
 
-def _with_agents(scenario: Scenario) -> Scenario:
+def _with_agents(scenario: Scenario, relays: ActingRelays) -> Scenario:
     """The scenario in which the regulators with a control are agents, with the same weights of reactive power."""
     feeder: Any = scenario.feeder
-    deciders = zip(feeder.network.regulator.bank, regulator_deciders(scenario.grid_control, feeder), strict=True)
-    regulators = {bank: "agent" if decider == "controlled" else "fixed" for bank, decider in deciders}
+    bank = feeder.network.regulator.bank
+    regulators = dict.fromkeys(bank, "fixed") | {bank[row]: "agent" for row in relays.rows.tolist()}
     return scenario.replace(grid_control={"regulators": regulators, "regulator_settings": RegulatorControl()})

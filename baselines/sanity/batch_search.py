@@ -16,7 +16,7 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
-from dcgrid_env.baselines.tuning.batch import episode_costs, mean_costs
+from dcgrid_env.baselines.tuning.candidate_costs import episode_costs, mean_costs
 from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters
 
 CANDIDATES, GENERATIONS, TRIALS = 24, 8, 100

@@ -26,7 +26,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.stability import ClosedLoops, is_stable
 from dcgrid_env.baselines.rollout import rollout
-from dcgrid_env.baselines.tuning.batch import mean_costs
+from dcgrid_env.baselines.tuning.candidate_costs import mean_costs
 from dcgrid_env.baselines.tuning.steadiness import drawn_back, has_limit_cycle
 from dcgrid_env.baselines.tuning.tunable import TUNABLE, Parameters, Tunable
 from dcgrid_env.core.cross_entropy import CrossEntropy

@@ -10,12 +10,7 @@ import numpy as np
 
 from dcgrid_env import Scenario, action_layout, believed_sensitivity, nodes_by_bus, under_own_control
 from dcgrid_env.baselines.controller import Controller
-from dcgrid_env.baselines.laws.deadband import DeadbandDroop
-from dcgrid_env.baselines.laws.droop import Droop
-from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
-from dcgrid_env.baselines.laws.peak_shaving import PeakShaving, has_storages
-from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest, has_routing
-from dcgrid_env.baselines.laws.set_points import (
+from dcgrid_env.baselines.laws.constant_set_points import (
     ConstantSetPoints,
     SetPoint,
     TwoTimescale,
@@ -23,6 +18,11 @@ from dcgrid_env.baselines.laws.set_points import (
     offset_overrides,
     open_set_points,
 )
+from dcgrid_env.baselines.laws.deadband import DeadbandDroop
+from dcgrid_env.baselines.laws.droop import Droop
+from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
+from dcgrid_env.baselines.laws.peak_shaving import PeakShaving, has_storages
+from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest, has_routing
 from dcgrid_env.baselines.laws.site_return import (
     SLOWEST_PACE,
     ReturnByHand,

@@ -47,6 +47,7 @@ def main(episodes: int = EPISODES, **overrides: object) -> None:
     scenario = preset.replace(**OVERRIDES)
     assert all(same_days(preset, scenario, seed) for seed in seeds)
     droop, hindsight = results(preset, "droop-tuned", seeds)["J"], published(preset)
+    assert hindsight is not None
     print("| controller | score | " + " | ".join(METRICS.values()) + " |")
     print("|---" * (len(METRICS) + 2) + "|")
     for name in CONTROLLERS:

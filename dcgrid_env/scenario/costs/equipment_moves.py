@@ -27,7 +27,7 @@ def _moving(scenario: Any) -> np.ndarray:
 
 
 @cached_on_owner
-def n_moving(scenario: Any) -> int:
+def _n_moving(scenario: Any) -> int:
     """Number of regulators and capacitor banks that are not fixed, at least 1."""
     return max(int(_moving(scenario).sum()), 1)
 
@@ -35,7 +35,7 @@ def n_moving(scenario: Any) -> int:
 def mean_switching(scenario: Any, equipment: Any) -> Array:
     """Mean number of taps and switchings in the step of the equipment that is not fixed, (row,)."""
     moves = _moves(equipment)
-    return sum_last(moves * as_like(_moving(scenario), moves)) / n_moving(scenario)
+    return sum_last(moves * as_like(_moving(scenario), moves)) / _n_moving(scenario)
 
 
 def switching_of_agents(scenario: Any, state: Any) -> Array:
@@ -50,14 +50,14 @@ def switching_of_agents(scenario: Any, state: Any) -> Array:
         else:
             parts.append(zero[..., begin:end])
         begin = end
-    return zero + (controlled / n_moving(scenario))[..., None] + namespace(zero).concat(parts, axis=-1)
+    return zero + (controlled / _n_moving(scenario))[..., None] + namespace(zero).concat(parts, axis=-1)
 
 
 def largest_switching(scenario: Any) -> float:
     """Upper bound of the mean: every regulator from end to end, every bank switched."""
     settings = relay_settings(scenario.feeder)
     most = np.concatenate((settings.highest - settings.lowest, np.ones(scenario.feeder.n_capacitor)))
-    return float((most * _moving(scenario)).sum() / n_moving(scenario))
+    return float((most * _moving(scenario)).sum() / _n_moving(scenario))
 
 
 def _moves(equipment: Any) -> Array:

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 from dcgrid_env import Scenario
+from dcgrid_env.baselines.laws.constant_set_points import has_set_points
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.peak_shaving import has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
-from dcgrid_env.baselines.laws.set_points import has_set_points
 from dcgrid_env.baselines.laws.site_return import has_return_channel
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from dcgrid_env import DcgridVectorEnv, make_scenario
 from dcgrid_env.baselines import ConstantSetPoints, TwoTimescale, rollout
-from dcgrid_env.baselines.laws.set_points import open_set_points
-from dcgrid_env.baselines.tuning.batch import mean_costs
+from dcgrid_env.baselines.laws.constant_set_points import open_set_points
+from dcgrid_env.baselines.tuning.candidate_costs import mean_costs
 from dcgrid_env.baselines.tuning.search import mean_cost
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from helpers.three_phase import ieee13, ieee123
@@ -81,7 +81,7 @@ def test_without_slope_and_with_a_quick_response_reactive_power_is_constant():
             TwoTimescale(q_share=0.3, **CHOSEN, slope_per_pu=0.0, response_s=0.0),
         )
     ]
-    np.testing.assert_array_equal(*runs)
+    np.testing.assert_array_equal(runs[0], runs[1])
 
 
 @pytest.mark.parametrize("law", ["set-points", "static", "two-timescale"])
