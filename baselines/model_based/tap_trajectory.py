@@ -19,8 +19,6 @@ BELOW, IN_BAND, ABOVE, ANY = -1.0, 0.0, 1.0, np.nan
 """Where relay volts lie relative to the band; ``ANY`` where it makes no difference."""
 MARGIN_V = 0.02
 """Distance that planned relay volts keep from the edges of the band: the linear program may be off by as much."""
-PRICE = 1.0
-"""Share of J that a volt off the demand costs in one step; a tap is some 0.1 of J, and 0.75 V."""
 
 
 class Demands(NamedTuple):

@@ -80,6 +80,7 @@ ELSEWHERE = {
     "dcgrid benchmark --ray auto": "tests/dcgrid_env/cli/test_on_a_cluster.py",
     "dcgrid tune --ray 10.0.0.7:6379": "tests/dcgrid_env/cli/test_on_a_cluster.py",
     "dcgrid hindsight --ray ray://head.example:10001": "tests/dcgrid_env/cli/test_on_a_cluster.py",
+    "dcgrid tune --laws set-points": "tests/dcgrid_env/cli/test_tune_and_hindsight.py",
     "dcgrid train analytic --ray auto": "tests/dcgrid_env/cli/test_on_a_cluster.py",
     "python -m docs.studies unit-overhead": "tests/docs/studies/speed/test_unit_overhead.py",
     "python -m docs.studies benchmark-data": "tests/docs/studies/test_benchmark_data.py",

@@ -53,6 +53,21 @@ def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys
     )
 
 
+def test_costs_far_above_their_bound_are_called_best_known(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = ("horizon=20", 'grid_control.regulator_settings={timer="integrating"}')
+    arguments = ["hindsight", "--scenarios", "ieee13-3ph", "--set", *settings, "--workers", "1"]
+    main([*arguments, "--episodes", "1"])
+    scenario = ScenarioSpec("ieee13-3ph", settings).make("test")
+    main([*arguments, "--episodes", "2"])  # goes on from a file with bounds
+    values, content = published(scenario, FOLDER), json.loads((FOLDER / "ieee13-3ph.json").read_text())
+    assert values is not None
+    assert values.is_best_known
+    assert content["kind"] == "best known"
+    assert (values.bound < values.J * (1.0 - 1e-3)).all()
+    assert "2 above 0.001 of J" in capsys.readouterr().out.replace("\n", " ")
+
+
 @pytest.mark.slow
 def test_best_known_costs_are_of_the_other_command(tmp_path, capsys):
     written = ROOT / "baselines" / "data" / "hindsight" / "ride-through.json"
