@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from dcgrid_env.baselines.tuning.search import Tuned
 from dcgrid_env.cli.main import main
 from dcgrid_env.core.lock import locked
 
@@ -45,7 +46,7 @@ def quick(monkeypatch):
     """Replace slow functions; the commands still write the files."""
     solved = SimpleNamespace(J=1.0, bound=1.0, rounds=1)
     monkeypatch.setattr("dcgrid_env.baselines.model_based.hindsight.hindsight", lambda scenario, seed: solved)
-    tuned = SimpleNamespace(parameters={}, score=1.0, trials=1, spectral_radius=None)
+    tuned = Tuned(parameters={}, score=1.0, trials=1)
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.tune", lambda law, scenarios, episodes: tuned)
     monkeypatch.setattr("dcgrid_env.baselines.reproduction.study.study", lambda runs, done, place: {"claims": []})
     monkeypatch.setattr("dcgrid_env.baselines.reproduction.paper_figures.draw_all", lambda runs, folder: [])
