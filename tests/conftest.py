@@ -2,12 +2,16 @@
 
 import os
 import signal
+from pathlib import Path
 
 from hypothesis import settings
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Workers share the cores: threads of one's torch would wait for those of the others'.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# A verifier's own key, in the home of whoever runs the tests, signs no report here.
+os.environ["DCGRID_VERIFIER_KEY"] = str(Path(__file__).with_name("no-verifier.key"))
 
 # The same examples at every run, and no limit on an example's time: a busy machine is no failure.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
