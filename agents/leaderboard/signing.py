@@ -1,6 +1,7 @@
 """Signatures of verification reports: Ed25519, which everybody can check and only the verifier can make.
 
-The public key is in ``verifier.pub`` next to this file. The private key is a file outside of the repository.
+The public keys are in ``verifier.pub`` next to this file, one a line, so that reports stay valid when a new key
+replaces a lost one. The private key is a file outside of the repository.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dcgrid_env.core.files import write_text
 from dcgrid_env.core.install import from_clone
 
 PUBLIC = Path(str(files("dcgrid_env.agents.leaderboard") / "verifier.pub"))
-"""File of the verifier's public key, in hexadecimal digits."""
+"""File of the verifier's public keys, each a line of hexadecimal digits."""
 KEY_VARIABLE = "DCGRID_VERIFIER_KEY"
 """Environment variable with the path of the private key."""
 NEW_KEY = "python -m docs.studies entries --new-key"
@@ -29,9 +30,9 @@ def private_key_file() -> Path:
 
 
 def make_keys() -> Path:
-    """Make a new private key, and write its public key to ``PUBLIC``; the file of the private key.
+    """Make a new private key, and add its public key to ``PUBLIC``; the file of the private key.
 
-    Reports that were signed with another key are no longer listed.
+    Reports that were signed with the keys before stay listed. If someone else may have a key, delete its line.
 
     Raises
     ------
@@ -46,7 +47,8 @@ def make_keys() -> Path:
         raise SubmissionError(f"{path}: there is a key; move it away, or set {KEY_VARIABLE} to another file") from None
     with os.fdopen(opened, "w") as file:
         file.write(private.private_bytes_raw().hex() + "\n")
-    write_text(PUBLIC, private.public_key().public_bytes_raw().hex() + "\n")
+    before = PUBLIC.read_text(encoding="ascii") if PUBLIC.exists() else ""
+    write_text(PUBLIC, before + private.public_key().public_bytes_raw().hex() + "\n")
     return path
 
 
@@ -56,15 +58,15 @@ def private_key() -> Any:
     Raises
     ------
     SubmissionError
-        If its public key is not the one in ``PUBLIC``.
+        If its public key is not in ``PUBLIC``.
     """
     path = private_key_file()
     if not path.is_file():
         return None
-    private = _ed25519().Ed25519PrivateKey.from_private_bytes(_read(path))
-    if private.public_key().public_bytes_raw() != _read(PUBLIC):
+    private = _ed25519().Ed25519PrivateKey.from_private_bytes(_keys(path)[0])
+    if private.public_key().public_bytes_raw() not in _keys(PUBLIC):
         raise SubmissionError(
-            f"{path}: does not fit the public key in {PUBLIC}; set {KEY_VARIABLE} to the verifier's key, or make a "
+            f"{path}: does not fit a public key in {PUBLIC}; set {KEY_VARIABLE} to the verifier's key, or make a "
             f"new one with {NEW_KEY}"
         )
     return private
@@ -80,23 +82,25 @@ def is_signed(content: bytes, signature: str) -> bool:
     """Whether the verifier signed this content."""
     from cryptography.exceptions import InvalidSignature
 
-    key = _ed25519().Ed25519PublicKey.from_public_bytes(_read(PUBLIC))
-    try:
-        key.verify(bytes.fromhex(signature), content)
-    except (InvalidSignature, ValueError):
-        return False
-    return True
+    for key in _keys(PUBLIC):
+        try:
+            _ed25519().Ed25519PublicKey.from_public_bytes(key).verify(bytes.fromhex(signature), content)
+        except (InvalidSignature, ValueError):
+            continue
+        return True
+    return False
 
 
-def _read(path: Path) -> bytes:
-    """A key; SubmissionError, naming the file, if it contains none."""
+def _keys(path: Path) -> list[bytes]:
+    """The keys in a file; SubmissionError, naming the file, if it contains none or something else."""
     try:
-        key = bytes.fromhex(path.read_text(encoding="ascii"))
+        keys = [bytes.fromhex(line) for line in path.read_text(encoding="ascii").splitlines()]
     except (OSError, ValueError) as error:
         raise SubmissionError(f"{path}: is not a key ({error}); make one with {NEW_KEY}") from None
-    if len(key) != 32:
-        raise SubmissionError(f"{path}: has {len(key)} bytes, a key has 32; make one with {NEW_KEY}")
-    return key
+    if not keys or any(len(key) != 32 for key in keys):
+        sizes = ", ".join(str(len(key)) for key in keys) or "no"
+        raise SubmissionError(f"{path}: has {sizes} bytes, a key has 32; make one with {NEW_KEY}")
+    return keys
 
 
 def _ed25519() -> ModuleType:

@@ -79,9 +79,9 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
     "cem": {
         "std": Range(0.1, 1.0, log=True),
         "extra_std": Range(0.005, 0.1, log=True),
-        "population": Choice((32, 64, 128)),
+        "population": Choice((32, 64, 128, 256)),
         "elites": Choice((8, 16, 24)),
-        "num_envs": Choice((128, 256, 512)),
+        "num_envs": Choice((256, 512, 1024)),
     },
 }
 """Search spaces by algorithm; other settings are those found for the scenario."""

@@ -9,8 +9,10 @@ from dcgrid_env import ThreePhaseFeeder, load_feeder
 from dcgrid_env.baselines.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.baselines.reproduction.study_runs import Setting
 
-BALANCED, TRUE = "ieee123", "ieee123-3ph"
+BALANCED, TRUE = "ieee123", "ieee123-3ph-published"
 """Scenarios of the study: the balanced equivalent and the feeder with its phases."""
+FEEDER = "ieee123-3ph"
+"""Feeder of the second."""
 SUBSTATION = "reg1a"
 """The bank of regulators that the equivalent has too, as the voltage of its substation."""
 
@@ -31,7 +33,7 @@ def cases() -> dict[str, Case]:
         "balanced": Case("balanced", f"`{BALANCED}`, the balanced single-phase equivalent", BALANCED, {}),
         "phases": Case(
             "with phases",
-            f"`{TRUE}` with the line regulators at 9, 25 and 160, which the equivalent lacks, at neutral",
+            f"`{TRUE}` with the line regulators, which the equivalent lacks, at neutral",
             TRUE,
             fixed | {"feeder": without_line_regulators()},
         ),
@@ -42,7 +44,7 @@ def cases() -> dict[str, Case]:
 
 def without_line_regulators() -> ThreePhaseFeeder:
     """The feeder with its phases, all regulators but the substation's at neutral."""
-    network = load_feeder(TRUE).network
+    network = load_feeder(FEEDER).network
     table = network.regulator
     tap = tuple(
         tap if bank == SUBSTATION else neutral
@@ -53,7 +55,7 @@ def without_line_regulators() -> ThreePhaseFeeder:
 
 def common_sites() -> tuple[int, ...]:
     """Return the three-phase buses of the public code, where a balanced load is possible on both feeders."""
-    feeder = load_feeder(TRUE)
+    feeder = load_feeder(FEEDER)
     return tuple(bus for bus in PUBLISHED_BUSES if feeder.bus_phases[feeder.index(bus)] == "abc")
 
 

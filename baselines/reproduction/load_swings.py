@@ -20,7 +20,7 @@ BIN_NAMES = ("5 to 10 %", "10 to 20 %", "20 to 30 %", "over 30 %")
 INTERVALS_S = (None, 1.0)
 """Ramps from sample to sample, and between means over a second."""
 DIPS_S = (0.5, 1.0, 5.0, 10.0, 20.0, 29.0, 31.0, 60.0)
-DIP_FEEDER = "ieee123-3ph"
+DIP_FEEDER = "ieee123-3ph-published"
 DIP_SITES = (13, 28, 53, 77, 99)
 DIP_AT_S, DIP_END_S, DIP_STEP_S = 30.0, 120.0, 0.5
 IDLE_SHARE = 0.2

@@ -27,12 +27,12 @@ class Reproduce(OverWorkers):
     """Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).
 
     Compares the paper's tables, figures and claims with the results of this package. With the recorded load, a run
-    takes about half a minute; with --scenario ieee123-3ph, about five minutes.
+    takes about half a minute; with --scenario ieee123-3ph-published, about five minutes.
     """
 
     scenario: str = "ieee123"
-    """Scenario: ieee123, the balanced equivalent of the paper's feeder, or ieee123-3ph, which compares Table I and the
-    claims on the three-phase feeder, with fixed and active regulators, with the balanced results."""
+    """Scenario: ieee123, the balanced equivalent of the paper's feeder, or ieee123-3ph-published, which compares
+    Table I and the claims on the three-phase feeder, with fixed and active regulators, with the balanced results."""
     out: Path = Path("results/reproduce")
     """Folder for reproduction.md, reproduction.json and images, or reproduction-3ph.md and reproduction-3ph.json.
     Created if missing."""
@@ -42,8 +42,8 @@ class Reproduce(OverWorkers):
     """Load: auto (the paper's recording if it was fetched, otherwise the generator), recorded, generated, the name of a
     generator or recording (dcgrid list), or a file."""
     placement: Literal["random", "published"] = "random"
-    """Location of the data centres: random, or the buses of the paper's public code (with ieee123-3ph, those with three
-    phases)."""
+    """Location of the data centres: random, or the buses of the paper's public code (with ieee123-3ph-published, those
+    with three phases)."""
 
     def run(self) -> None:
         """Run the study and write the results; raise ValueError before writing if a setting is invalid."""

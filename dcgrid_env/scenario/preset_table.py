@@ -93,21 +93,39 @@ TABLE = (
     ),
     Preset(
         "ieee13-3ph",
-        "dcgrid/IEEE13ThreePhase-v0",
+        "dcgrid/IEEE13ThreePhase-v1",
         "IEEE 13 node feeder with its phases, 2 data centres of 500 kW, 4 inverters of one to three phases",
         three_phase.ieee13_3ph,
     ),
     Preset(
         "ieee34-3ph",
-        "dcgrid/IEEE34ThreePhase-v0",
+        "dcgrid/IEEE34ThreePhase-v1",
         "IEEE 34 node feeder with its phases, long and weak, 2 data centres of 250 kW, 5 inverters",
         three_phase.ieee34_3ph,
     ),
     Preset(
         "ieee123-3ph",
-        "dcgrid/IEEE123ThreePhase-v0",
+        "dcgrid/IEEE123ThreePhase-v1",
         "IEEE 123 node feeder with its phases and regulators that act: the paper's study on the true feeder",
         three_phase.ieee123_3ph,
+    ),
+    Preset(
+        "ieee13-3ph-published",
+        "dcgrid/IEEE13ThreePhasePublished-v1",
+        "ieee13-3ph with the published set points of its regulators, resetting timers and no price on taps",
+        three_phase.ieee13_3ph_published,
+    ),
+    Preset(
+        "ieee34-3ph-published",
+        "dcgrid/IEEE34ThreePhasePublished-v1",
+        "ieee34-3ph with the published set points of its regulators, resetting timers and no price on taps",
+        three_phase.ieee34_3ph_published,
+    ),
+    Preset(
+        "ieee123-3ph-published",
+        "dcgrid/IEEE123ThreePhasePublished-v1",
+        "ieee123-3ph with the published set points of its regulators, resetting timers and no price on taps",
+        three_phase.ieee123_3ph_published,
     ),
     Preset(
         "ieee123-3ph-day",

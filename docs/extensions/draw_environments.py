@@ -11,7 +11,7 @@ from pathlib import Path
 
 os.environ["MPLBACKEND"] = "agg"
 sys.path.insert(0, str(Path(__file__).parents[2]))
-from headroom import best_policy
+from headroom import shown_controller
 
 from docs.studies.animation import animate
 from docs.studies.picture import draw as draw_picture
@@ -26,8 +26,8 @@ def draw(folder: str, preset: str) -> None:
     path = Path(folder, f"{preset}.gif")
     part = path.with_suffix(".part")
     draw_picture(str(path.with_suffix(".png")), preset, "droop-tuned")
-    policy = best_policy(preset)[0]
-    whole = animate(part, shown_scenario(preset), {"none": "no control", policy: policy})
+    name = shown_controller(preset)
+    whole = animate(part, shown_scenario(preset), {"none": "no control", name: name})
     whole.save(path.with_name(f"{preset}-whole.png"), optimize=True)
     part.replace(path)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from families import FAMILIES, Family, family_of
-from headroom import best_policy, headroom
+from headroom import best_policy, headroom, shown_controller
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
@@ -98,18 +98,18 @@ def page(preset: str) -> str:
 
 def animation(preset: str, horizon: int) -> str:
     """The animation, its last frame for readers who prefer reduced motion, and a caption."""
-    policy, steps = best_policy(preset)[0], shown_scenario(preset).horizon
-    about = f"An episode of {preset} without control and under the policy {policy}: voltages and power of data centres"
+    name, steps = shown_controller(preset), shown_scenario(preset).horizon
+    about = f"An episode of {preset} without control and under {name}: voltages and power of data centres"
     pictures = [
-        f":::{{image}} pictures/{preset}{name}\n:class: {look}\n:alt: {about}\n:::"
-        for name, look in ((".gif", "moving"), ("-whole.png", "still"))
+        f":::{{image}} pictures/{preset}{end}\n:class: {look}\n:alt: {about}\n:::"
+        for end, look in ((".gif", "moving"), ("-whole.png", "still"))
     ]
     part = "" if steps == horizon else f" Only the first {steps} of {horizon} steps are shown."
     caption = (
-        f"*The same episode (test split, seed 0) without control (orange) and under the bundled policy `{policy}` "
+        f"*The same episode (test split, seed 0) without control (orange) and under `{name}` "
         "(blue). Above: the lowest voltage (thick) and the highest voltage (thin); the red areas are outside the "
         f"limits. Below: the total power of the data centres.{part} "
-        f"`python -m docs.studies.animation {preset}.gif {preset} {policy}` draws it.*"
+        f"`python -m docs.studies.animation {preset}.gif {preset} {name}` draws it.*"
     )
     return "\n\n".join([*pictures, caption])
 
@@ -256,7 +256,8 @@ def gallery() -> str:
         rows: list[tuple[str, ...]] = []
         for preset in family.presets:
             found = {row.what.strip("`"): row for row in headroom(preset).rows}
-            best = found[best_policy(preset)[0]]
+            best = best_policy(preset)
+            policy = None if best is None else found[best[0]]
             top = found.get("hindsight") or found["best known"]
             rows.append(
                 (
@@ -266,8 +267,8 @@ def gallery() -> str:
                     found["droop-tuned"].j,
                     top.j,
                     top.saved,
-                    best.saved,
-                    best.score.split()[0],
+                    policy.saved if policy else "–",
+                    policy.score.split()[0] if policy else "–",
                 )
             )
         head = (

@@ -102,9 +102,15 @@ FAMILIES = (
                 "counterpart of `ieee33-weak`."
             ),
             "ieee123-3ph": (
-                "Voltage regulators act during the episode. Their delays and dead bands interact with the agents, "
-                "which makes learning hard."
+                "The paper's study on the full feeder. Voltage regulators act during the episode; their delays and "
+                "dead bands interact with the agents."
             ),
+            "ieee13-3ph-published": (
+                "`ieee13-3ph` with the published set points of its regulators. They keep the far end above 1 p.u., "
+                "so most of the cost can only be saved by making the regulators tap."
+            ),
+            "ieee34-3ph-published": "`ieee34-3ph` with the published set points of its regulators.",
+            "ieee123-3ph-published": "`ieee123-3ph` with the published set points of its regulators.",
             "ieee123-3ph-day": (
                 "A day in steps of one minute with solar power. Regulators and capacitors are agents as well and "
                 "should switch rarely."

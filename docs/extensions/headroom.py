@@ -63,8 +63,9 @@ def headroom(preset: str) -> Headroom:
         line(f"`{name}`", meaning, figures[name].means["J"], droop, shown(figures[name].score))
         for name, meaning in about.items()
     ]
-    name, scored = best_policy(preset)
-    rows.append(line(f"`{name}`", "the best bundled policy", scored.J, droop, shown(scored.score)))
+    if (best := best_policy(preset)) is not None:
+        name, scored = best
+        rows.append(line(f"`{name}`", "the best bundled policy", scored.J, droop, shown(scored.score)))
     known, j = hindsight(preset)
     meaning = "the lowest cost found by search, not a bound" if known else "perfect foresight of the episode"
     rows.append(line("best known" if known else "hindsight", meaning, j, droop, "1"))
@@ -112,8 +113,14 @@ def saved(j: float, j_droop: float) -> str:
     return f"{saved_pct(j, j_droop):.1f}"
 
 
-def best_policy(preset: str) -> tuple[str, Scored]:
-    """Name and results of the bundled policy with the highest score on a preset."""
+def best_policy(preset: str) -> tuple[str, Scored] | None:
+    """Name and results of the bundled policy with the highest score on a preset; None without bundled policies."""
     scored = {path.stem: Card.load(path).scored for path in sorted(FOLDER.glob("*.json"))}
     results = {name: result for name, result in scored.items() if result is not None and result.scenario == preset}
-    return max(results.items(), key=lambda item: item[1].score[0])
+    return max(results.items(), key=lambda item: item[1].score[0], default=None)
+
+
+def shown_controller(preset: str) -> str:
+    """Name of the controller in the animation of a preset: the best bundled policy, or the tuned droop."""
+    best = best_policy(preset)
+    return REFERENCE if best is None else best[0]

@@ -7,7 +7,7 @@ from dcgrid_env.agents import Card
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines.score import saved_pct
 
-ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
+ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe", "cem")
 
 
 def cells(scenario: str, algorithm: str) -> list[str]:
@@ -41,12 +41,14 @@ def droop_delay(scenario: str) -> str:
 
 
 def table() -> str:
-    """The table, as Markdown."""
+    """The table, as Markdown: a row for each preset with policies."""
     shown = [a for a in ALGORITHMS if any(FOLDER.glob(f"*-{a}.json"))]
     head = [title for a in shown for title in (a, "seeds", "J saved, %", "delay, s", "min")]
     lines = ["| scenario | " + " | ".join([*head, "droop-tuned: delay, s"]) + " |", "|---|" + "---|" * (len(head) + 1)]
     for name in PRESETS:
         row = [cell for a in shown for cell in cells(name, a)]
+        if not any(row):
+            continue
         lines.append(f"| `{name}` | " + " | ".join([*row, droop_delay(name)]) + " |")
     return "\n".join(lines)
 

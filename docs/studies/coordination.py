@@ -1,9 +1,9 @@
 """Search the offsets of set points that a utility's coordination study would choose.
 
-`python -m docs.studies.coordination SCENARIO.. [FIGURE.png]` moves the offset of one regulator after the other, in
-smaller and smaller steps, to the least mean cost of validation episodes without any other control. Timers integrate. It
-prints the offsets, and the costs of no control, the tuned droop of the preset and MPC in test episodes before and
-after, and draws them.
+`python -m docs.studies.coordination ieee13-3ph.. [FIGURE.png]` begins with the published set points of each preset. It
+moves the offset of one regulator after the other, in smaller and smaller steps, to the least mean cost of validation
+episodes without any other control. Timers integrate and taps have no price. It prints the offsets, and the costs of no
+control, the tuned droop of the published preset and MPC in test episodes before and after, and draws them.
 """
 
 import sys
@@ -33,7 +33,7 @@ Costs = dict[str, list[float]]
 def with_offsets(name: str, offset_v: dict[str, float], split: str = "validation") -> Scenario:
     """The scenario with these offsets by regulator and integrating timers."""
     settings: dict[str, Any] = {"timer": "integrating", "offset_v": offset_v}
-    return make_scenario(name, split=split, **{"grid_control.regulator_settings": settings})
+    return make_scenario(f"{name}-published", split=split, **{"grid_control.regulator_settings": settings})
 
 
 def mean_cost(
@@ -44,7 +44,7 @@ def mean_cost(
     split: str = "validation",
 ) -> float:
     """Mean J over the first episodes of a split."""
-    law = make_controller(controller, make_scenario(name))
+    law = make_controller(controller, make_scenario(f"{name}-published"))
     return float(rollout(with_offsets(name, offset_v, split), law, range(episodes)).costs().mean())
 
 

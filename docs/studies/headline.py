@@ -20,7 +20,7 @@ from dcgrid_env.baselines.score import REFERENCE
 SHOWN = ("ieee123", "ieee33-weak", "bursty", "mixed", "ieee34-3ph", "routing")
 BY_MODEL = {"model-aided": "model-aided", "mpc-one-step": "one-step MPC"}
 BY_HAND = ("constant-q-tuned", "placement-tuned", "model-aided", "feedback", "mpc-one-step", "mpc")
-LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic"}
+LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic", "cem": "CEM"}
 
 
 def by_model(preset: str, name: str) -> str:

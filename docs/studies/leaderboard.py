@@ -37,7 +37,7 @@ from docs.studies.site_tables import NBSP, number, plain, sortable, unbroken, wi
 
 FOLDER = Path(__file__).parents[1] / "leaderboard"
 """Our entries."""
-ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe")
+ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe", "cem")
 LAWS: dict[str, Learned] = {"mpc": "nothing", "model-aided": "nothing", "constant-q-tuned": "validation"}
 """Further controllers, and the split that their parameters were found on."""
 LEFT_OUT = {("ieee123-3ph-day", "mpc")}
@@ -175,7 +175,7 @@ class LeaderboardEntries(Command):
     scenarios: str = "all"
     """Names of presets, separated by commas, or all."""
     new_key: bool = False
-    """Make a new key first; reports with another signature must then be replaced."""
+    """Make a new key first. Reports that were signed with the keys before stay valid."""
 
     def run(self) -> None:
         """Submit, verify and write the entries. Raise ValueError before the first run if the key is missing."""

@@ -49,14 +49,14 @@ def moving_loads(feeder: ThreePhaseFeeder, seed: int, seconds: int = SECONDS) ->
 
 
 def played_loads(name: str, controller: str, seeds: Iterable[int] = range(16)) -> np.ndarray:
-    """Net loads of episodes of a preset under a controller, kW and kvar, (2, episode, second, n_leg)."""
+    """Net loads of episodes of a published preset under a controller, kW and kvar, (2, episode, second, n_leg)."""
     loads, net_loads = [], dynamics.net_loads
 
     def kept(*args):
         loads.append([np.array(power) for power in net_loads(*args)])
         return net_loads(*args)
 
-    scenario = make_scenario(name)
+    scenario = make_scenario(f"{name}-published")
     with mock.patch.object(dynamics, "net_loads", kept):
         rollout(scenario, make_controller(controller, scenario), list(seeds))
     return np.array(loads).transpose(1, 2, 0, 3)

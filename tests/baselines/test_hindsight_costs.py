@@ -10,8 +10,6 @@ from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.recorded_actions import recorded_actions, replayed
 from helpers.needs import can_be_planned, drives, stays_connected
 
-EPISODES = dict.fromkeys(PRESETS, 100) | {"ride-through": 32, "smoothing": 32}
-"""Episodes that ship of each preset; a search over actions takes long."""
 LINEARISED = 1e-4
 """By how much of J the program's linearised grid may differ from the exact one; 2e-5 has been seen (mixed)."""
 TRIPPING = [name for name in PRESETS if not stays_connected(make_scenario(name))]
@@ -21,8 +19,10 @@ UNPLANNED = [name for name in PRESETS if not can_be_planned(make_scenario(name))
 SOLVED = [name for name in PRESETS if name not in UNPLANNED]
 PRESETS_SEED = {name: i for i, name in enumerate(PRESETS)}
 ACTING = [name for name in SOLVED if acting_relays(make_scenario(name)) is not None]
-"""Presets whose regulators act by themselves; the program's optimum is for one trajectory of taps, not a bound."""
+"""Presets whose regulators act by themselves; the bound allows fractional taps that obey no relay."""
 BOUNDED = [name for name in SOLVED if name not in ACTING]
+EPISODES = dict.fromkeys(PRESETS, 100) | dict.fromkeys((*UNPLANNED, *ACTING), 32)
+"""Episodes that ship of each preset; a search over actions or taps takes long."""
 LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09, "ieee33-weak-ups": 0.02, "routing": 0.03}
 """Largest gap between J and its bound, as a share of J. Taps of agents are rounded from the relaxation that gives the
 bound. With routing, the program may leave work at sites that their lowest clock serves (docs/routing.md)."""
@@ -47,7 +47,7 @@ def test_every_preset_has_its_test_episodes(name):
             f"python -m docs.studies best-known --scenario {name} --split test --episodes {EPISODES[name]} "
         )
         return
-    assert not values.is_best_known
+    assert values.is_best_known is (name in ACTING)
     options = f"--scenarios {name} --split test --episodes {EPISODES[name]}"
     assert content["command"] == f"dcgrid hindsight {options}"
 
@@ -86,8 +86,8 @@ def test_there_is_headroom(name):
     seeds = range(min(20, EPISODES[name]))
     j = {c: rollout(scenario, make_controller(c, scenario), seeds).costs() for c in ("none", "droop-tuned")}
     none, droop, best = j["none"].mean(), j["droop-tuned"].mean(), values.J[:20].mean()
-    # Regulators that act undo most of what a law does with reactive power.
-    assert (none - droop) > (0.1 if name in BOUNDED else 0.015) * none
+    # Regulators that act undo most of what a law does with reactive power; on ieee34-3ph the droop is of no use.
+    assert (none - droop) > (0.1 if name in BOUNDED else -0.01 if name == "ieee34-3ph" else 0.015) * none
     assert (droop - best) > 0.02 * best
     # And more than the episodes scatter: the score's denominator is a number and not noise.
     left = j["droop-tuned"] - values.J[:20]

@@ -46,8 +46,12 @@ def test_headroom_is_that_of_the_benchmark_and_the_cards():
         assert headroom["headroom"](preset).episodes >= PUBLISHED_EPISODES
         rows = {row.what.strip("`"): row for row in headroom["headroom"](preset).rows}
         best = rows.get("hindsight") or rows["best known"]
-        assert float(best.j) < float(rows["droop-tuned"].j) < float(rows["none"].j)
-        policy, scored = headroom["best_policy"](preset)
+        droop, none = (float(rows[name].j) for name in ("droop-tuned", "none"))
+        assert float(best.j) < droop < (1.01 if preset == "ieee34-3ph" else 1.0) * none
+        if (found := headroom["best_policy"](preset)) is None:
+            assert preset.endswith("-published")
+            continue
+        policy, scored = found
         assert scored.episodes >= PUBLISHED_EPISODES
         assert policy in SHIPPED
         assert scored.scenario == preset
@@ -64,10 +68,11 @@ def test_every_page_of_an_environment_has_an_animation_of_its_best_policy():
     style = (ROOT / "docs" / "static" / "site.css").read_text(encoding="utf-8")
     for preset in PRESETS:
         text = pages["animation"](preset, make_scenario(preset).horizon)
-        policy = pages["best_policy"](preset)[0]
+        name = pages["shown_controller"](preset)
+        assert (name == "droop-tuned") == preset.endswith("-published")
         assert f":::{{image}} pictures/{preset}.gif\n:class: moving\n" in text
         assert f":::{{image}} pictures/{preset}-whole.png\n:class: still\n" in text
-        assert f"`python -m docs.studies.animation {preset}.gif {preset} {policy}`" in text
+        assert f"`python -m docs.studies.animation {preset}.gif {preset} {name}`" in text
         assert ("Only the first 150 of 1440 steps" in text) == (preset == "ieee123-3ph-day")
     assert "@media (prefers-reduced-motion: reduce) { img.moving { display: none; }" in style
 

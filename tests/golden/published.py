@@ -44,7 +44,7 @@ def of_preset(preset: str) -> dict[str, Any]:
 
 def names_of(preset: str) -> list[str]:
     """Shipped policies that were trained on a preset, and on that of random feeders the one for any."""
-    names = [f"{preset}-{algorithm}" for algorithm in ("analytic", "ppo", "ppo-counterfactual", "safe")]
+    names = [f"{preset}-{algorithm}" for algorithm in ("analytic", "ppo", "ppo-counterfactual", "safe", "cem")]
     return [*names, "carry-over"] if preset == "zero-shot" else names
 
 

@@ -45,7 +45,7 @@ def cost_of_step(batch, before, joint):
 
 
 @pytest.mark.parametrize("cost", [{}, {"reference": "profile", "profile_band_pu": 0.001}])
-@pytest.mark.parametrize("scenario", ["ieee33-weak", "ieee13-3ph"])
+@pytest.mark.parametrize("scenario", ["ieee33-weak", "ieee13-3ph-published"])
 def test_an_advantage_is_the_difference_that_the_power_flow_makes(scenario, cost):
     """Against the environment's power flow with one setpoint moved; losses, which are left out, are a quarter here."""
     scenario = make_scenario(scenario, background={"load_sigma": 0.0}, cost=cost)
@@ -95,7 +95,7 @@ def test_by_hand_on_two_voltages():
     np.testing.assert_array_equal(found[0, [0, 1, 3]], 0.0)
 
 
-@pytest.mark.parametrize("scenario", ["ieee33-weak", "mixed", "fault", "ieee34-3ph"])
+@pytest.mark.parametrize("scenario", ["ieee33-weak", "mixed", "fault", "ieee34-3ph-published"])
 def test_the_mean_action_has_no_advantage(scenario):
     scenario = make_scenario(scenario)
     batch, before, joint = stepped(scenario, 0.3, n_env=3)
@@ -233,7 +233,7 @@ def test_it_is_better_than_the_tuned_droop_after_4500_steps(tmp_path):
     assert rows[-1]["J"] < 0.9 * rows[-1]["J_droop"]
 
 
-@pytest.mark.parametrize("scenario", ["ieee34-3ph", "scale-32"])
+@pytest.mark.parametrize("scenario", ["ieee34-3ph-published", "scale-32"])
 def test_three_phases_and_drawn_buses_run(tmp_path, scenario):
     folder = algorithm.main(tiny(tmp_path, scenario=scenario, set=("horizon=10",), steps=30))
     assert len(read_curve(folder)) == 1

@@ -28,14 +28,18 @@ def test_a_private_key_is_never_replaced(keys):
 
 
 def test_a_private_key_that_does_not_fit_signs_nothing(keys, tmp_path):
-    public = signing.PUBLIC.read_text()
+    public, signed = signing.PUBLIC.read_text(), sign(b"x")
     shutil.move(keys, tmp_path / "first.key")
     assert private_key() is None
     assert sign(b"x") == ""
     make_keys()
+    assert is_signed(b"x", signed)  # by the key before
+    again = sign(b"x")
+    assert is_signed(b"x", again)
     signing.PUBLIC.write_text(public)
+    assert not is_signed(b"x", again)
     for call in (private_key, lambda: sign(b"x")):
-        with pytest.raises(SubmissionError, match=r"verifier\.key: does not fit the public key in .*verifier\.pub"):
+        with pytest.raises(SubmissionError, match=r"verifier\.key: does not fit a public key in .*verifier\.pub"):
             call()
 
 

@@ -134,9 +134,9 @@ def test_such_a_policy_comes_back_as_it_was_saved(tmp_path, scenario, kind):
             "no network for agents of kind storage of ieee33-weak-ups, but .*; it was",
         ),
         (
-            "ieee34-3ph-ppo",
+            "ieee34-3ph-cem",
             RIDING,
-            r"network datacenter takes 11 figures and gives 2, on ride-through \(.*\) it must be",
+            r"network datacenter takes 14 figures and gives 2, on ride-through \(.*\) it must be",
         ),
     ],
 )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridVectorEnv, ThreePhaseFeeder, make_scenario, parallel_env
+from dcgrid_env import DcgridVectorEnv, ThreePhaseFeeder, parallel_env
 from dcgrid_env.baselines import Droop, NoControl, make_controller, rollout
 from dcgrid_env.baselines.laws.stability import largest_stable
 from helpers.three_phase import ieee13, ieee123
@@ -53,11 +53,11 @@ def test_taps_are_those_of_the_own_control(scenario):
 
 
 @pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
-@pytest.mark.parametrize("controller", ["feedback", "mpc-one-step", "ieee13-3ph-ppo"])
+@pytest.mark.parametrize("controller", ["feedback", "mpc-one-step", "ieee13-3ph-cem"])
 def test_controllers_of_the_other_agents_do_the_same_whoever_moves_the_taps(controller):
     """Those with a model, which also have no say where switching has a price, and policies."""
-    weights = {"switching": 10.0} if controller == "ieee13-3ph-ppo" else {}
-    controlled, agents = twins(make_scenario("ieee13-3ph").replace(**HEAVY, horizon=60, weights=weights))
+    weights = {"switching": 10.0} if controller == "ieee13-3ph-cem" else {}
+    controlled, agents = twins(ieee13().replace(**HEAVY, horizon=60, weights=weights))
     other = agents.replace(weights={"switching": 10.0})
     runs = [rollout(scenario, make_controller(controller), [0]).series(0) for scenario in (controlled, other)]
     phases: Any = [run.three_phase for run in runs]

@@ -12,7 +12,7 @@ from dcgrid_env.baselines.model_based.relay_model import relay_model
 from dcgrid_env.baselines.model_based.tap_plan import TapPlan
 
 
-def timed(name="ieee13-3ph", timer="integrating", offset_v=0.0, **overrides):
+def timed(name="ieee13-3ph-published", timer="integrating", offset_v=0.0, **overrides):
     settings = {"regulator_settings": {"timer": timer, "offset_v": offset_v}}
     return make_scenario(name, split="validation", grid_control=settings, **overrides)
 
@@ -35,7 +35,7 @@ class Steady(ModelController):
         )
 
 
-@pytest.mark.parametrize("name", ["ieee13-3ph", "ieee34-3ph"])
+@pytest.mark.parametrize("name", ["ieee13-3ph-published", "ieee34-3ph-published"])
 def test_the_model_predicts_relay_volts_under_reactive_power(name):
     """Two episodes of the same loads differ by reactive power alone; the model gives the difference to within 10 %."""
     scenario = timed(name, horizon=1, source_voltage_pu=1.0)
@@ -122,7 +122,7 @@ def test_an_episode_is_controlled_the_same_alone_and_among_others():
 
 
 def test_per_step_timers_and_fixed_regulators_have_no_plan():
-    for scenario in (make_scenario("ieee13-3ph"), timed().replace(grid_control={"regulators": "fixed"})):
+    for scenario in (timed(timer="per_step"), timed().replace(grid_control={"regulators": "fixed"})):
         controller = Mpc()
         rollout(scenario.replace(horizon=2), controller, [0])
         assert controller._taps is None

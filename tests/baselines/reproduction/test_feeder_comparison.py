@@ -38,14 +38,14 @@ def test_each_form_adds_one_thing_to_the_one_before():
     assert made["balanced"].difference(make_scenario("ieee123", horizon=12, split="test", trace="inference")) is None
     assert made["phases"].difference(made["fixed"]) == "feeder"
     assert made["fixed"].difference(made["acting"]) == "grid_control.regulators"
-    assert made["acting"].feeder is make_scenario("ieee123-3ph").feeder
+    assert made["acting"].feeder is make_scenario("ieee123-3ph-published").feeder
     table = without_line_regulators().network.regulator
     moved = {bank for bank, tap in zip(table.bank, table.tap, strict=True) if tap}
     assert moved == {"reg1a"}
 
 
 def test_sites_that_are_not_drawn_have_three_phases():
-    feeder = make_scenario("ieee123-3ph").feeder
+    feeder = make_scenario("ieee123-3ph-published").feeder
     assert common_sites() == (13, 28, 53, 77, 99)
     assert {feeder.bus_phases[feeder.index(bus)] for bus in common_sites()} == {"abc"}
     published = Setting(choose_load("generated"), episodes=2, placement="published")
@@ -113,8 +113,8 @@ def test_figures_of_the_causes_are_those_of_the_runs(records, true):
 
 
 def test_the_document_holds_what_the_records_say(records):
-    text = render_comparison(records | {"meta": {"command": "dcgrid reproduce --scenario ieee123-3ph"}})
-    assert "    dcgrid reproduce --scenario ieee123-3ph\n" in text
+    text = render_comparison(records | {"meta": {"command": "dcgrid reproduce --scenario ieee123-3ph-published"}})
+    assert "    dcgrid reproduce --scenario ieee123-3ph-published\n" in text
     for form in records["cases"].values():
         assert form["about"] in text
         for row in form["table_one"]:

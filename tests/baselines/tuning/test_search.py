@@ -82,7 +82,9 @@ def test_what_cannot_be_tuned(arguments, message):
 
 
 def test_every_preset_ships_every_law():
-    assert set(SHIPPED["laws"]) == {law for law in TUNABLE if any(TUNABLE[law].fits(make_scenario(p)) for p in PRESETS)}
+    """All but constant set points: those of the presets are fields, and a search for other scenarios takes minutes."""
+    bundled = {law for law, how in TUNABLE.items() if not how.by_cross_entropy}
+    assert set(SHIPPED["laws"]) == {law for law in bundled if any(TUNABLE[law].fits(make_scenario(p)) for p in PRESETS)}
     for law, of_scenario in SHIPPED["laws"].items():
         assert set(of_scenario) == {name for name in PRESETS if TUNABLE[law].fits(make_scenario(name))}, law
         for name, record in of_scenario.items():
@@ -177,7 +179,7 @@ def test_set_points_are_searched_with_the_rest_of_the_law(law, monkeypatch):
     monkeypatch.setattr(search, "CANDIDATES", 12)
     monkeypatch.setattr(search, "ITERATIONS", 5)
     settings = {"grid_control.regulator_settings": {"timer": "integrating"}}
-    controlled = make_scenario("ieee13-3ph", split="validation", horizon=40, **settings)
+    controlled = make_scenario("ieee13-3ph-published", split="validation", horizon=40, **settings)
     agents = controlled.replace(grid_control={"regulators": "setpoint", "capacitors": {"cap2": "setpoint"}})
     for scenario in (controlled, agents):
         found = tune(law, [scenario], episodes=2)
@@ -197,13 +199,13 @@ def test_a_search_of_set_points_ends_once_all_candidates_are_alike(monkeypatch):
     monkeypatch.setattr(search, "CANDIDATES", 8)
     monkeypatch.setattr(search, "ELITES", 2)
     settings = {"grid_control.regulator_settings": {"timer": "reset"}}
-    short = make_scenario("ieee13-3ph", split="validation", horizon=5, **settings)
+    short = make_scenario("ieee13-3ph-published", split="validation", horizon=5, **settings)
     assert tune("set-points", [short], episodes=1).trials < 8 * search.ITERATIONS
 
 
 def test_set_points_belong_to_one_scenario_that_leaves_some_open():
-    scenario = make_scenario("ieee13-3ph", **{"grid_control.regulator_settings": {"timer": "reset"}})
-    with pytest.raises(ValueError, match="set points belong to one scenario, got ieee13-3ph, ieee13-3ph; tune each by"):
+    scenario = make_scenario("ieee13-3ph-published", **{"grid_control.regulator_settings": {"timer": "reset"}})
+    with pytest.raises(ValueError, match="set points belong to one scenario, got ieee13-3ph-published, "):
         tune("static", [scenario, scenario], episodes=1)
-    with pytest.raises(ValueError, match="scenario 'ieee13-3ph' has no set points to choose"):
-        tune("set-points", [make_scenario("ieee13-3ph")], episodes=1)
+    with pytest.raises(ValueError, match="scenario 'toy6' has no set points to choose"):
+        tune("set-points", [make_scenario("toy6")], episodes=1)

@@ -34,7 +34,19 @@ def test_the_study_is_run_and_written_down(tmp_path, capsys):
 def test_the_feeder_with_its_phases_is_compared_with_the_balanced_one(tmp_path, capsys, monkeypatch):
     # One test, as a run takes most of a minute.
     monkeypatch.setenv("COLUMNS", "300")
-    main(["reproduce", "--scenario", "ieee123-3ph", "--out", str(tmp_path), "--episodes", "2", "--trace", "generated"])
+    main(
+        [
+            "reproduce",
+            "--scenario",
+            "ieee123-3ph-published",
+            "--out",
+            str(tmp_path),
+            "--episodes",
+            "2",
+            "--trace",
+            "generated",
+        ]
+    )
     printed = capsys.readouterr().out
     for said in ("Kendall tau", "ours: balanced", "ours: acting", "reproduction-3ph.md"):
         assert said in printed
@@ -115,8 +127,8 @@ def test_an_interruption_is_one_line(tmp_path, capsys, monkeypatch):
     [
         (["--episodes", "1"], "episodes is 1; give at least 2"),
         (["--scenario", "ieee34-3ph"], "scenario is 'ieee34-3ph'; the paper's study is about the IEEE 123 node feeder"),
-        (["--scenario", "ieee123-3p"], "give ieee123, its balanced equivalent, or ieee123-3ph"),
-        (["--scenario", "ieee123-3ph", "--episodes", "1"], "episodes is 1; give at least 2"),
+        (["--scenario", "ieee123-3p"], "give ieee123, its balanced equivalent, or ieee123-3ph-published"),
+        (["--scenario", "ieee123-3ph-published", "--episodes", "1"], "episodes is 1; give at least 2"),
         (["--trace", "no-such-trace"], "no trace 'no-such-trace'; "),
         (["--trace", "recorded"], "get it with `dcgrid traces fetch chen-zhang-2025-inference`"),
         (["--trace", "{short}"], "but 122 s are needed"),

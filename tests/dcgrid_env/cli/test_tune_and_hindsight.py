@@ -56,11 +56,11 @@ def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys
 def test_costs_far_above_their_bound_are_called_best_known(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = ("horizon=20", 'grid_control.regulator_settings={timer="integrating"}')
-    arguments = ["hindsight", "--scenarios", "ieee13-3ph", "--set", *settings, "--workers", "1"]
+    arguments = ["hindsight", "--scenarios", "ieee13-3ph-published", "--set", *settings, "--workers", "1"]
     main([*arguments, "--episodes", "1"])
-    scenario = ScenarioSpec("ieee13-3ph", settings).make("test")
+    scenario = ScenarioSpec("ieee13-3ph-published", settings).make("test")
     main([*arguments, "--episodes", "2"])  # goes on from a file with bounds
-    values, content = published(scenario, FOLDER), json.loads((FOLDER / "ieee13-3ph.json").read_text())
+    values, content = published(scenario, FOLDER), json.loads((FOLDER / "ieee13-3ph-published.json").read_text())
     assert values is not None
     assert values.is_best_known
     assert content["kind"] == "best known"

@@ -78,11 +78,33 @@ TABLE = {
         (9, 19, 29, 39, 49, 59), 400.0, "inference", 0.05, 120,
     ),
 }  # fmt: skip
+TABLE |= {f"{name}-published": TABLE[name] for name in ("ieee13-3ph", "ieee34-3ph", "ieee123-3ph")}
 # What a preset has beyond that; all else is the same in all.
+PUBLISHED = {"power_flow": "sweep", "grid_control.regulator_settings.timer": "reset"}
+COORDINATED = {
+    "power_flow": "sweep",
+    "grid_control.regulator_settings.timer": "integrating",
+    "cost.weights": CostWeights(switching=10.0),
+}
+OFFSETS = "grid_control.regulator_settings.offset_v"
 BEYOND = {
-    "ieee13-3ph": {"power_flow": "sweep"},
-    "ieee34-3ph": {"power_flow": "sweep"},
-    "ieee123-3ph": {"power_flow": "sweep"},
+    "ieee13-3ph": COORDINATED | {OFFSETS: (("reg1", -2.4), ("reg2", -5.7), ("reg3", -1.7))},
+    "ieee34-3ph": COORDINATED
+    | {
+        OFFSETS: (
+            ("creg1a", -1.2),
+            ("creg1b", -1.1),
+            ("creg1c", -0.9),
+            ("creg2a", -3.6),
+            ("creg2b", -3.3),
+            ("creg2c", -2.2),
+        )
+    },
+    "ieee123-3ph": COORDINATED
+    | {OFFSETS: (("creg1a", -2.0), ("creg2a", 0.3), ("creg4a", -4.5), ("creg4b", -5.1), ("creg4c", -4.5))},
+    "ieee13-3ph-published": PUBLISHED,
+    "ieee34-3ph-published": PUBLISHED,
+    "ieee123-3ph-published": PUBLISHED,
     "ieee123-3ph-day": {
         "power_flow": "sweep",
         "inverters.injection": "pv",
@@ -158,6 +180,7 @@ COMMON = {
     "grid_control.regulators": "controlled", "grid_control.capacitors": "fixed", "background.start_hour": None,
     "split": "train", "cost.weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "cost.band_pu": 0.05,
     "cost.voltage": "l1", "cost.reference": "nominal", "cost.reward": "shared",
+    "grid_control.regulator_settings.timer": "per_step", OFFSETS: 0.0,
     "sensing.observe": "local", "sensing.preview": True, "sensing.r_model_share": 1.0,
     "sensing.x_model_share": 1.0,
 }  # fmt: skip

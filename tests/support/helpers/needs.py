@@ -8,6 +8,7 @@ from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.peak_shaving import has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
 from dcgrid_env.baselines.laws.site_return import has_return_channel
+from dcgrid_env.baselines.tuning.tunable import TUNABLE
 
 
 def stays_connected(scenario: Scenario) -> bool:
@@ -50,5 +51,7 @@ NEEDING_A_DEVICE = (
 
 
 def drives(name: str, scenario: Scenario) -> bool:
-    """Whether a controller, tuned or not, can drive a scenario."""
+    """Whether a controller can drive a scenario, and a tuned one has parameters that ship."""
+    if name.endswith("-tuned") and TUNABLE[name.removesuffix("-tuned")].by_cross_entropy:
+        return False
     return NEEDS.get(name.removesuffix("-tuned"), lambda _: True)(scenario)
