@@ -10,6 +10,9 @@ move 15 to 30 s after the voltage. It is made for networks of few parameters.
 
 Network outputs are changes from the action that keeps the current state (``policy.interface``). They are 0 for the
 initial mean.
+
+Where agents choose set points of regulators and capacitor banks, the candidates also have a constant for each set
+point. The initial mean is the default.
 """
 
 from __future__ import annotations
@@ -66,11 +69,11 @@ class Search:
     cfg
         The configuration.
     grid
-        Scenario of the training split.
+        Scenario of the training split, with agents of set points if it has any.
     """
 
     def __init__(self, cfg: Cem, grid: Scenario):
-        self.cfg, self.grid = cfg, grid
+        self.cfg, self.grid, others = cfg, grid, under_own_control(grid)
         self.chosen: dict[str, Any] = {
             "preview": cfg.preview,
             "act": cfg.act,
@@ -78,14 +81,14 @@ class Search:
             "outputs": "change",
         }
         kind = "shared" if cfg.view == "shared" else "joint"
-        self.interface = PolicyInterface(grid, kind, **self.chosen)
-        seen = PolicyInterface(grid, kind, **self.chosen, array=_tensor)
-        env = TensorEnv(grid, like=torch.empty(0))
+        self.interface = PolicyInterface(others, kind, **self.chosen)
+        seen = PolicyInterface(others, kind, **self.chosen, array=_tensor)
+        env = TensorEnv(others, like=torch.empty(0))
         moments = {
             name: (mean.numpy(), std.numpy())
             for name, (mean, std) in normalisation([env], [seen], cfg.seed, _tensor, {}, 0).items()
         }
-        self.candidates = Candidates(self.interface, moments, cfg.hidden)
+        self.candidates = Candidates(self.interface, moments, cfg.hidden, grid)
         start = self.candidates.start(np.random.default_rng([cfg.seed, 0]))
         self.distribution = CrossEntropy(start, cfg.std, cfg.extra_std, cfg.elites)
         self.batch = DcgridVectorEnv(cfg.num_envs, grid, info="none")
@@ -104,6 +107,7 @@ class Search:
         return Policy(
             self.candidates.networks(self.distribution.mean), observe=self.cfg.observe, **self.chosen,
             scenario=trained_on(self.cfg), made_with=made_with(), channels=self.interface.further_channels,
+            set_points=self.candidates.set_points(self.distribution.mean),
         )  # fmt: skip
 
     def state(self) -> dict[str, Any]:
@@ -128,7 +132,8 @@ def grid_of(cfg: Cem) -> Scenario:
         raise ValueError(f"num_envs is {cfg.num_envs}; give a multiple of the population, {cfg.population}")
     if not 2 <= cfg.elites <= cfg.population:
         raise ValueError(f"elites is {cfg.elites}; give at least 2 and at most the population, {cfg.population}")
-    return under_own_control(ScenarioSpec(cfg.scenario, cfg.set).make("train", observe=cfg.observe, reward="shared"))
+    grid = ScenarioSpec(cfg.scenario, cfg.set).make("train", observe=cfg.observe, reward="shared")
+    return under_own_control(grid, keep_set_points=True)
 
 
 def main(cfg: Cem) -> Path:

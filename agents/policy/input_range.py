@@ -12,7 +12,6 @@ from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.baselines import NeedsPlacement, rollout
-from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 
 EPISODES = 64
 """Episodes of the training split over which a range is recorded, on each scenario."""
@@ -63,7 +62,7 @@ class _Recorded:
         self.ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def reset(self, env_info: Scenario) -> None:
-        self._equipment = EquipmentAgents(env_info, keep_set_points=self.policy.chooses_set_points)
+        self._equipment = self.policy.equipment_agents(env_info)
         self.policy.reset(self._equipment.others)
         self.interface = with_plates(self.policy)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,9 @@ class Policy:
     channels
         Names of the output channels of a network, in order, and the same as in the scenario. Default: (clock, q) for a
         data centre and (q,) for an inverter; in a joint network all data centres, then all inverters.
+    set_points
+        Constant set points of regulators and capacitor banks that are agents without a network, by channel and bank,
+        in the unit of the channel. Others keep the default. Banks that a scenario does not have are left out.
 
     Raises
     ------
@@ -120,6 +124,7 @@ class Policy:
         scenario: str = "",
         made_with: str = "",
         channels: Mapping[str, Sequence[str]] | None = None,
+        set_points: Mapping[str, Mapping[str, float]] | None = None,
     ):
         self.kind = "joint" if set(networks) == {"joint"} else "shared"
         if not networks or (self.kind == "shared" and not all(map(_is_kind, networks))):
@@ -139,6 +144,11 @@ class Policy:
             if name not in networks or networks[name].n_out != len(names):
                 gives = f"gives {networks[name].n_out}" if name in networks else "is not there"
                 raise PolicyError(f"channels of {name} are {names}; the network {gives}: name each of its outputs")
+        self.set_points = {channel: dict(of_banks) for channel, of_banks in (set_points or {}).items()}
+        for channel, of_banks in self.set_points.items():
+            for bank, value in of_banks.items():
+                if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+                    raise PolicyError(f"set_points of {bank}: {channel} is {value!r}; give a finite number")
         self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
         if (outputs == "droop") != (gains is not None):
             raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
@@ -155,8 +165,12 @@ class Policy:
             raise PolicyError(
                 f"{self.source}: trained with observe={self.observe!r}, given {env_info.sensing.observe!r}"
             )
-        self._equipment = EquipmentAgents(env_info, keep_set_points=self.chooses_set_points)
+        self._equipment = self.equipment_agents(env_info)
         self._begin(self._equipment.others)
+
+    def equipment_agents(self, scenario: Scenario) -> EquipmentAgents:
+        """Return the driver of the equipment that has no network, with the constant set points."""
+        return EquipmentAgents(scenario, keep_set_points=self.chooses_set_points, set_points=self.set_points)
 
     @property
     def chooses_set_points(self) -> bool:
@@ -255,6 +269,7 @@ class Policy:
             "networks": {name: {"family": net.family, **net.settings()} for name, net in self.networks.items()},
             **({} if self.gains is None else {"gains": list(self.gains)}),
             **({"channels": {name: list(names) for name, names in self.channels.items()}} if self.channels else {}),
+            **({"set_points": self.set_points} if self.set_points else {}),
         }
 
     def save(self, path: str | Path, card: Mapping[str, Any] | None = None) -> Path:
@@ -292,7 +307,8 @@ class Policy:
         """Return the policy with these networks and the data of ``_about``; raise KeyError if data are missing."""
         chosen: dict[str, Any] = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
         chosen |= {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
-        return cls(networks, **chosen, gains=about.get("gains"), channels=about.get("channels"))
+        further = {key: about.get(key) for key in ("gains", "channels", "set_points")}
+        return cls(networks, **chosen, **further)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Policy:

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv
+from dcgrid_env import DcgridVectorEnv, Scenario
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.neural_network import ACTIVATIONS, Network
 from dcgrid_env.agents.training.torch_modules import CLIP
+from dcgrid_env.baselines.equipment_agents import EquipmentAgents
+from dcgrid_env.baselines.laws.constant_set_points import CHANNELS, open_set_points
 
 ACTIVATION = "tanh"
 
@@ -19,7 +21,8 @@ ACTIVATION = "tanh"
 class Candidates:
     """Convert parameter vectors to networks, and compute the costs of many at once.
 
-    A vector contains weight and bias of each layer, for one network after the other.
+    A vector contains weight and bias of each layer, for one network after the other, then the set points that agents
+    choose: 0 for the default, and 1 for half the range more.
 
     Parameters
     ----------
@@ -29,6 +32,8 @@ class Candidates:
         Mean and standard deviation of each network's inputs, (n_in,) each, float32.
     hidden
         Widths of the hidden layers.
+    scenario
+        The scenario, with agents of set points if it has any.
     """
 
     def __init__(
@@ -36,7 +41,9 @@ class Candidates:
         interface: PolicyInterface,
         moments: Mapping[str, tuple[np.ndarray, np.ndarray]],
         hidden: Sequence[int],
+        scenario: Scenario,
     ):
+        self._points = [point for point in open_set_points(scenario) if point.by_agent]
         self.interface, self.moments = interface, moments
         self._shapes = {
             name: list(itertools.pairwise((n_in, *hidden, n_out))) for name, (n_in, n_out) in interface.widths.items()
@@ -49,7 +56,17 @@ class Candidates:
             for i, (n_in, n_out) in enumerate(shapes):
                 std = n_in**-0.5 if i < len(shapes) - 1 else 0.0
                 parts += [std * rng.standard_normal(n_in * n_out), np.zeros(n_out)]
-        return np.concatenate(parts)
+        return np.concatenate([*parts, np.zeros(len(self._points))])
+
+    def set_points(self, parameters: np.ndarray) -> dict[str, dict[str, Any]]:
+        """Return the set points by channel and bank for parameters (..., n): floats, or arrays (...)."""
+        chosen: dict[str, dict[str, Any]] = {}
+        values = parameters[..., parameters.shape[-1] - len(self._points) :]
+        for i, point in enumerate(self._points):
+            moved = point.default + 0.5 * (point.highest - point.lowest) * values[..., i]
+            within = np.clip(moved, point.lowest, point.highest)
+            chosen.setdefault(CHANNELS[point.parameter], {})[point.name] = within if within.ndim else float(within)
+        return chosen
 
     def layers(self, parameters: np.ndarray) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
         """Return the layers of each network, weight (..., n_in, n_out) and bias (..., n_out), for parameters (..., n).
@@ -86,12 +103,18 @@ class Candidates:
             Seeds of the episodes.
         """
         layers, n = self.layers(parameters), len(parameters)
+        of_rows = self.set_points(np.repeat(parameters, len(seeds), axis=0))
+        equipment = EquipmentAgents(env.scenario, set_points=of_rows)
+
+        def of_networks(joint: np.ndarray) -> np.ndarray:
+            inputs = self.interface.inputs(joint)
+            outputs = {name: self._outputs(name, layers[name], seen, n) for name, seen in inputs.items()}
+            return self.interface.action(joint, outputs)
+
         joint, _ = env.reset(seed=[*seeds] * n)
         j = np.full(env.num_envs, np.nan)
         for _ in range(env.scenario.horizon):
-            inputs = self.interface.inputs(joint)
-            outputs = {name: self._outputs(name, layers[name], seen, n) for name, seen in inputs.items()}
-            joint, _, terminated, truncated, _ = env.step(self.interface.action(joint, outputs))
+            joint, _, terminated, truncated, _ = env.step(equipment.act(joint, of_networks))
             over = (terminated | truncated) & np.isnan(j)  # after a collapse, another episode begins in the row
             j[over] = env.transition.j_so_far[over]
         return j.reshape(n, len(seeds))

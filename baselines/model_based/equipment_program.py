@@ -10,26 +10,48 @@ Positions are whole numbers. As continuous unknowns they make the program a rela
 controller's cost, apart from the grid's curvature. ``round`` makes whole numbers of them, and the program is then
 solved for work and reactive power alone.
 
+Agents of set points do not choose positions. The program plans the positions that the controls take under their set
+points, and ``set_point_plan`` finds set points that lead to them.
+
 All costs and constraints are hinges of unknowns of one step or two, and ``interior_point`` solves such programs.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy import sparse
 
-from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout, voltage_targets
+from dcgrid_env import Control, Forecast, Recorder, Scenario, acting_relays, action_layout, voltage_targets
+from dcgrid_env.baselines.equipment_agents import at_rest
 from dcgrid_env.baselines.model_based.episode_program import TANGENTS
 from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
+from dcgrid_env.baselines.model_based.set_point_plan import bank_set_points, relay_set_points
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
-from dcgrid_env.devices import Device
 
 _SPAN = 0.1  # of a tap or a bank, by which the power flow is tried to find its slopes
 _NARROWEST = 1e-3  # kvar, kW s: no range is so narrow that it has no inside
 CHANNELS = {"tap_changer": "tap", "capacitor_bank": "on"}
 """Channel of each kind of device that is equipment."""
+SETTERS = ("regulator_setpoint", "capacitor_setpoint")
+"""Kinds of agents that choose the set points of equipment."""
+
+
+class Group(NamedTuple):
+    """The equipment of a group of agents, n pieces: regulators or capacitor banks."""
+
+    device: Any
+    are_taps: bool
+    rows: list[int]
+    """Rows in the feeder's table of regulators or capacitors."""
+    lowest: np.ndarray
+    """Lowest position, (n,)."""
+    highest: np.ndarray
+    rest: np.ndarray
+    """Position in the feeder's tables."""
+    most: np.ndarray
+    """Largest move in a step."""
 
 
 class EquipmentProgram(Trajectory):
@@ -44,12 +66,11 @@ class EquipmentProgram(Trajectory):
         self.target_pu, free_pu = voltage_targets(scenario)[scenario.feeder.load_slice], scenario.cost.uncharged_pu
         self.edges_pu = (free_pu, -free_pu) if free_pu else (0.0,)
         """Distances from the targets at which the cost of a deviation has a kink."""
-        self.groups: list[Any] = [device for device in scenario.devices if device.kind in CHANNELS]
-        channels = [device.channels[0] for device in self.groups]
-        self.lowest, self.highest, self.rest = (
-            np.concatenate([getattr(channel, side) for channel in channels]) for side in ("lowest", "highest", "rest")
+        self.groups = [_group(scenario, device) for device in scenario.devices if device.kind in (*CHANNELS, *SETTERS)]
+        self.lowest, self.highest, self.rest, self.most = (
+            np.concatenate(parts) for parts in zip(*(group[3:] for group in self.groups), strict=True)
         )
-        self.most = np.concatenate([_most(device, scenario.dt_s) for device in self.groups])
+        """Range of each position, its value at t = 0 and its largest move in a step, (n_u,)."""
         self.position = np.tile(self.rest, (scenario.horizon, 1))
         """Taps, then switches, of the equipment that is agents, (T, n_u)."""
         self.is_whole = False
@@ -66,9 +87,9 @@ class EquipmentProgram(Trajectory):
     def follow(self, replayed: Recorder) -> None:
         """Take positions as they were in a replay: of all equipment if rounded, else of all that are not agents."""
         super().follow(replayed)
+        self.rest = self._of_groups(self._first_tap, self._on[0])
         if self.is_whole:
-            columns = [self._of_kind(device, self._tap, self._on)[:, list(device.rows)] for device in self.groups]
-            self.position = np.concatenate(columns, axis=1)
+            self.position = self._of_groups(self._tap, self._on)
 
     def solve(self, tolerance: float = TOLERANCE) -> tuple[float, np.ndarray]:
         """Optimum, to a share of it, and the actions (T, n_action) behind it; the next program is around them."""
@@ -106,8 +127,37 @@ class EquipmentProgram(Trajectory):
         actions, layout = super().actions(), action_layout(self.scenario)
         span = np.where(self.highest > self.lowest, self.highest - self.lowest, 1.0)
         shares = 2.0 * (np.rint(self.position) - self.lowest) / span - 1.0
-        for device, entries in zip(self.groups, self._split(shares), strict=True):
-            actions[:, layout.is_channel(CHANNELS[device.kind])] = entries
+        for group, entries in zip(self.groups, self._split(shares), strict=True):
+            if group.device.kind in CHANNELS:
+                actions[:, layout.is_channel(CHANNELS[group.device.kind])] = entries
+        return self._with_set_points(actions)
+
+    def _with_set_points(self, actions: np.ndarray) -> np.ndarray:
+        """The actions with the set points that lead to the planned positions; at rest before a replay is followed."""
+        s, layout = self.scenario, action_layout(self.scenario)
+        setters = [group for group in self.groups if group.device.kind in SETTERS]
+        if not setters:
+            return actions
+        if not len(self._tap):
+            names = [channel.name for group in setters for channel in group.device.channels]
+            entries = np.logical_or.reduce([layout.is_channel(name) for name in names])
+            return np.where(entries, at_rest(s), actions)
+        taps, on = self._tap.copy(), self._on.copy()
+        for group, position in zip(self.groups, self._split(np.rint(self.position)), strict=True):
+            (taps if group.are_taps else on)[:, group.rows] = position
+        relays = acting_relays(s)
+        for group in setters:
+            device = group.device
+            if group.are_taps:
+                assert relays is not None
+                relay_v = relays.volts(self.flows_at(taps[None], on[None]))
+                planned = relay_set_points(device, relays, self._first_tap, taps, relay_v)
+            else:
+                lead = s.grid_control.capacitor_settings.delay_s / s.dt_s
+                planned = bank_set_points(device, on[:, group.rows], lead)
+            for channel, values in zip(device.channels, planned, strict=True):
+                span = channel.highest - channel.lowest
+                actions[:, layout.is_channel(channel.name)] = 2.0 * (values - channel.lowest) / span - 1.0
         return actions
 
     def ranges(self) -> tuple[np.ndarray, np.ndarray]:
@@ -117,12 +167,12 @@ class EquipmentProgram(Trajectory):
 
     def _split(self, columns: np.ndarray) -> list[np.ndarray]:
         """The columns of each group of equipment."""
-        return np.split(columns, np.cumsum([device.count for device in self.groups])[:-1], axis=-1)
+        return np.split(columns, np.cumsum([len(group.rows) for group in self.groups])[:-1], axis=-1)
 
-    @staticmethod
-    def _of_kind(device: Device, taps: np.ndarray, on: np.ndarray) -> np.ndarray:
-        """Of all the feeder's taps and switches those of the kind that a group of equipment is."""
-        return taps if device.kind == "tap_changer" else on
+    def _of_groups(self, taps: np.ndarray, on: np.ndarray) -> np.ndarray:
+        """Of all the feeder's taps and switches (..., n) those of the groups, (..., n_u)."""
+        columns = [(taps if group.are_taps else on)[..., group.rows] for group in self.groups]
+        return np.concatenate(columns, axis=-1)
 
     def _control(self, copies: int) -> Control | None:
         """The equipment in each power flow of ``flows``: in the last ones each unknown position moved by itself."""
@@ -130,8 +180,8 @@ class EquipmentProgram(Trajectory):
         still = copies - self.n_further
         moved = np.tile(self.position, (copies, 1, 1))
         moved[np.arange(still, copies), :, np.arange(self.n_further)] += self._spans().T
-        for device, positions in zip(self.groups, self._split(moved), strict=True):
-            self._of_kind(device, taps, on)[..., list(device.rows)] = positions
+        for group, positions in zip(self.groups, self._split(moved), strict=True):
+            (taps if group.are_taps else on)[..., group.rows] = positions
         return self.acting(taps, on)
 
     def _spans(self) -> np.ndarray:
@@ -246,8 +296,18 @@ class EquipmentProgram(Trajectory):
         return parts
 
 
-def _most(device: Device, dt_s: float) -> np.ndarray:
-    """How far each piece of equipment of a group goes in a step."""
-    if device.kind == "tap_changer":
-        return dt_s / device.parameters.tap_delay_s
-    return np.ones(device.count)
+def _group(scenario: Scenario, device: Any) -> Group:
+    """The equipment of a group of agents."""
+    if device.kind in CHANNELS:
+        (channel,), rows = device.channels, list(device.rows)
+        are_taps = device.kind == "tap_changer"
+        most = scenario.dt_s / device.parameters.tap_delay_s if are_taps else np.ones(len(rows))
+        return Group(device, are_taps, rows, channel.lowest, channel.highest, channel.rest, most)
+    rows, feeder = [row for of_bank in device.members for row in of_bank], cast(Any, scenario.feeder)
+    relays = acting_relays(scenario) if device.kind == SETTERS[0] else None
+    if relays is None:
+        zero = np.zeros(len(rows))
+        return Group(device, False, rows, zero, zero + 1.0, feeder.base_capacitor_on[rows], zero + 1.0)
+    settings = relays.settings
+    most = scenario.dt_s / settings.tap_delay_s[rows]
+    return Group(device, True, rows, settings.lowest[rows], settings.highest[rows], feeder.base_tap[rows], most)

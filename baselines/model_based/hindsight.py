@@ -11,13 +11,14 @@ other, and the best replay is the result. ``tap_search`` finds the trajectories,
 MPC on. ``tap_bound`` finds a lower bound over all trajectories. For timers that decide once per step, the trajectories
 are those under steady shares of reactive power.
 
-If regulators or capacitor banks are agents, ``equipment_program`` plans their positions too. ``storage_rows`` plans
-storages, which cannot be combined with such equipment.
+If regulators or capacitor banks are agents, ``equipment_program`` plans their positions too. If agents choose their set
+points, the replay has the positions to which the set points lead. ``storage_rows`` plans storages, which cannot be
+combined with such equipment.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from dcgrid_env import (
 from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_draws_of_work, require_known_devices
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
-from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, EquipmentProgram
+from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, SETTERS, EquipmentProgram
 from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.model_based.storage_rows import storages_of
 from dcgrid_env.baselines.model_based.tap_bound import tap_bound
@@ -93,6 +94,8 @@ def effort_of(scenario: Scenario) -> Effort:
         return Effort(ROUNDS_ROUTED, GAP_ROUTED)
     if searches_taps(scenario):
         return Effort(ROUNDS_SEARCHED, GAP_BEST_KNOWN)
+    if _has_equipment_agents(scenario):
+        return Effort(ROUNDS, GAP_BEST_KNOWN)
     return Effort(ROUNDS, TOLERANCE) if storages_of(scenario) is None else Effort(ROUNDS_SHORTENED, GAP_SHORTENED)
 
 
@@ -165,6 +168,11 @@ def searches_taps(scenario: Scenario) -> bool:
     """Return whether hindsight searches tap trajectories: some controls of regulators act within steps."""
     within_steps = scenario.grid_control.regulator_settings.timer != "per_step"
     return within_steps and acting_relays(scenario) is not None and not _has_equipment_agents(scenario)
+
+
+def finds_best_known(scenario: Scenario) -> bool:
+    """Return whether hindsight searches or rounds the positions of equipment, so a lower cost may exist."""
+    return searches_taps(scenario) or _has_equipment_agents(scenario)
 
 
 def _over_searched_taps(program: EpisodeProgram, seed: int, rounds: int) -> Hindsight:
@@ -250,7 +258,7 @@ def _settled(
     """Solve a program around its solutions until the replay agrees with it or its optimum exceeds ``hopeless``."""
     scenario = program.scenario
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
-    if has_equipment:
+    if has_equipment and isinstance(program, EpisodeProgram):  # positions that were planned stay until the first replay
         program.follow(replay(scenario, program.actions(), seed))
     shortens = isinstance(program, EpisodeProgram) and _shifts(program)
     best: Hindsight | None = None
@@ -324,8 +332,9 @@ def replay(scenario: Scenario, actions: np.ndarray, seed: int) -> Recorder:
 def _has_equipment_agents(scenario: Scenario) -> bool:
     """Whether regulators or capacitor banks are agents, and all others are data centres, then inverters."""
     kinds = [device.kind for device in scenario.devices if device.count]
-    there = [kind for kind in (*KNOWN_DEVICES, *CHANNELS) if kind in kinds]
-    return kinds == there and any(kind in CHANNELS for kind in kinds)
+    equipment = (*CHANNELS, *SETTERS)
+    there = [kind for kind in (*KNOWN_DEVICES, *equipment) if kind in kinds]
+    return kinds == there and any(kind in equipment for kind in kinds)
 
 
 def _check(scenario: Scenario) -> None:
@@ -367,15 +376,42 @@ def _check(scenario: Scenario) -> None:
     if scenario.cost.voltage != "l1":
         raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.cost.voltage!r}")
     weights, searches = scenario.cost.weights, searches_taps(scenario)
-    others = _has_controlled_banks(scenario) or (planned and acting_relays(scenario) is not None)
+    others = _has_controlled_banks(scenario) or (planned and _has_controlled_regulators(scenario))
     priced = [name for name in weights.unmodelled if name != "switching" or others or not (planned or searches)]
     if priced == ["switching"] and (planned or searches):
         what = "taps of built-in controls" if searches else "moves of agents"
         raise ValueError(
             f"hindsight prices the {what} alone; make all other equipment fixed, or set the weight of switching to 0"
         )
+    if planned and (slow := _slow_regulators(scenario)):
+        raise ValueError(
+            f"hindsight plans set points for steps in which a control finishes; in scenario {scenario.name!r} dt_s is "
+            f"{scenario.dt_s:g} and the delay of {slow[0]} longer: give a longer dt_s"
+        )
     if priced:
         raise ValueError(f"hindsight does not price {priced[0]}; set its weight to 0, {CostWeights()!r}")
+
+
+def _has_controlled_regulators(scenario: Scenario) -> bool:
+    """Whether the built-in control of any regulator acts under set points that no agent chooses."""
+    relays = acting_relays(scenario)
+    return relays is not None and bool(set(relays.rows.tolist()) - _rows_of_setters(scenario))
+
+
+def _slow_regulators(scenario: Scenario) -> list[str]:
+    """Names of regulators whose set points agents choose and whose delay does not end within a step."""
+    relays, feeder = acting_relays(scenario), cast(Any, scenario.feeder)
+    if relays is None:
+        return []
+    rows = relays.rows[relays.steps > 1].tolist()
+    chosen = _rows_of_setters(scenario)
+    return [feeder.network.regulator.name[row] for row in rows if row in chosen]
+
+
+def _rows_of_setters(scenario: Scenario) -> set[int]:
+    """Rows of the regulators whose set points agents choose."""
+    devices = cast(Any, scenario.devices)
+    return {row for device in devices if device.kind == SETTERS[0] for rows in device.members for row in rows}
 
 
 def _has_controlled_banks(scenario: Scenario) -> bool:

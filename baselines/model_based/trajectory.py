@@ -103,11 +103,11 @@ class Trajectory:
             )
         return solution
 
-    def flows_at(self, taps: np.ndarray) -> Any:
-        """Power flows of the trajectory under other taps, (flow, T, n_regulator), flattened."""
+    def flows_at(self, taps: np.ndarray, on: np.ndarray | None = None) -> Any:
+        """Power flows of the trajectory under other taps and switches, (flow, T, n), flattened."""
         s, copies = self.scenario, len(taps)
         p_kw, q_kvar = (np.tile(load, (copies, 1)) for load in self.loads())
-        control = self.acting(taps, np.tile(self._on, (copies, 1, 1)))
+        control = self.acting(taps, np.tile(self._on, (copies, 1, 1)) if on is None else on)
         return solver_for(s.feeder, s.power_flow)(s.feeder, p_kw, q_kvar, s.source_voltage_pu, control)
 
     def linear(self, values: np.ndarray) -> Linear:

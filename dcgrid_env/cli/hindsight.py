@@ -143,7 +143,7 @@ def solve(split: str, task: tuple[ScenarioSpec, int]) -> dict[str, Any]:
 
 def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
     """Return a summary of a scenario's file on one line."""
-    from dcgrid_env.baselines.model_based.hindsight import effort_of, searches_taps
+    from dcgrid_env.baselines.model_based.hindsight import effort_of, finds_best_known
 
     rounds, settled = effort_of(scenario)
     j = [episode["J"] for episode in episodes.values()]
@@ -151,7 +151,7 @@ def _said(scenario: Scenario, episodes: dict[int, dict[str, Any]]) -> str:
     most = sum(e["rounds"] >= rounds and gap > settled for e, gap in zip(episodes.values(), gaps, strict=True))
     missing = max(episodes) + 1 - len(episodes)
     stopped = f"{most} stopped after {rounds} programs with a gap above {settled:g} of J"
-    if searches_taps(scenario):
+    if finds_best_known(scenario):
         stopped = f"{sum(gap > settled for gap in gaps)} above {settled:g} of J"
     return (
         f"{len(j)} episodes, mean J {sum(j) / len(j):.4f}, largest gap to the bound {max(gaps):.1e} of J, {stopped}"
@@ -185,7 +185,7 @@ def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) ->
 def _write(path: Path, spec: ScenarioSpec, split: str, episodes: dict[int, dict[str, Any]]) -> None:
     from dcgrid_env import scenario_hash
     from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN
-    from dcgrid_env.baselines.model_based.hindsight import GAP_BEST_KNOWN, searches_taps
+    from dcgrid_env.baselines.model_based.hindsight import GAP_BEST_KNOWN, finds_best_known
 
     scenario, count = spec.make(split), max(episodes) + 1
     is_far = any(one["J"] - one["bound"] > GAP_BEST_KNOWN * abs(one["J"]) for one in episodes.values())
@@ -195,7 +195,7 @@ def _write(path: Path, spec: ScenarioSpec, split: str, episodes: dict[int, dict[
         {
             "scenario": scenario.name,
             "split": scenario.split,
-            **({"kind": BEST_KNOWN} if is_far and searches_taps(scenario) else {}),
+            **({"kind": BEST_KNOWN} if is_far and finds_best_known(scenario) else {}),
             "scenario_hash": scenario_hash(scenario),
             "command": command,
             "versions": meta()["versions"],

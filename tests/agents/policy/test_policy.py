@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import subprocess
 import sys
 
@@ -195,6 +196,10 @@ def test_the_nameplate_worked_by_hand():
         (lambda: Policy({"joint": network(3, 2)}, gains=[1.0, 1.0, 1.0]), "and outputs 'setpoint'; give gains with"),
         (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, -1.0, 1.0]), "each at least 0"),
         (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, 1.0]), "give k_p_mw_per_pu, k_q"),
+        (
+            lambda: Policy({"joint": network(3, 2)}, set_points={"offset": {"reg1": math.nan}}),
+            "set_points of reg1: offset is nan; give a finite number",
+        ),
         (lambda: shared().save("policy.pt"), r"policy.pt: a policy's file name ends in .safetensors"),
         (lambda: Policy.load("ieee124-analytic"), "no policy 'ieee124-analytic'; did you mean ieee123-analytic"),
     ],

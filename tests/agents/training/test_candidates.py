@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridVectorEnv, make_scenario
+from dcgrid_env import DcgridVectorEnv, make_scenario, under_own_control
 from dcgrid_env.agents import Policy
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.training.candidates import Candidates
@@ -11,18 +11,21 @@ from dcgrid_env.traces import PowerTrace
 
 def made(scenario, kind="shared", hidden=(3, 2)):
     """Candidates of a scenario with arbitrary moments."""
-    interface, rng = PolicyInterface(scenario, kind, outputs="change", nameplate=True), np.random.default_rng(0)
+    others, rng = under_own_control(scenario), np.random.default_rng(0)
+    interface = PolicyInterface(others, kind, outputs="change", nameplate=True)
     moments = {
         name: (rng.normal(0.0, 0.1, n_in).astype(np.float32), rng.uniform(0.1, 1.0, n_in).astype(np.float32))
         for name, (n_in, _) in interface.widths.items()
     }
-    return Candidates(interface, moments, hidden)
+    return Candidates(interface, moments, hidden, scenario)
 
 
 @pytest.mark.parametrize("kind", ["shared", "joint"])
-@pytest.mark.parametrize("name", ["ieee33-weak", "ieee13-3ph"])
-def test_each_candidate_costs_what_its_policy_costs_alone(name, kind):
-    scenario, seeds = make_scenario(name, horizon=12), [4, 9, 5]
+@pytest.mark.parametrize("name", ["ieee33-weak", "ieee13-3ph", "set points"])
+def test_each_candidate_costs_what_its_policy_costs_alone(name, kind, tmp_path):
+    settings = {"grid_control": {"regulators": "setpoint", "capacitors": "setpoint"}} if name == "set points" else {}
+    scenario = make_scenario("ieee13-3ph" if settings else name, horizon=12, **settings)
+    seeds = [4, 9, 5]
     candidates = made(scenario, kind)
     start = candidates.start(np.random.default_rng(1))
     parameters = (start + np.random.default_rng(2).normal(0.0, 0.2, (4, len(start)))).astype(np.float32)
@@ -30,7 +33,10 @@ def test_each_candidate_costs_what_its_policy_costs_alone(name, kind):
     assert found.shape == (4, 3)
     assert found.std(0).min() > 1e-3
     for each, of_candidate in zip(parameters, found, strict=True):
-        policy = Policy(candidates.networks(each), nameplate=True, outputs="change")
+        set_points = candidates.set_points(each)
+        assert set(set_points) == ({"offset", "half_band", "centre"} if settings else set())
+        policy = Policy(candidates.networks(each), nameplate=True, outputs="change", set_points=set_points)
+        policy = Policy.load(policy.save(tmp_path / "policy"))
         expected = [metrics["J"] for metrics in rollout(scenario, policy, seeds).metrics()]
         np.testing.assert_allclose(of_candidate, expected, rtol=1e-5)
 
