@@ -307,8 +307,8 @@ class Policy:
         """Return the policy with these networks and the data of ``_about``; raise KeyError if data are missing."""
         chosen: dict[str, Any] = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
         chosen |= {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
-        further = {key: about.get(key) for key in ("gains", "channels", "set_points")}
-        return cls(networks, **chosen, **further)
+        chosen |= {key: about.get(key) for key in ("gains", "channels", "set_points")}
+        return cls(networks, **chosen)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Policy:

@@ -2,6 +2,10 @@
 
 Where the scenario says that its model is not exact, agents know by how much and not in which direction: a quarter of
 the moments each is of the model with all resistances and all reactances larger or smaller by that share.
+
+The taps of regulators that act have settled without reactive power, as at the beginning of an episode. If delays are
+longer than a step, the taps have then settled under the set points too. The effect of a set point therefore includes
+the taps that it causes. If delays end within a step, taps answer each decision, which constant set points do not model.
 """
 
 from __future__ import annotations
@@ -10,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dcgrid_env import nodes_by_bus, solver_for
+from dcgrid_env import Control, acting_relays, nodes_by_bus, solver_for
 from dcgrid_env.baselines.model_aided.knowledge import Site
 
 
@@ -31,6 +35,15 @@ class MomentFlow:
         np.add.at(seen, (rows, nodes), 1.0 / nodes.shape[1])
         self.seen = seen[:, self.feeder.load_slice]
         """Share of each voltage in what an agent sees, (n_agent, k)."""
+        self._relays = acting_relays(s)
+        self._first_tap = np.zeros((len(self.points.p_load_kw), 0))
+        if self._relays is not None:
+            p_kw, n = self.points.p_load_kw + self.points.p_agent_kw @ self.shares, len(self.feeders)
+            self._first_tap = np.empty((len(p_kw), len(self._relays.settings.target_v)))
+            for k, feeder in enumerate(self.feeders):
+                self._first_tap[k::n] = self._relays.settled(
+                    feeder, p_kw[k::n], self.points.q_load_kvar[k::n], s.source_voltage_pu
+                )
 
     def of(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Voltages of some moments as a function of constant setpoints, kvar, (n_agent,)."""
@@ -42,10 +55,16 @@ class MomentFlow:
         p = points.p_load_kw[rows] + points.p_agent_kw[rows] @ self.shares
         q = points.q_load_kvar[rows] - q_kvar @ self.shares
         of = np.arange(len(points.p_load_kw))[rows] % len(self.feeders)
+        first_tap = self._first_tap[rows]
         v, solved = np.empty((len(p), self.seen.shape[1])), np.empty(len(p), bool)
         for k, feeder in enumerate(self.feeders):
             of_feeder = of == k
-            solution = solver_for(feeder, s.power_flow)(feeder, p[of_feeder], q[of_feeder], s.source_voltage_pu)
+            load, control = (feeder, p[of_feeder], q[of_feeder], s.source_voltage_pu), None
+            if self._relays is not None:
+                tap = first_tap[of_feeder]
+                tap = self._relays.settled(*load, tap) if (self._relays.steps > 1).all() else tap
+                control = Control(feeder.tap_ratio(tap))
+            solution = solver_for(feeder, s.power_flow)(*load, control)
             v[of_feeder], solved[of_feeder] = np.asarray(solution.v_pu)[:, feeder.load_slice], solution.converged
         if not solved.any():
             raise ValueError(

@@ -16,12 +16,11 @@ The rule assumes that the controls finish within a step.
 from __future__ import annotations
 
 from math import ceil
+from typing import Any
 
 import numpy as np
 
 from dcgrid_env import ActingRelays
-from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
-from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 
 MARGIN_V = 0.2
 """Error of the relay volts that a band should tolerate, V."""
@@ -32,14 +31,14 @@ PER_MOVE = 0.8
 
 
 def relay_set_points(
-    device: RegulatorSetPoints, relays: ActingRelays, first_tap: np.ndarray, taps: np.ndarray, relay_v: np.ndarray
+    device: Any, relays: ActingRelays, first_tap: np.ndarray, taps: np.ndarray, relay_v: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return offset and half band of each bank, V, (T, n_bank) each.
 
     Parameters
     ----------
     device
-        The banks.
+        The banks of regulators whose set points agents choose, ``RegulatorSetPoints``.
     relays
         Relays of all regulators that act.
     first_tap, taps
@@ -69,13 +68,13 @@ def relay_set_points(
     return chosen[0], chosen[1]
 
 
-def bank_set_points(device: ThresholdSetPoints, on: np.ndarray, delay_steps: float) -> tuple[np.ndarray, np.ndarray]:
+def bank_set_points(device: Any, on: np.ndarray, delay_steps: float) -> tuple[np.ndarray, np.ndarray]:
     """Return centre and half width of the thresholds of each capacitor bank, p.u., (T, n_bank) each.
 
     Parameters
     ----------
     device
-        The banks.
+        The capacitor banks whose thresholds agents choose, ``ThresholdSetPoints``.
     on
         Planned states of each step, (T, n_bank).
     delay_steps

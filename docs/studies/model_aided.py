@@ -2,6 +2,7 @@
 
 python -m docs.studies.model_aided ablations
 python -m docs.studies.model_aided feeders
+python -m docs.studies.model_aided taps
 OPENBLAS_NUM_THREADS=1 DCGRID_NUM_THREADS=1 python -m docs.studies.model_aided times
 """
 
@@ -10,14 +11,24 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv, Scenario, forecast, make_scenario, own_sensitivity, random_feeder
+from dcgrid_env import (
+    ActingRelays,
+    DcgridVectorEnv,
+    Scenario,
+    forecast,
+    make_scenario,
+    own_sensitivity,
+    random_feeder,
+)
 from dcgrid_env.baselines import Controller, Droop, ModelAided, make_controller, rollout
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 
 PRESETS = ("ieee33-weak", "das69", "sync", "fault", "zero-shot")
+REGULATED = ("ieee13-3ph", "ieee34-3ph", "ieee123-3ph", "ieee123-3ph-day")
 SEEDS = range(32)
 STYLES = ("urban", "rural", "european-lv", "us-mv")
 FEEDERS = range(16)
@@ -143,6 +154,27 @@ def feeders() -> None:
     print("least gain over the droop, as a share of its J:", ((j[:, 0] - j[:, 2]) / j[:, 0]).min())
 
 
+def taps() -> None:
+    """Print J on validation by preset and the taps at which the moments of commissioning are solved."""
+    settled = ActingRelays.settled
+
+    def of_table(relays: ActingRelays, feeder: Any, p_kw: np.ndarray, *_: Any) -> np.ndarray:
+        return np.tile(feeder.base_tap, (len(p_kw), 1))
+
+    def without_q(relays: ActingRelays, *load: Any) -> np.ndarray:
+        return settled(relays, *load) if len(load) == 4 else load[4]
+
+    print("| | droop-tuned | of the table | settled without reactive power | as the law has them |")
+    print("|---|---|---|---|---|")
+    for name in REGULATED:
+        scenario = make_scenario(name, split="validation")
+        figures = [mean_cost(scenario, make_controller("droop-tuned", scenario), SEEDS)]
+        for taps_of in (of_table, without_q, settled):
+            with patch.object(ActingRelays, "settled", taps_of):
+                figures.append(mean_cost(scenario, ModelAided(), SEEDS))
+        print(f"| `{name}` | " + " | ".join(f"{figure:.4f}" for figure in figures) + " |", flush=True)
+
+
 def times() -> None:
     """Print CPU time by scenario: moments, the first placement, a following one, and a decision of all agents."""
     print("| | buses | agents | moments, s | first placement, s | a placement, s | a decision of all agents, ms |")
@@ -180,4 +212,4 @@ def cpu_s(do: Callable[[], Any]) -> tuple[float, Any]:
 
 
 if __name__ == "__main__":
-    {"ablations": ablations, "feeders": feeders, "times": times}[sys.argv[1]]()
+    {"ablations": ablations, "feeders": feeders, "taps": taps, "times": times}[sys.argv[1]]()

@@ -9,6 +9,7 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.relay import RelaySettings, relay_settings, relay_volts
+from dcgrid_env.devices.tap_changer.settling import settled_taps
 from dcgrid_env.devices.tap_changer.tap_control import RegulatorState, control_taps, initial_regulators
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
@@ -39,6 +40,19 @@ class ActingRelays(NamedTuple):
         s, rows = self.settings, self.rows
         low, high = self.band_volts
         return np.where(tap < s.highest[rows], low, -np.inf), np.where(tap > s.lowest[rows], high, np.inf)
+
+    def settled(
+        self, feeder: ThreePhaseFeeder, p_kw: np.ndarray, q_kvar: np.ndarray, source_pu: float, tap: Any = None
+    ) -> np.ndarray:
+        """Return the taps of all regulators at which these relays rest under constant loads, (row, n_regulator).
+
+        Loads are (row, n_leg). The other regulators stay at ``tap``, (row, n_regulator), where all begin; None for the
+        taps of the table.
+        """
+        acts = np.zeros(feeder.n_regulator)
+        acts[self.rows] = 1.0
+        rest = settled_taps(feeder, p_kw, q_kvar, source_pu, tap=tap, controlled=acts, settings=self.settings)
+        return np.asarray(rest.tap)
 
     @property
     def band_volts(self) -> tuple[np.ndarray, np.ndarray]:
