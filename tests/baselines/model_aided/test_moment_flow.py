@@ -1,5 +1,7 @@
 """Voltages of moments: with regulators that act, taps have settled as the built-in controls settle them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,13 +15,14 @@ INTEGRATING = {"regulator_settings": {"timer": "integrating", "offset_v": {"reg1
 def flow_of(**overrides):
     scenario = make_scenario("ieee13-3ph", **overrides)
     site = site_of(scenario)
-    fixed = [device.buses for device in scenario.devices if device.count]
+    fixed = [device.buses or () for device in scenario.devices if device.count]
     return MomentFlow(site, np.array([scenario.feeder.index(bus) for buses in fixed for bus in buses]))
 
 
 def at_rest(flow, q_kvar, first_q_kvar):
     """Voltages with the taps that the relays reach under some set points, then under others."""
-    s, points, relays = flow.scenario, flow.points, acting_relays(flow.scenario)
+    s, points = flow.scenario, flow.points
+    relays: Any = acting_relays(s)
     p_kw = points.p_load_kw + points.p_agent_kw @ flow.shares
     loads = [points.q_load_kvar - q @ flow.shares for q in (0.0 * q_kvar, first_q_kvar, q_kvar)]
     tap = None

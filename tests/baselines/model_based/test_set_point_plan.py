@@ -1,5 +1,7 @@
 """Set points under which controls take planned positions: the rule of a step, and plans that are replayed."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,6 +26,10 @@ def by_minutes(**overrides):
     return ieee13().replace(**SET_POINTS | BY_MINUTES | overrides)
 
 
+def relays_of(scenario) -> Any:
+    return acting_relays(scenario)
+
+
 def device_of(scenario, kind):
     return next(device for device in scenario.devices if device.kind == kind)
 
@@ -32,7 +38,7 @@ def device_of(scenario, kind):
 def test_regulators_that_may_move_alike_take_the_planned_taps(seed):
     """All regulators of the bank have the same volts, so one band leads all of them."""
     rng, scenario = np.random.default_rng(seed), by_minutes()
-    device, relays = device_of(scenario, "regulator_setpoint"), acting_relays(scenario)
+    device, relays = device_of(scenario, "regulator_setpoint"), relays_of(scenario)
     steps, n = 12, len(relays.rows)
     taps = np.repeat(rng.integers(-10, 11, steps)[:, None], n, axis=1).astype(float)
     volts = np.repeat(rng.uniform(120.0, 124.0, (steps, 1)), n, axis=1)
@@ -73,7 +79,7 @@ def test_hindsight_with_set_points_costs_less_than_constant_ones_and_more_than_i
     equipment = found.recorder.series(0).three_phase.equipment
     moves = equipment.regulators.moves[-1].sum() + equipment.banks.switchings[-1].sum()
     assert moves > 0.0
-    pieces = len(acting_relays(scenario).rows) + device_of(scenario, "capacitor_setpoint").count
+    pieces = len(relays_of(scenario).rows) + device_of(scenario, "capacitor_setpoint").count
     costs = found.recorder.metrics()[0]
     assert costs["cost_switching"] == pytest.approx(moves / pieces / scenario.horizon)
 
