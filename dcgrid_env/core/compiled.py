@@ -129,8 +129,12 @@ class _Cache(NullCache):
 
 
 def _of_type(kind: Any) -> str:
-    """Text of the type of an argument, the fields of named tuples included: two of them may swap their names."""
-    return f"{kind}{getattr(kind, 'fields', '')}[{','.join(map(_of_type, getattr(kind, 'types', ())))}]"
+    """Text of the type of an argument, fields and module of named tuples included: two of them may swap their names.
+
+    A kernel's file also refers to the class of a named tuple by its module, so it cannot be read after the class moves.
+    """
+    named = f"{getattr(kind, 'instance_class', '')}{getattr(kind, 'fields', '')}"
+    return f"{kind}{named}[{','.join(map(_of_type, getattr(kind, 'types', ())))}]"
 
 
 def _of_kernel(kernel: Any, seen: set[int]) -> Iterator[str]:

@@ -43,6 +43,24 @@ print(last(np.arange(4.0)), len(compilations))
 """
 
 
+PAIR = """
+from typing import NamedTuple
+
+class Pair(NamedTuple):
+    a: float
+    b: float
+"""
+OF_PAIR = """
+from {module} import Pair
+from dcgrid_env.core.compiled import compiled
+
+@compiled
+def first(pair):
+    return 2.0 * pair.a
+"""
+RUN_OF_PAIR = RUN.replace("last(np.arange(4.0))", "first(Pair(3.0, 2.0))").replace("last", "Pair, first")
+
+
 class Kernels:
     """Three small modules, and the processes that run their kernel."""
 
@@ -64,12 +82,12 @@ class Kernels:
     def files(self):
         return sorted(self.cache.rglob("*.kernel"))
 
-    def run(self, **variables):
+    def run(self, script=RUN, **variables):
         """What the kernel returned, how many compilations that took, and stderr."""
         env = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
         env |= {"NUMBA_CACHE_DIR": str(self.cache), "PYTHONDONTWRITEBYTECODE": "1"} | variables
         env["PYTHONPATH"] = str(self.folder)
-        command = [sys.executable, "-W", "error", "-c", RUN]
+        command = [sys.executable, "-W", "error", "-c", script]
         done = subprocess.run(command, env=env, cwd=self.folder, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         value, compilations = done.stdout.split()
@@ -102,6 +120,15 @@ def test_a_damaged_file_is_compiled_again(kernels, content):
         path.write_bytes(path.read_bytes()[:-7] if content is None else content)
     assert kernels.run()[:2] == (6.0, 2)
     assert kernels.run()[:2] == (6.0, 0)
+
+
+@pytest.mark.slow
+def test_a_named_tuple_that_moved_to_another_module_is_compiled_again(kernels):
+    for module, compilations in (("here", 1), ("there", 1), ("there", 0)):
+        (kernels.folder / "here.py").unlink(missing_ok=True)
+        (kernels.folder / f"{module}.py").write_text(PAIR)
+        (kernels.folder / "kernel.py").write_text(OF_PAIR.format(module=module))
+        assert kernels.run(RUN_OF_PAIR)[:2] == (6.0, compilations)
 
 
 @pytest.mark.slow
