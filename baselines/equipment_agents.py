@@ -11,6 +11,7 @@ from dcgrid_env import BankControl, Scenario, acting_relays, action_layout, fiel
 from dcgrid_env.devices import Channel
 
 _TAP = "tap"
+_SAME = 1e-6  # in the unit of a set point, by which it may exceed its range
 
 
 class EquipmentAgents:
@@ -124,6 +125,10 @@ def _with_set_points(scenario: Scenario, set_points: Mapping[str, Mapping[str, A
     rows = np.broadcast_shapes(*(np.shape(value) for *_, value in chosen))
     actions = np.zeros((*rows, len(rest))) + rest
     for entry, lowest, highest, value in chosen:
+        if np.min(value) < lowest - _SAME or np.max(value) > highest + _SAME:
+            agent, channel = action_layout(scenario).names[entry]
+            limits = f"{lowest:g} to {highest:g}"
+            raise ValueError(f"set point of {agent}: {channel} is {value}; give a number from {limits}")
         actions[..., entry] = 2.0 * (value - lowest) / (highest - lowest) - 1.0
     return actions
 

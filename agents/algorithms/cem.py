@@ -11,8 +11,8 @@ move 15 to 30 s after the voltage. It is made for networks of few parameters.
 Network outputs are changes from the action that keeps the current state (``policy.interface``). They are 0 for the
 initial mean.
 
-Where agents choose set points of regulators and capacitor banks, the candidates also have a constant for each set
-point. The initial mean is the default.
+If agents choose set points of regulators and capacitor banks, the candidates also have constant offsets, half bands
+and centres of thresholds. The initial mean is the default.
 """
 
 from __future__ import annotations

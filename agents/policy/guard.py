@@ -77,7 +77,7 @@ class GuardedPolicy:
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes; raise PolicyError if the policy does not fit the scenario or its input range is unknown."""
-        self._equipment = EquipmentAgents(env_info)
+        self._equipment = EquipmentAgents(env_info, set_points=self.policy.set_points)
         self.scenario = scenario = self._equipment.others
         with on_purpose():
             self.policy.reset(scenario)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,9 @@ from dcgrid_env.core.suggestions import unknown
 
 SET_POINTS = {"regulator_setpoint": "offset", "capacitor_setpoint": "centre"}
 """First channel of each kind of agent that chooses set points."""
+SET_POINT_CHANNELS = ("offset", "half_band", "centre", "half_width")
+LARGEST_SET_POINT = 1e6
+"""Largest number in the constant set points of a file; those of a scenario have a range of their own."""
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
 
 
@@ -144,11 +146,7 @@ class Policy:
             if name not in networks or networks[name].n_out != len(names):
                 gives = f"gives {networks[name].n_out}" if name in networks else "is not there"
                 raise PolicyError(f"channels of {name} are {names}; the network {gives}: name each of its outputs")
-        self.set_points = {channel: dict(of_banks) for channel, of_banks in (set_points or {}).items()}
-        for channel, of_banks in self.set_points.items():
-            for bank, value in of_banks.items():
-                if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-                    raise PolicyError(f"set_points of {bank}: {channel} is {value!r}; give a finite number")
+        self.set_points = _checked_set_points({} if set_points is None else set_points)
         self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
         if (outputs == "droop") != (gains is not None):
             raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
@@ -328,6 +326,22 @@ class Policy:
 
 
 FORMS[OBSERVED] = Policy
+
+
+def _checked_set_points(set_points: object) -> dict[str, dict[str, float]]:
+    """Return constant set points by channel and bank; raise PolicyError unless they are such."""
+    if not isinstance(set_points, Mapping) or not all(isinstance(banks, Mapping) for banks in set_points.values()):
+        raise PolicyError(
+            f"set_points are {set_points!r}; give a mapping from channels to mappings from banks to numbers"
+        )
+    for channel, of_banks in set_points.items():
+        if channel not in SET_POINT_CHANNELS:
+            raise PolicyError(f"set_points have the channel {channel!r}; choose from {', '.join(SET_POINT_CHANNELS)}")
+        for bank, value in of_banks.items():
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not is_number or not -LARGEST_SET_POINT <= value <= LARGEST_SET_POINT:
+                raise PolicyError(f"set_points of {bank}: {channel} is {value!r}; give a finite number")
+    return {channel: dict(of_banks) for channel, of_banks in set_points.items()}
 
 
 def _is_kind(name: str) -> bool:

@@ -87,7 +87,7 @@ class EquipmentProgram(Trajectory):
     def follow(self, replayed: Recorder) -> None:
         """Take positions as they were in a replay: of all equipment if rounded, else of all that are not agents."""
         super().follow(replayed)
-        self.rest = self._of_groups(self._first_tap, self._on[0])
+        self.rest = self._of_groups(self._first_tap, self._first_on)
         if self.is_whole:
             self.position = self._of_groups(self._tap, self._on)
 

@@ -26,6 +26,7 @@ MARGIN_V = 0.2
 """Error of the relay volts that a band should tolerate, V."""
 OFFSETS, HALF_BANDS = 41, 8
 """Values of the offset and the half band that are tried for each bank."""
+_SAME_TIME = 1e-9  # of a step
 PER_MOVE = 0.8
 """Price of a tap, in taps off the plan in one step: a regulator rests while its bank cannot follow the plan."""
 
@@ -81,7 +82,7 @@ def bank_set_points(device: Any, on: np.ndarray, delay_steps: float) -> tuple[np
         Delay of the control in steps; a switching begins so much earlier.
     """
     centre, half_width = device.channels
-    lead = max(ceil(delay_steps) - 1, 0)
+    lead = min(max(ceil(delay_steps - _SAME_TIME) - 1, 0), len(on))
     ahead = np.concatenate((on[lead:], np.repeat(on[-1:], lead, axis=0)))
     # The thresholds of a bank that moves are close together, those of one that stays far apart.
     before = np.concatenate((np.array(device.base)[None], ahead[:-1]))

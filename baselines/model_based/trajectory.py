@@ -51,7 +51,8 @@ class Trajectory:
         self.q_limit_kvar = np.tile(s.q_scale_kvar[: self.n], (s.horizon, 1))
         self.q_limit_kvar[:, inverters] = np.minimum(self.q_limit_kvar[:, inverters], room)
         self.q_limit_kvar *= episode.available[:, : self.n]
-        self._first_tap, self._tap, self._on = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
+        self._first_tap, self._first_on = np.zeros(0), np.zeros(0)
+        self._tap, self._on = np.zeros((0, 0)), np.zeros((0, 0))
 
     def follow(self, replayed: Recorder) -> None:
         """Take the taps and switches of a three-phase feeder's equipment as they were in a replay."""
@@ -61,7 +62,8 @@ class Trajectory:
             np.concatenate((rows[1:], np.repeat(rows[-1:], missing, axis=0)))
             for rows in (phases.equipment.regulators.tap, phases.equipment.banks.on)
         )
-        self._first_tap, self._tap, self._on = phases.equipment.regulators.tap[0], taps, on
+        self._first_tap, self._first_on = phases.equipment.regulators.tap[0], phases.equipment.banks.on[0]
+        self._tap, self._on = taps, on
 
     def retrace(self, replayed: Recorder) -> None:
         """Do what was done in a replay to its end; it moved no work to other sites."""

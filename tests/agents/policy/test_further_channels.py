@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import TensorEnv, action_layout, field_names, make_scenario, under_own_control
-from dcgrid_env.agents import Network, Policy, PolicyError
+from dcgrid_env import DcgridVectorEnv, TensorEnv, action_layout, field_names, make_scenario, under_own_control
+from dcgrid_env.agents import Network, Policy, PolicyError, guarded
 from dcgrid_env.agents.policy.interface import KINDS, OUTPUTS, Gains, PolicyInterface, require_one_policy_fits
 from helpers.forms import variant_of
 from helpers.riding import ride_through_34
@@ -160,3 +160,20 @@ def test_channels_of_other_names_are_refused():
         require_one_policy_fits(
             [PolicyInterface(s, "shared") for s in (UPS, toy6_storage(figures={"s_rated_kva": 320.0}))]
         )
+
+
+def test_constant_set_points_also_apply_under_the_guard_and_must_be_in_range():
+    scenario = make_scenario("ieee13-3ph", horizon=3, grid_control={"regulators": "setpoint"})
+    policy = Policy.load("ieee13-3ph-cem")
+    policy.set_points = {"offset": {"reg1": -3.0}}
+    sent = []
+    for controller in (policy, guarded(policy)):
+        env = DcgridVectorEnv(1, scenario)
+        observations, _ = env.reset(seed=[0])
+        controller.reset(scenario)
+        action = controller.act(observations)
+        sent.append(action[:, action_layout(scenario).is_channel("offset")])
+    np.testing.assert_allclose(sent, -0.75)
+    policy.set_points = {"offset": {"reg1": 100.0}}
+    with pytest.raises(ValueError, match=r"set point of regset_0: offset is 100.0; give a number from -4 to 4"):
+        policy.reset(scenario)

@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,10 @@ def network(*widths, **settings):
 def widths(scenario):
     env = DcgridEnv(scenario)
     return len(env.observation_space.sample()), len(env.action_space.sample())
+
+
+def with_set_points(set_points: Any) -> Policy:
+    return Policy({"joint": network(3, 2)}, set_points=set_points)
 
 
 def shared(**settings):
@@ -196,9 +201,17 @@ def test_the_nameplate_worked_by_hand():
         (lambda: Policy({"joint": network(3, 2)}, gains=[1.0, 1.0, 1.0]), "and outputs 'setpoint'; give gains with"),
         (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, -1.0, 1.0]), "each at least 0"),
         (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, 1.0]), "give k_p_mw_per_pu, k_q"),
+        *(
+            (lambda value=value: with_set_points({"offset": {"reg1": value}}), "give a finite number")
+            for value in (math.nan, 10**400, "1", True)
+        ),
+        *(
+            (lambda value=value: with_set_points(value), "give a mapping from channels")
+            for value in ([], 0, "abc", {"offset": "abc"}, {"offset": [["reg1", 1.0]]})
+        ),
         (
-            lambda: Policy({"joint": network(3, 2)}, set_points={"offset": {"reg1": math.nan}}),
-            "set_points of reg1: offset is nan; give a finite number",
+            lambda: with_set_points({"offset_v": {"reg1": 1.0}}),
+            "set_points have the channel 'offset_v'; choose from offset, half_band, centre, half_width",
         ),
         (lambda: shared().save("policy.pt"), r"policy.pt: a policy's file name ends in .safetensors"),
         (lambda: Policy.load("ieee124-analytic"), "no policy 'ieee124-analytic'; did you mean ieee123-analytic"),

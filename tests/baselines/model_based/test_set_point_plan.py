@@ -94,3 +94,22 @@ def test_regulators_under_own_control_beside_set_points_are_not_priced():
 def test_steps_that_are_shorter_than_a_delay_are_refused_by_name():
     with pytest.raises(ValueError, match=r"plans set points for steps .* dt_s is 1 and the delay of reg1 longer: give"):
         hindsight(by_minutes(dt_s=1.0), 0)
+
+
+@pytest.mark.parametrize("mode", ["agent", "setpoint"])
+def test_a_switching_in_the_first_step_is_priced(mode):
+    """Each switching costs 3 / 2 / 30 of J, about 2 %."""
+    settings = {"regulators": "fixed", "capacitors": mode, "capacitor_settings": {"delay_s": 30.0}}
+    control = {f"grid_control.{name}": value for name, value in settings.items()}
+    found = hindsight(by_minutes(**control, weights={"switching": 3.0}), 0)
+    switchings = found.recorder.series(0).three_phase.equipment.banks.switchings.sum(axis=-1)
+    assert switchings[1] > 0.0
+    assert switchings[1] == switchings[-1]
+    assert abs(found.gap) <= 2e-4 * found.J
+
+
+def test_a_delay_beyond_the_episode_switches_nothing():
+    scenario = by_minutes(dt_s=1.0, **{"grid_control.regulators": "fixed"})
+    found = hindsight(scenario, 0)
+    assert found.recorder.series(0).three_phase.equipment.banks.switchings[-1].sum() == 0.0
+    assert np.isfinite(found.J)
