@@ -103,7 +103,7 @@ class _Regulators:
 def at_rest(scenario: Scenario) -> np.ndarray:
     """Return the joint action that keeps every channel at its value of t = 0, (n_action,); 0 without a range."""
     entries = [
-        np.stack([_at_rest(channel) for channel in device.channels], axis=-1).ravel()
+        np.stack([action_of(channel, channel.rest) for channel in device.channels], axis=-1).ravel()
         for device in scenario.devices
         if device.count and device.channels
     ]
@@ -133,6 +133,7 @@ def _with_set_points(scenario: Scenario, set_points: Mapping[str, Mapping[str, A
     return actions
 
 
-def _at_rest(channel: Channel) -> np.ndarray:
+def action_of(channel: Channel, values: np.ndarray) -> np.ndarray:
+    """Return the action for values of a channel, (..., slot), from -1 to 1 over its range; 0 without a range."""
     span = channel.highest - channel.lowest
-    return np.where(span > 0, 2.0 * (channel.rest - channel.lowest) / np.where(span > 0, span, 1.0) - 1.0, 0.0)
+    return np.where(span > 0, 2.0 * (values - channel.lowest) / np.where(span > 0, span, 1.0) - 1.0, 0.0)

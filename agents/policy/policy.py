@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from sys import float_info
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,7 @@ from dcgrid_env.core.suggestions import unknown
 SET_POINTS = {"regulator_setpoint": "offset", "capacitor_setpoint": "centre"}
 """First channel of each kind of agent that chooses set points."""
 SET_POINT_CHANNELS = ("offset", "half_band", "centre", "half_width")
-LARGEST_SET_POINT = 1e6
-"""Largest number in the constant set points of a file; those of a scenario have a range of their own."""
+"""All channels of these agents."""
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
 
 
@@ -339,7 +339,7 @@ def _checked_set_points(set_points: object) -> dict[str, dict[str, float]]:
             raise PolicyError(f"set_points have the channel {channel!r}; choose from {', '.join(SET_POINT_CHANNELS)}")
         for bank, value in of_banks.items():
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not is_number or not -LARGEST_SET_POINT <= value <= LARGEST_SET_POINT:
+            if not is_number or not abs(value) <= float_info.max:
                 raise PolicyError(f"set_points of {bank}: {channel} is {value!r}; give a finite number")
     return {channel: dict(of_banks) for channel, of_banks in set_points.items()}
 

@@ -21,8 +21,8 @@ ACTIVATION = "tanh"
 class Candidates:
     """Convert parameter vectors to networks, and compute the costs of many at once.
 
-    A vector contains weight and bias of each layer, for one network after the other, then the set points that agents
-    choose: 0 for the default, and 1 for half the range more.
+    A vector contains weight and bias of each layer, for one network after the other. The set points that agents choose
+    follow: 0 is the default, and 1 is half the range above it.
 
     Parameters
     ----------

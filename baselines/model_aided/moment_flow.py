@@ -1,7 +1,7 @@
 """The exact power flow of the moments, for one placement.
 
-Where the scenario says that its model is not exact, agents know by how much and not in which direction: a quarter of
-the moments each is of the model with all resistances and all reactances larger or smaller by that share.
+If the model of a scenario is not exact, agents know the size of the error and not its sign. Resistances and reactances
+are then larger or smaller by this share, each of the four combinations at a quarter of the moments.
 
 The taps of regulators that act have settled without reactive power, as at the beginning of an episode. If delays are
 longer than a step, the taps have then settled under the set points too. The effect of a set point therefore includes

@@ -24,7 +24,7 @@ import numpy as np
 from scipy import sparse
 
 from dcgrid_env import Control, Forecast, Recorder, Scenario, acting_relays, action_layout, voltage_targets
-from dcgrid_env.baselines.equipment_agents import at_rest
+from dcgrid_env.baselines.equipment_agents import action_of, at_rest
 from dcgrid_env.baselines.model_based.episode_program import TANGENTS
 from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
 from dcgrid_env.baselines.model_based.set_point_plan import bank_set_points, relay_set_points
@@ -32,6 +32,7 @@ from dcgrid_env.baselines.model_based.trajectory import Trajectory
 
 _SPAN = 0.1  # of a tap or a bank, by which the power flow is tried to find its slopes
 _NARROWEST = 1e-3  # kvar, kW s: no range is so narrow that it has no inside
+_SHORTEST_S = 1e-6  # of a delay between taps, which may be 0
 CHANNELS = {"tap_changer": "tap", "capacitor_bank": "on"}
 """Channel of each kind of device that is equipment."""
 SETTERS = ("regulator_setpoint", "capacitor_setpoint")
@@ -133,7 +134,7 @@ class EquipmentProgram(Trajectory):
         return self._with_set_points(actions)
 
     def _with_set_points(self, actions: np.ndarray) -> np.ndarray:
-        """The actions with the set points that lead to the planned positions; at rest before a replay is followed."""
+        """The actions with set points that lead to the planned positions, or the default ones before a replay."""
         s, layout = self.scenario, action_layout(self.scenario)
         setters = [group for group in self.groups if group.device.kind in SETTERS]
         if not setters:
@@ -156,8 +157,7 @@ class EquipmentProgram(Trajectory):
                 lead = s.grid_control.capacitor_settings.delay_s / s.dt_s
                 planned = bank_set_points(device, on[:, group.rows], lead)
             for channel, values in zip(device.channels, planned, strict=True):
-                span = channel.highest - channel.lowest
-                actions[:, layout.is_channel(channel.name)] = 2.0 * (values - channel.lowest) / span - 1.0
+                actions[:, layout.is_channel(channel.name)] = action_of(channel, values)
         return actions
 
     def ranges(self) -> tuple[np.ndarray, np.ndarray]:
@@ -309,5 +309,6 @@ def _group(scenario: Scenario, device: Any) -> Group:
         zero = np.zeros(len(rows))
         return Group(device, False, rows, zero, zero + 1.0, feeder.base_capacitor_on[rows], zero + 1.0)
     settings = relays.settings
-    most = scenario.dt_s / settings.tap_delay_s[rows]
+    further = scenario.dt_s / np.maximum(settings.tap_delay_s[rows], _SHORTEST_S)
+    most = np.minimum(1.0 + further, np.maximum(settings.highest[rows] - settings.lowest[rows], 1.0))
     return Group(device, True, rows, settings.lowest[rows], settings.highest[rows], feeder.base_tap[rows], most)

@@ -5,10 +5,10 @@ A relay below its band raises its tap until the relay volts are in band, and one
     tap after the step = clip(tap before, lowest tap with relay volts >= target - half_band,
                               highest tap with relay volts <= target + half_band)
 
-The offset and half band of a bank apply to all its regulators, so their taps cannot be chosen independently. Of a grid
-of offsets and half bands, the plan takes in each step the pair with the least deviation of the resulting taps from the
-planned ones, with a price on taps. It evaluates each pair with the band as it is, and with both edges moved outwards
-and inwards by ``MARGIN_V``. The result therefore also holds for relay volts that differ a little from the planned ones.
+The offset and half band of a bank apply to all its regulators, so their taps cannot be chosen independently. In each
+step the plan tries a grid of offsets and half bands. It takes the pair whose resulting taps deviate least from the
+planned ones, with a price on taps. Each pair is evaluated three times: with its band, with a wider and with a narrower
+one, by ``MARGIN_V`` at either end. The result therefore also holds for slightly different relay volts.
 
 The rule assumes that the controls finish within a step.
 """
@@ -26,9 +26,9 @@ MARGIN_V = 0.2
 """Error of the relay volts that a band should tolerate, V."""
 OFFSETS, HALF_BANDS = 41, 8
 """Values of the offset and the half band that are tried for each bank."""
-_SAME_TIME = 1e-9  # of a step
 PER_MOVE = 0.8
 """Price of a tap, in taps off the plan in one step: a regulator rests while its bank cannot follow the plan."""
+_SAME_TIME = 1e-9  # of a step
 
 
 def relay_set_points(

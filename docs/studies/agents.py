@@ -8,6 +8,7 @@ from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines.score import saved_pct
 
 ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe", "cem")
+"""Algorithms of which policies ship, in the order of tables."""
 
 
 def cells(scenario: str, algorithm: str) -> list[str]:

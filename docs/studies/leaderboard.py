@@ -33,11 +33,11 @@ from dcgrid_env.baselines.score import PUBLISHED_EPISODES, Estimate
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import scenario_names
 from dcgrid_env.cli.terminal import plain_console, say
+from docs.studies.agents import ALGORITHMS
 from docs.studies.site_tables import NBSP, number, plain, sortable, unbroken, with_interval
 
 FOLDER = Path(__file__).parents[1] / "leaderboard"
 """Our entries."""
-ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe", "cem")
 LAWS: dict[str, Learned] = {"mpc": "nothing", "model-aided": "nothing", "constant-q-tuned": "validation"}
 """Further controllers, and the split that their parameters were found on."""
 LEFT_OUT = {("ieee123-3ph-day", "mpc")}

@@ -164,7 +164,7 @@ def taps() -> None:
     def without_q(relays: ActingRelays, *load: Any) -> np.ndarray:
         return settled(relays, *load) if len(load) == 4 else load[4]
 
-    print("| | droop-tuned | of the table | settled without reactive power | as the law has them |")
+    print("| | droop-tuned | the feeder's taps | settled without reactive power | settled as in the law |")
     print("|---|---|---|---|---|")
     for name in REGULATED:
         scenario = make_scenario(name, split="validation")

@@ -20,6 +20,7 @@ import dcgrid_env
 from dcgrid_env import PRESETS, Scenario, episode_hash, make_scenario, scenario_hash
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines import Controller, make_controller, rollout
+from docs.studies.agents import ALGORITHMS
 
 GOLDEN = Path(__file__).with_name("golden.json")
 EPISODES = 3
@@ -44,7 +45,7 @@ def of_preset(preset: str) -> dict[str, Any]:
 
 def names_of(preset: str) -> list[str]:
     """Shipped policies that were trained on a preset, and on that of random feeders the one for any."""
-    names = [f"{preset}-{algorithm}" for algorithm in ("analytic", "ppo", "ppo-counterfactual", "safe", "cem")]
+    names = [f"{preset}-{algorithm}" for algorithm in ALGORITHMS]
     return [*names, "carry-over"] if preset == "zero-shot" else names
 
 

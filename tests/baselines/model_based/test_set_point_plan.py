@@ -1,5 +1,6 @@
 """Set points under which controls take planned positions: the rule of a step, and plans that are replayed."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcgrid_env import DcgridVectorEnv, acting_relays, action_layout
+from dcgrid_env import DcgridVectorEnv, ThreePhaseFeeder, acting_relays, action_layout
 from dcgrid_env.baselines import ConstantSetPoints, NoControl, rollout
 from dcgrid_env.baselines.equipment_agents import at_rest
 from dcgrid_env.baselines.model_based.hindsight import hindsight
@@ -113,3 +114,14 @@ def test_a_delay_beyond_the_episode_switches_nothing():
     found = hindsight(scenario, 0)
     assert found.recorder.series(0).three_phase.equipment.banks.switchings[-1].sum() == 0.0
     assert np.isfinite(found.J)
+
+
+@pytest.mark.parametrize("tap_delay_s", [0.0, 90.0])
+def test_the_bound_allows_a_tap_in_each_step_whatever_the_delay_between_taps(tap_delay_s):
+    network = ieee13().feeder.network
+    table = replace(network.regulator, tap_delay_s=(tap_delay_s,) * 3)
+    feeder = ThreePhaseFeeder.from_network(replace(network, regulator=table))
+    found = hindsight(by_minutes(feeder=feeder, horizon=10), 0)
+    taps = found.recorder.series(0).three_phase.equipment.regulators.tap
+    assert np.abs(np.diff(taps, axis=0)).max() >= 1.0
+    assert found.bound <= found.J
