@@ -17,8 +17,9 @@ _SAME = 1e-6  # in the unit of a set point, by which it may exceed its range
 class EquipmentAgents:
     """Feeder equipment among a scenario's agents, if any.
 
-    Regulators follow the automatic control of their bank, capacitor banks keep their state, and set points are
-    constant. The object stores the timers of the relays, so each run of episodes needs a new one.
+    Regulators follow the automatic control of their bank a step later, because they observe the relay at the end of a
+    step. Capacitor banks keep their state, and set points are constant. The object stores the timers of the relays, so
+    each run of episodes needs a new one.
 
     Parameters
     ----------
@@ -81,8 +82,9 @@ class _Regulators:
     def __init__(self, scenario: Scenario) -> None:
         relays = acting_relays(scenario, "agent")
         assert relays is not None
+        integrating = scenario.grid_control.regulator_settings.timer == "integrating"
         (self._channel,) = next(device for device in scenario.devices if device.kind == "tap_changer").channels
-        self._control, self._band = BankControl(relays, scenario.dt_s), scenario.cost.band_pu or 1.0
+        self._control, self._band = BankControl(relays, scenario.dt_s, integrating), scenario.cost.band_pu or 1.0
         self._farthest = np.maximum(np.maximum(np.abs(self._channel.lowest), np.abs(self._channel.highest)), 1.0)
         names = [name for names_of_agent in field_names(scenario).values() for name in names_of_agent]
         self._tap_at, self._relay_at = (

@@ -24,7 +24,7 @@ from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag, virginia_2024
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
-from dcgrid_env.devices.tap_changer.tap_control import RegulatorState
+from dcgrid_env.devices.tap_changer.regulator_state import RegulatorState
 from dcgrid_env.engine.cost.flicker import short_term_flicker
 from dcgrid_env.engine.cost.metric_list import METRICS, metrics_in
 from dcgrid_env.engine.cost.observation import field_names

@@ -13,8 +13,8 @@ from dcgrid_env.core.twins import TWINS
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
+from dcgrid_env.devices.tap_changer.regulator_state import initial_regulators
 from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings
-from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
 
 for room in ("devices", "engine", "powerflow"):
     for module in walk_packages([f"{dcgrid_env.__path__[0]}/{room}"], f"dcgrid_env.{room}."):
@@ -58,18 +58,13 @@ def step_rows(rng):
     return figures, rng.uniform(0.9, 1.0, SLOTS), before, rng.normal(0.0, 60.0, (ROWS, SLOTS)), connected, 1.0 / 60.0
 
 
-def control_taps(rng):
+def next_taps(rng):
     settings = relay_settings(load_feeder(rng.choice(["ieee13-3ph", "ieee123-3ph"])))
     shape = (ROWS, len(settings.node))
     tap, volts = rng.integers(-16, 17, shape).astype(float), rng.normal(122.0, 4.0, shape)
     waited = rng.uniform(0.0, 20.0, shape)
     state = initial_regulators(tap, volts)._replace(out_of_band_s=waited, in_sequence=(waited < 2.0) * 1.0)
     controlled = rng.integers(0, 2, shape[1]).astype(float) if rng.integers(2) else None
-    return settings, state, float(rng.choice([0.1, 1.0, 30.0, 600.0])), controlled
-
-
-def next_taps(rng):
-    settings, state, _, controlled = control_taps(rng)
     target_v = rng.normal(122.0, 3.0, state.tap.shape)
     band = RelayBand(target_v, rng.choice([0.4, 1.0, 3.0, np.inf], state.tap.shape))
     left_s, due_s = rng.choice([0.0, 1.0, 30.0], (ROWS, 1)), rng.choice([0.0, 0.5, 20.0, np.inf], (ROWS, 1))
@@ -127,7 +122,7 @@ def by_phase(rng):
 
 
 INPUTS = [
-    dispatch_rows, serve_linearly, serve_by_slack, step_rows, control_taps, next_taps, advance_rows, counted, supplied,
+    dispatch_rows, serve_linearly, serve_by_slack, step_rows, next_taps, advance_rows, counted, supplied,
     relay_volts, setpoints, net_loads, by_phase,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""

@@ -52,8 +52,7 @@ class SetPoint(NamedTuple):
 def open_set_points(scenario: Scenario) -> list[SetPoint]:
     """Return the set points that a scenario leaves open; empty if there are none.
 
-    The offset of a controlled regulator is open if the timer is ``"reset"`` or ``"integrating"`` and no offset follows
-    a schedule. The presets with timer ``"per_step"`` keep their published set points.
+    The offsets of controlled regulators are open if none follows a schedule.
     """
     groups: list[Any] = [device for device in scenario.devices if device.kind in (_REGULATORS, _CAPACITORS)]
     found = []
@@ -64,7 +63,7 @@ def open_set_points(scenario: Scenario) -> list[SetPoint]:
                     limits = zip(group.names, channel.lowest, channel.highest, channel.rest, strict=True)
                     found += [SetPoint(parameter, bank, *map(float, values), by_agent=True) for bank, *values in limits]
     settings, relays = scenario.grid_control.regulator_settings, acting_relays(scenario)
-    if relays is None or settings.timer == "per_step" or settings.has_schedules:
+    if relays is None or settings.has_schedules:
         return found
     of_agents = {bank for group in groups if group.kind == _REGULATORS for bank in group.names}
     feeder: Any = scenario.feeder
@@ -139,7 +138,7 @@ class ConstantSetPoints(ConstantQ):
         if not points:
             raise ValueError(
                 f"{self.name}: scenario {scenario.name!r} has no set points to choose; set grid_control.regulators or "
-                "capacitors to 'setpoint', or grid_control.regulator_settings.timer to 'reset' or 'integrating'"
+                "capacitors to 'setpoint', or give numbers in grid_control.regulator_settings.offset_v"
             )
         known = {(point.parameter, point.name): point for point in points}
         for parameter in CHANNELS:

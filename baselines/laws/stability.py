@@ -14,7 +14,8 @@ The errors follow x_{t+1} = M x_t with x = (q, p, S), and the loop is stable whe
     k_q = alpha = 0     M = -k_p R_dd            stable where k_p rho(R_dd) < 1
     k_q = 0, alpha      as the backlog is fed back, only where k_p rho(R_dd) < 1 - alpha dt / 2   (alpha dt <= 2)
 
-and both axes together by the eigenvalues. The first bound is that of integrating local volt-var control [1]_. The
+and both axes together by the eigenvalues. A site cannot serve more than waits. If k_p is 0, no work is delayed again,
+and alpha counts as 1 / dt at most. The first bound is that of integrating local volt-var control [1]_. The
 second is the bound of [2]_ for a proportional law on p, whose measurement is a step old. The third and the joint matrix
 are derived here.
 
@@ -105,7 +106,7 @@ def _radii(
     sees_v = np.concatenate((x, -r[..., :n_dc], np.zeros((n_row, n, n_dc))), axis=-1)  # V - V_0 from (q, p, S)
     of_q, _, of_s = np.split(np.eye(n + 2 * n_dc), [n, n + n_dc])
     next_q = of_q - k_q * dt_s * sees_v
-    next_p = k_p * sees_v[:, :n_dc] + alpha_per_s * of_s
+    next_p = k_p * sees_v[:, :n_dc] + (alpha_per_s if k_p > 0.0 else min(alpha_per_s, 1.0 / dt_s)) * of_s
     next_s = of_s - dt_s * next_p
     # A state that nothing moves or that nothing reads would only add an eigenvalue 1 or 0.
     keep = np.repeat([k_q > 0, k_p > 0 or alpha_per_s > 0, alpha_per_s > 0], [n, n_dc, n_dc])

@@ -13,9 +13,9 @@ On the power flow linearised around a trajectory:
 so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Storages
 add the unknowns and rows of ``storage_rows``; their draws follow the served work in d. Work that may be moved, or
 has a time to be served by, adds those of ``work_rows``.
-``voltage_rows`` leaves out the e and w that are not needed; where regulators follow their own control,
-``same_taps`` adds the rows of ``relay_rows``. Solved with HiGHS (Q. Huangfu and J. A. J. Hall, "Parallelizing the dual
-revised simplex method", Mathematical Programming Computation 10, 2018).
+``voltage_rows`` leaves out the e and w that are not needed. Where built-in controls move the regulators, demands on
+relay volts lead them along a ``TapTrajectory``; z is the deviation from a demand. Solved with HiGHS (Q. Huangfu and
+J. A. J. Hall, "Parallelizing the dual revised simplex method", Mathematical Programming Computation 10, 2018).
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from dcgrid_env import Forecast, Scenario, acting_relays, voltage_targets
-from dcgrid_env.baselines.model_based.relay_rows import PRICE, RelayRows
 from dcgrid_env.baselines.model_based.storage_rows import StorageRows
 from dcgrid_env.baselines.model_based.tap_trajectory import Demands, TapTrajectory
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
@@ -38,6 +37,8 @@ Limits = list[tuple[Sparse, np.ndarray]]  # rows of the program and what each is
 
 TANGENTS = 24
 """Tangents of a quadrant of the capability circle."""
+OFF_DEMAND = 1.0
+"""Share of J that a volt off a relay's demand costs in one step; a tap is some 0.1 of J, and 0.75 V."""
 ANGLES = 0.5 * np.pi * np.arange(1, TANGENTS) / TANGENTS
 """Their angles."""
 
@@ -49,16 +50,15 @@ class EpisodeProgram(Trajectory):
     substation), z (relays); behind them those of ``storage_rows`` and ``work_rows``.
     """
 
-    def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, same_taps: bool = False) -> None:
+    def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, leads_relays: bool = False) -> None:
         super().__init__(scenario, episode)
         s, n_dc, self.keep_band = scenario, scenario.datacenters.count, keep_band
         n_bus, self.storage_rows = len(s.feeder.load_nodes), StorageRows(s, episode.available)
         widths = {"d": n_dc + self.n_storages, "b": n_dc, "q": s.n_agents, "g": s.n_agents, "e": n_bus, "w": n_bus}
         self.sizes = {name: s.horizon * width for name, width in widths.items()}
-        self.relays = acting_relays(s) if same_taps else None
+        self.relays = acting_relays(s) if leads_relays else None
         self.demands: Demands | None = None
         """Volts that the relays have to measure; see ``lead``."""
-        self.has_own_taps = self.relays is not None
         self.tap_price = 0.0 if self.relays is None else s.cost.weights.switching / len(self.relays.rows) / s.horizon
         """Share of J that each tap costs."""
         self.sizes["z"] = 0 if self.relays is None else s.horizon * len(self.relays.rows)
@@ -75,7 +75,7 @@ class EpisodeProgram(Trajectory):
         targets = None if s.cost.reference == "nominal" else voltage_targets(s)[s.feeder.load_slice]
         v_pu = self.linear(solution.v_pu[..., s.feeder.load_slice])
         voltages = voltage_rows(v_pu, d, q, s.cost.band_pu, targets, s.cost.uncharged_pu)
-        limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._same_taps(solution))]
+        limits = [(self._rows(**parts), most) for parts, most in (*voltages.limits, *self._led(solution))]
         prices = self._prices()
         price = self._part(prices, "e")[0]
         self._part(prices, "d")[:] += price * voltages.by_d
@@ -136,11 +136,6 @@ class EpisodeProgram(Trajectory):
             "the load"
         )
 
-    def begin(self, share: float) -> None:
-        """Go back to serving all work as it arrives, with a share of the reactive power that there is."""
-        zero = 0.0 * self.storage_kw, 0.0 * self.moved_kw
-        self._done = (self.arrived_kw, zero[0], share * self.q_limit_kvar, zero[1])
-
     @property
     def _done(self) -> tuple[np.ndarray, ...]:
         """Contents of the trajectory: work served, draws of storages, reactive power and work moved."""
@@ -150,14 +145,11 @@ class EpisodeProgram(Trajectory):
     def _done(self, done: tuple[np.ndarray, ...]) -> None:
         self.served_kw, self.storage_kw, self.q_kvar, self.moved_kw = done
 
-    def _same_taps(self, solution: Any) -> list[tuple[dict[str, Any], np.ndarray]]:
-        """The rows of ``relay_rows`` where taps are to change as they did."""
-        if self.relays is None:
+    def _led(self, solution: Any) -> list[tuple[dict[str, Any], np.ndarray]]:
+        """The rows that make the relays follow the trajectory of ``lead``."""
+        if self.relays is None or self.demands is None:
             return []
-        volts = self.linear(self.relays.volts(solution))
-        if self.demands is None:
-            return RelayRows(self.relays, self.scenario.horizon).limits(self.taps, volts)
-        return list(self.demands.limits(volts))
+        return list(self.demands.limits(self.linear(self.relays.volts(solution))))
 
     def lead(self, trajectory: TapTrajectory) -> None:
         """Go around the taps of a trajectory, and make the relays follow it."""
@@ -176,7 +168,7 @@ class EpisodeProgram(Trajectory):
         effort = np.tile(w.effort / s.n_agents / self.s_rated_kva, s.horizon)
         n_bus = len(s.feeder.load_nodes)
         prices = {"b": backlog.ravel(), "g": effort, "e": w.voltage / n_bus, "w": w.violation / n_bus}
-        prices |= {"z": PRICE * s.horizon, **self.storage_rows.prices(), **self.work_rows.prices()}
+        prices |= {"z": OFF_DEMAND * s.horizon, **self.storage_rows.prices(), **self.work_rows.prices()}
         return (
             np.concatenate([np.broadcast_to(prices.get(name, 0.0), size) for name, size in self.sizes.items()])
             / s.horizon

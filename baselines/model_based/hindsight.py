@@ -8,8 +8,7 @@ curvature between that trajectory and a better one: a few 1e-5 of J in the cases
 Automatic regulators change their taps in response to the actions, which a linear program cannot express. Programs are
 therefore solved around given tap trajectories. Additional rows make the relays change the taps at these steps and at no
 other, and the best replay is the result. ``tap_search`` finds the trajectories, from those without control and under
-MPC on. ``tap_bound`` finds a lower bound over all trajectories. For timers that decide once per step, the trajectories
-are those under steady shares of reactive power.
+MPC on. ``tap_bound`` finds a lower bound over all trajectories.
 
 If regulators or capacitor banks are agents, ``equipment_program`` plans their positions too. If agents choose their set
 points, the replay has the positions to which the set points lead. ``storage_rows`` plans storages, which cannot be
@@ -43,8 +42,6 @@ from dcgrid_env.baselines.model_based.tap_search import TapSearch
 from dcgrid_env.baselines.model_based.tap_trajectory import TapTrajectory
 from dcgrid_env.baselines.rollout import ControllerError, rollout
 
-STEADY_SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
-"""Steady shares of the available reactive power; each gives a trajectory of taps to try."""
 STARTS = (NoControl, Mpc)
 """Controllers around whose tap trajectories better ones are searched."""
 ROUNDS_SEARCHED = 15
@@ -57,8 +54,6 @@ SEARCHED = 1e-4
 """Change of J from one tap trajectory to the next at which the search has settled, as a share of it."""
 GAP_BEST_KNOWN = 1e-3
 """Gap to the bound, as a share of J, above which a cost that was searched is called the best known."""
-HOPELESS = 0.01
-"""Share of J: a trajectory of taps is dropped if its first program is worse than the best replay by more than this."""
 SHORTER = (0.5, 0.25, 0.1, 0.03)
 """Shorter steps towards a solution, as shares, that are also tried with storages or routing of work."""
 ROUNDS_SHORTENED = 14
@@ -106,9 +101,7 @@ class Hindsight(NamedTuple):
     """Cost of the actions, replayed in the environment."""
     bound: float
     """Optimum of the last linear program, around a trajectory close to that of the actions. If regulators are agents,
-    or controls that act within steps, it is the optimum over continuous taps. For timers that decide once per step it
-    applies to one tap trajectory and includes the penalty for relays that cannot follow it; it does not bound the cost
-    of other trajectories."""
+    or have controls that act, it is the optimum over continuous taps."""
     actions: np.ndarray
     """(T, n_action) in [-1, 1], as ``gymnasium.make`` takes them."""
     rounds: int
@@ -132,7 +125,7 @@ def hindsight(
     scenario
         Scenario with the linear clock law and the l1 voltage cost, without a price on clock movement, voltage steps or
         losses. A price on switching is allowed if all equipment that is not fixed is an agent, or if it is regulators
-        whose controls act within steps.
+        under their built-in controls.
     seed
         The episode.
     rounds
@@ -140,7 +133,7 @@ def hindsight(
         that of :func:`effort_of`.
     tolerance
         Gap between replay and program, or change of J between programs, at which to stop, as a share of J. Not for
-        regulators whose controls act within steps.
+        regulators whose controls act.
     keep_band
         Whether every voltage of the program must stay within the band at any cost.
 
@@ -156,18 +149,14 @@ def hindsight(
         rounds = effort_of(scenario).rounds
     if _has_equipment_agents(scenario):
         return _planned(EquipmentProgram(scenario, forecast(scenario, seed), keep_band), seed, rounds, tolerance)
-    program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, same_taps=True)
-    if acting_relays(scenario) is None:
-        return _settled(program, seed, rounds, tolerance)
-    if searches_taps(scenario):
-        return _over_searched_taps(program, seed, rounds)
-    return _over_steady_shares(program, seed, rounds, tolerance)
+    searches = searches_taps(scenario)
+    program = EpisodeProgram(scenario, forecast(scenario, seed), keep_band, leads_relays=searches)
+    return _over_searched_taps(program, seed, rounds) if searches else _settled(program, seed, rounds, tolerance)
 
 
 def searches_taps(scenario: Scenario) -> bool:
-    """Return whether hindsight searches tap trajectories: some controls of regulators act within steps."""
-    within_steps = scenario.grid_control.regulator_settings.timer != "per_step"
-    return within_steps and acting_relays(scenario) is not None and not _has_equipment_agents(scenario)
+    """Return whether hindsight searches tap trajectories: built-in controls of regulators act, and none is an agent."""
+    return acting_relays(scenario) is not None and not _has_equipment_agents(scenario)
 
 
 def finds_best_known(scenario: Scenario) -> bool:
@@ -221,24 +210,6 @@ def _replayed(program: EpisodeProgram, bound: float, actions: np.ndarray, rounds
     return Hindsight(recorder.metrics()[0]["J"], bound, actions, rounds, recorder)
 
 
-def _over_steady_shares(program: EpisodeProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
-    """Solve around the trajectory of taps under each steady share of reactive power; return the least cost."""
-    best: Hindsight | None = None
-    trajectories, solved = set(), 0
-    for share in STEADY_SHARES:
-        program.begin(share)
-        program.follow(replay(program.scenario, program.actions(), seed))
-        trajectory = program.taps.tobytes()
-        if trajectory in trajectories:
-            continue
-        trajectories.add(trajectory)
-        found = _settled(program, seed, rounds, tolerance, hopeless=best and best.J * (1.0 + HOPELESS))
-        solved += found.rounds
-        best = found if best is None else min(found, best, key=lambda one: one.J)
-    assert best is not None
-    return best._replace(rounds=solved)
-
-
 def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
     """Solve the relaxation repeatedly until its optimum settles, then solve with whole positions."""
     bounds: list[float] = []
@@ -252,10 +223,8 @@ def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float
     return found._replace(bound=bounds[-1], rounds=len(bounds) + found.rounds)
 
 
-def _settled(
-    program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int, tolerance: float, hopeless: float | None = None
-) -> Hindsight:
-    """Solve a program around its solutions until the replay agrees with it or its optimum exceeds ``hopeless``."""
+def _settled(program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
+    """Solve a program around its solutions until the replay agrees with it."""
     scenario = program.scenario
     has_equipment = isinstance(scenario.feeder, ThreePhaseFeeder)
     if has_equipment and isinstance(program, EpisodeProgram):  # positions that were planned stay until the first replay
@@ -267,20 +236,16 @@ def _settled(
         recorder = replay(scenario, actions, seed)
         if isinstance(program, EpisodeProgram) and shortens and done > 1:
             actions, recorder = _shortened(program, seed, actions, recorder)
-        if has_equipment and not program.has_own_taps:
+        if has_equipment:
             program.follow(recorder)
         cost = recorder.metrics()[0]["J"]
         replayed = Hindsight(cost, bound, actions, done, recorder)
         settled = best is not None and abs(cost - best.J) <= tolerance * abs(cost)
-        if best is None or cost <= best.J:
-            best = replayed
-        elif program.has_own_taps:
-            best = best._replace(rounds=done)
-        else:  # the bound of a program around a better trajectory is more accurate
-            best = best._replace(bound=bound, rounds=done)
+        # The bound of a program around a better trajectory is more accurate.
+        best = replayed if best is None or cost <= best.J else best._replace(bound=bound, rounds=done)
         if shortens:  # here an unchanged J does not mean that the bound has settled
             settled = abs(best.gap) <= max(tolerance, _gap(program)) * abs(best.J)
-        if settled or abs(replayed.gap) <= tolerance * abs(cost) or (hopeless is not None and bound > hopeless):
+        if settled or abs(replayed.gap) <= tolerance * abs(cost):
             break
     assert best is not None
     return best

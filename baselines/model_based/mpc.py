@@ -88,9 +88,7 @@ class Mpc(ModelController):
                 f"{self.name} plans taps under constant set points; scenario {s.name!r} has a schedule in "
                 "grid_control.regulator_settings.offset_v: give it numbers"
             )
-        # Regulators that are agents do not follow their built-in control.
-        timer = s.grid_control.regulator_settings.timer
-        self._relays = None if timer == "per_step" else acting_relays(env_info)
+        self._relays = acting_relays(env_info)
         self._regulators: RegulatorState | None = None
         self._steps_left = s.horizon
         self._taps = None if self._fixed_buses is None else self._tap_plan(self._fixed_buses)

@@ -23,8 +23,6 @@ class Trajectory:
 
     n_further = 0
     """Power flows in addition to those by which ``linear`` finds slopes."""
-    has_own_taps = False
-    """Whether taps change by themselves, as what is done makes them."""
 
     def __init__(self, scenario: Scenario, episode: Forecast) -> None:
         s, dc, n_dc = scenario, scenario.datacenters.parameters, scenario.datacenters.count

@@ -73,8 +73,8 @@ def tune(
     ------
     ValueError
         If the law cannot be tuned (the message lists those that can), or scenarios or episodes are missing. Also if a
-        droop has a limit cycle at all gains that were tried. A ``ControllerError`` if the law refuses a scenario or
-        fails.
+        droop is unstable or has a limit cycle at all gains that were tried. A ``ControllerError`` if the law refuses a
+        scenario or fails.
     """
     if name not in TUNABLE:
         raise ValueError(unknown("tunable law", name, TUNABLE, f"there are {', '.join(TUNABLE)}"))
@@ -99,7 +99,7 @@ def tune(
         tried += len(trials)
         found = next((trial for trial in sorted(trials, key=_cost) if is_steady(trial)), None)
         if found is None:
-            raise ValueError(f"tune: {name!r} has a limit cycle on {scenarios[0].name} at all {tried} sets of gains")
+            raise ValueError(f"tune: {name!r} is not stable on {scenarios[0].name} at any of {tried} sets of gains")
     return Tuned(found.parameters, found.cost, tried, loops.largest_radius(Droop(**found.parameters)))
 
 

@@ -2,8 +2,8 @@
 
 Schema 1 lists its contents: for each kind of object, the name and the fields, in this order, each by value. A field
 that is in no list was added later. It is left out at its default, so a new field with a default does not change
-fingerprints. These lists never change: other lists need a new schema number, and published figures must then be
-regenerated.
+fingerprints. ``grid_control.regulator_settings``, whose default has changed, is left out on balanced feeders only.
+These lists never change: other lists need a new schema number, and published figures must then be regenerated.
 
 Buses are identified by text. If the text of every bus of a feeder is a whole number, its buses are hashed as numbers,
 else as text.
@@ -30,7 +30,7 @@ from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
-from dcgrid_env.grid import Feeder, bus_numbers
+from dcgrid_env.grid import Feeder, ThreePhaseFeeder, bus_numbers
 from dcgrid_env.grid.network import (
     LineTable,
     Network,
@@ -187,7 +187,8 @@ def _later_of_parts(scenario: Scenario) -> Iterator[tuple[str, Any]]:
     for path, part in parts.items():
         for name, default in _defaults(type(part)).items():
             is_part = not path and name in (*PARTS, "devices")
-            if (path, name) not in listed and not is_part and _is_other(getattr(part, name), default):
+            always = name == "regulator_settings" and isinstance(scenario.feeder, ThreePhaseFeeder)
+            if (path, name) not in listed and not is_part and (always or _is_other(getattr(part, name), default)):
                 yield f"{GROUPS.get(path, path)}.{name}", getattr(part, name)
 
 

@@ -62,22 +62,11 @@ class GridControl:
         for name, kind in (("capacitor_settings", CapacitorControl), ("regulator_settings", RegulatorControl)):
             if not isinstance(getattr(self, name), kind):
                 raise refuse(self, name, f"give {kind.__name__}(...) or a mapping of its fields")
-        self._check_set_points()
-
-    def _check_set_points(self) -> None:
-        """Raise FieldError for set points of controls that cannot follow them."""
-        timer, measures = self.regulator_settings.timer, self.capacitor_settings.measures
-        for name in ("regulators", "capacitors"):
-            value = getattr(self, name)
-            modes = [mode for _, mode in value] if isinstance(value, tuple) else [value]
-            if "setpoint" not in modes:
-                continue
-            if timer == "per_step":
-                remedy = "for mode 'setpoint' set grid_control.regulator_settings.timer to 'reset' or 'integrating'"
-                raise refuse(self, name, f"{remedy}, it is {timer!r}")
-            if name == "capacitors" and measures != "voltage":
-                remedy = "for mode 'setpoint' set grid_control.capacitor_settings.measures to 'voltage'"
-                raise refuse(self, name, f"{remedy}, it is {measures!r}")
+        measures, capacitors = self.capacitor_settings.measures, self.capacitors
+        modes = dict(capacitors).values() if isinstance(capacitors, tuple) else (capacitors,)
+        if "setpoint" in modes and measures != "voltage":
+            remedy = "for mode 'setpoint' set grid_control.capacitor_settings.measures to 'voltage'"
+            raise refuse(self, "capacitors", f"{remedy}, it is {measures!r}")
 
 
 def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:

@@ -129,13 +129,13 @@ TABLE = (
     ),
     Preset(
         "ieee123-3ph-day",
-        "dcgrid/IEEE123ThreePhaseDay-v0",
-        "ieee123-3ph over a day in steps of a minute, PV at the inverters, regulators and capacitors as agents",
+        "dcgrid/IEEE123ThreePhaseDay-v1",
+        "ieee123-3ph-published over a day in steps of a minute with PV; agents choose set points of regulators too",
         three_phase.ieee123_3ph_day,
     ),
     Preset(
         "ride-through",
-        "dcgrid/RideThrough-v0",
+        "dcgrid/RideThrough-v1",
         "34 nodes under the six dips of July 2024: 3 sites of 450 kW leave for their UPS and return, PV trips",
         three_phase.ride_through,
     ),

@@ -83,7 +83,11 @@ def ieee123_3ph_day() -> Scenario:
     return ieee123_3ph_published().replace(
         name="ieee123-3ph-day",
         inverters={"s_rated_kva": 300.0, "injection": "pv"},
-        grid_control={"regulators": "agent", "capacitors": "agent", "regulator_settings": {"timer": "per_step"}},
+        grid_control={
+            "regulators": "setpoint",
+            "capacitors": "setpoint",
+            "regulator_settings": {"timer": "integrating"},
+        },
         background={"start_hour": 0.0},
         dt_s=60.0,
         horizon=1440,
@@ -119,7 +123,7 @@ def ride_through() -> Scenario:
             "injection": "pv",
             "ride_through": RideThrough(curve="ieee1547-cat2", return_delay_s=60.0, walk_in_s=60.0, trip_weight=300.0),
         },
-        grid_control={"regulator_settings": {"timer": "per_step"}},
+        grid_control={"regulator_settings": {"timer": "integrating"}},
         horizon=300,
         sags="virginia-2024",
     )

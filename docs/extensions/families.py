@@ -112,8 +112,8 @@ FAMILIES = (
             "ieee34-3ph-published": "`ieee34-3ph` with the published set points of its regulators.",
             "ieee123-3ph-published": "`ieee123-3ph` with the published set points of its regulators.",
             "ieee123-3ph-day": (
-                "A day in steps of one minute with solar power. Regulators and capacitors are agents as well and "
-                "should switch rarely."
+                "A day in steps of one minute with solar power. Agents also choose the set points of regulators and "
+                "capacitors, which should switch rarely."
             ),
         },
         ("three-phase", "reproduction-3ph"),

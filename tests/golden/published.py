@@ -1,6 +1,6 @@
 """Published figures, computed here: what ``golden.json`` contains and ``test_golden.py`` compares.
 
-    python tests/golden/published.py
+    python -m tests.golden.published
 
 rewrites the file. Only a change that is meant to change a figure may do this, and must state it.
 """

@@ -5,7 +5,7 @@
     its bus, what the bank injects subtracted, as a share of the bank's rating
 
 A threshold must be passed for ``delay_s`` without a break. ``bank_delays`` and ``next_switchings`` lead from one event
-to the next within a step, as ``timed_taps`` does for regulators. ``control_banks`` decides once per step.
+to the next within a step, as ``timed_taps`` does for regulators.
 """
 
 from __future__ import annotations
@@ -130,29 +130,6 @@ def initial_banks(on: Array) -> BankState:
     """The state at t = 0 of banks that are on or off, (row, n_capacitor), before anything is measured."""
     zero = 0.0 * on
     return BankState(on, zero + 1.0, zero, zero, zero, zero, zero)
-
-
-def control_banks(
-    control: CapacitorControl, state: BankState, dt_s: float, controlled: Array | None = None
-) -> BankState:
-    """Advance the banks by ``dt_s``, from what they measure at its beginning.
-
-    ``controlled`` is 1 for a bank whose control acts and 0 for one that stays, (n_capacitor,); None where all act.
-    """
-    xp, zero = namespace(state.on), 0.0 * state.on
-    beyond = _beyond(control, state, controlled)
-    waited = xp.where(beyond, state.beyond_s + dt_s, zero)
-    due = beyond & (waited >= control.delay_s - _SAME_TIME_S)
-    on = xp.where(due, 1.0 - state.on, state.on)
-    switched = xp.where(due, zero + 1.0, zero)
-    since = xp.where(due, zero, state.since_s + dt_s)
-    return state._replace(
-        on=on,
-        beyond_s=xp.where(due, zero, waited),
-        since_s=since,
-        switched=switched,
-        switchings=state.switchings + switched,
-    )
 
 
 def bank_delays(

@@ -2,11 +2,10 @@
 
     reset: the timer runs while the relay is out of band and returns to zero in band
     integrating: the timer runs while the relay is out of band and counts down in band
-    per_step: one decision per step, from the relay volts of the step before and those predicted within the step
 
 ``reset`` is the convention of OpenDSS's RegControl and of the sequential mode of the Eaton CL-7 control, whose
-time-integrating mode is ``integrating`` (manual MN225003EN). With either, a control acts when its delay ends, on the
-volts measured at that moment, and step lengths do not matter. ``per_step`` is the rule of the environments ``-v0``.
+time-integrating mode is ``integrating`` (manual MN225003EN). A control acts when its delay ends, on the volts measured
+at that moment, so step lengths do not matter.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse
 from dcgrid_env.devices.set_points import SHORTEST_HOLD_S
 from dcgrid_env.grid.three_phase_tables import RegulatorTable
 
-Timer = Literal["per_step", "reset", "integrating"]
+Timer = Literal["reset", "integrating"]
 Schedule = tuple[tuple[float, float], ...]
 """Pairs of an hour of the day and an offset, V, that applies from then on until the hour of the next pair."""
 FARTHEST_OFFSET_V = 12.0
@@ -34,9 +33,9 @@ _ROUNDING_H = 1e-9
 class RegulatorControl:
     """Timers and set points of the regulators that their built-in controls move."""
 
-    timer: Timer = choice("per_step", "reset", "integrating", default="per_step")
-    """Time delay: ``"reset"`` returns to zero when the relay is back in band, ``"integrating"`` counts down in band;
-    ``"per_step"`` decides once per step."""
+    timer: Timer = choice("reset", "integrating", default="integrating")
+    """Time delay: ``"reset"`` returns to zero when the relay is back in band, ``"integrating"`` counts down in
+    band."""
     offset_v: float | tuple[tuple[str, float | Schedule], ...] = 0.0
     """Addition to the set point ``vreg_v`` of the table, V on the relay's base: one number for all, or a mapping from
     banks or single regulators to numbers or daily schedules. The name of a regulator goes before that of its bank;
@@ -55,8 +54,6 @@ class RegulatorControl:
             raise refuse(
                 self, "offset_v", f"give {volts}, or a mapping from banks or regulators to these or {schedules}"
             )
-        if self.has_schedules and self.timer == "per_step":
-            raise refuse(self, "offset_v", "a schedule needs timer 'reset' or 'integrating', it is 'per_step'")
 
     @property
     def has_schedules(self) -> bool:

@@ -12,8 +12,8 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices.tap_changer.regulator_state import SAME_TIME_S, RegulatorState
 from dcgrid_env.devices.tap_changer.relay import RelayBand, RelaySettings
-from dcgrid_env.devices.tap_changer.tap_control import SAME_TIME_S, RegulatorState
 from dcgrid_env.grid import ThreePhaseFeeder
 
 

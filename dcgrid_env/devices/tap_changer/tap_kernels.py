@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
-from dcgrid_env.devices.tap_changer.tap_control import MOST_EVENTS, SAME_TIME_S
+from dcgrid_env.devices.tap_changer.regulator_state import SAME_TIME_S
 
 
 @compiled
@@ -25,8 +25,7 @@ def relay_volts(settings, v_re_pu, v_im_pu, i_re_a, i_im_a):
 
 @compiled(inner=True)
 def _direct(settings, target_v, half_band_v, acts, volts, tap, wanted):
-    """Write the direction of each regulator's next tap into ``wanted``, and return the number of directions but 0."""
-    asking = 0
+    """Write the direction of each regulator's next tap into ``wanted``."""
     for r in range(len(tap)):
         missing_v = target_v[r] - volts[r]
         wanted[r] = 0.0
@@ -35,60 +34,6 @@ def _direct(settings, target_v, half_band_v, acts, volts, tap, wanted):
                 wanted[r] = 1.0
             elif missing_v < -half_band_v[r] and tap[r] > settings.lowest[r]:
                 wanted[r] = -1.0
-        asking += wanted[r] != 0.0
-    return asking
-
-
-@compiled
-def control_taps(settings, state, dt_s, controlled):
-    """What ``tap_control.control_taps`` does: the fields of the state after the step, (7, row, n_regulator)."""
-    n_row, n = state.tap.shape
-    out = np.empty((7, n_row, n))
-    wanted, due_in = np.empty(n), np.empty(n)
-    acts = np.ones(n) if controlled is None else controlled
-    for row in range(n_row):
-        tap, volts, waited, sequence, since, moved, moves = (
-            out[0, row], out[1, row], out[2, row], out[3, row], out[4, row], out[5, row], out[6, row],
-        )  # fmt: skip
-        for r in range(n):
-            tap[r], volts[r], since[r] = state.tap[row, r], state.relay_v[row, r], state.since_s[row, r]
-            moved[r] = 0.0
-        asking = _direct(settings, settings.target_v, settings.half_band_v, acts, volts, tap, wanted)
-        for r in range(n):
-            asks = wanted[r] != 0.0
-            waited[r] = state.out_of_band_s[row, r] if asks else 0.0
-            sequence[r] = state.in_sequence[row, r] if asks else 0.0
-        left = dt_s
-        for _ in range(MOST_EVENTS if asking else 0):
-            soonest = np.inf
-            for r in range(n):
-                delay = settings.tap_delay_s[r] if sequence[r] != 0.0 else settings.delay_s[r]
-                due_in[r] = max(delay - waited[r], 0.0) if wanted[r] != 0.0 else np.inf
-                soonest = min(soonest, due_in[r])
-            if not soonest <= left + SAME_TIME_S:
-                break
-            passed = min(soonest, left)
-            for r in range(n):
-                due_in[r] = wanted[r] if due_in[r] <= soonest + SAME_TIME_S else 0.0  # now the turn of each
-                tap[r] += due_in[r]
-                moved[r] += abs(due_in[r])
-            for r in range(n):
-                change = 0.0
-                for other in range(n):
-                    change += due_in[other] * settings.volts_per_tap[other, r]
-                volts[r] += change
-            _direct(settings, settings.target_v, settings.half_band_v, acts, volts, tap, wanted)
-            for r in range(n):
-                turned, in_band = due_in[r] != 0.0, wanted[r] == 0.0
-                since[r] = 0.0 if turned else since[r] + passed
-                waited[r] = 0.0 if turned or in_band else waited[r] + passed
-                sequence[r] = 0.0 if in_band else 1.0 if turned else sequence[r]
-            left -= passed
-        for r in range(n):
-            waited[r] = waited[r] + left if wanted[r] != 0.0 else 0.0
-            since[r] += left
-            moves[r] = state.moves[row, r] + moved[r]
-    return out
 
 
 @compiled

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from dcgrid_env.core.arrays import Array, min_last, namespace
 from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.devices.tap_changer.regulator_state import SAME_TIME_S, RegulatorState
 from dcgrid_env.devices.tap_changer.relay import RelayBand, RelaySettings, direction
-from dcgrid_env.devices.tap_changer.tap_control import SAME_TIME_S, RegulatorState
 
 
 class NextTaps(NamedTuple):

@@ -8,9 +8,10 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
-from dcgrid_env.devices.tap_changer.relay import RelaySettings, relay_settings, relay_volts
+from dcgrid_env.devices.tap_changer.regulator_state import MOST_EVENTS, RegulatorState, initial_regulators
+from dcgrid_env.devices.tap_changer.relay import RelayBand, RelaySettings, relay_settings, relay_volts
 from dcgrid_env.devices.tap_changer.settling import settled_taps
-from dcgrid_env.devices.tap_changer.tap_control import RegulatorState, control_taps, initial_regulators
+from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 from dcgrid_env.scenario.grid_control import Decider, regulator_deciders
@@ -64,14 +65,24 @@ class ActingRelays(NamedTuple):
 class BankControl:
     """The taps that the built-in control would choose for some regulators, step by step.
 
-    It keeps the relays' timers, so use it once per step and create a new object for each episode. Tap changes of
-    upstream regulators within a step are taken into account only if these regulators are among the selected ones.
+    It keeps the relays' timers, so use it once per step and create a new object for each episode. The volts after a
+    tap within the step are predicted by ``volts_per_tap``. Taps of upstream regulators are taken into account only if
+    these regulators are among the selected ones.
+
+    Parameters
+    ----------
+    relays
+        The regulators.
+    dt_s
+        Length of a step, s.
+    integrating
+        Whether timers count down in band.
     """
 
-    def __init__(self, relays: ActingRelays, dt_s: float) -> None:
+    def __init__(self, relays: ActingRelays, dt_s: float, integrating: bool) -> None:
         rows, whole = relays.rows, relays.settings
         of_rows = (values[rows] if values.ndim == 1 else values[np.ix_(rows, rows)] for values in whole)
-        self._settings, self._dt_s = RelaySettings(*of_rows), dt_s
+        self._settings, self._dt_s, self._integrating = RelaySettings(*of_rows), float(dt_s), integrating
         self._state: RegulatorState | None = None
 
     @property
@@ -82,11 +93,21 @@ class BankControl:
     def taps(self, tap: np.ndarray, relay_v: np.ndarray) -> np.ndarray:
         """Return the taps at the end of the coming step from present taps and relay measurements, all (row, n)."""
         tap, relay_v = (np.ascontiguousarray(values, np.float64) for values in (tap, relay_v))
-        before = self._state
-        if before is None or before.tap.shape != tap.shape:
-            before = initial_regulators(tap, relay_v)
-        self._state = control_taps(self._settings, before._replace(tap=tap, relay_v=relay_v), self._dt_s)
-        return self._state.tap
+        state, settings = self._state, self._settings
+        if state is None or state.tap.shape != tap.shape:
+            state = initial_regulators(tap, relay_v)
+        state = state._replace(tap=tap, relay_v=relay_v)
+        band = RelayBand(*(values + 0.0 * tap for values in (settings.target_v, settings.half_band_v)))
+        left_s, never_s = np.full((len(tap), 1), self._dt_s), np.full((len(tap), 1), np.inf)
+        for _ in range(MOST_EVENTS):
+            before = state.tap
+            state, passed_s = next_taps(settings, state, band, left_s, never_s, self._integrating)
+            state = state._replace(relay_v=state.relay_v + (state.tap - before) @ settings.volts_per_tap)
+            left_s = left_s - passed_s
+            if not (left_s > 0.0).any():
+                break
+        self._state = state
+        return state.tap
 
 
 def acting_relays(scenario: Scenario, decider: Decider = "controlled") -> ActingRelays | None:

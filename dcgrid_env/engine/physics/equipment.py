@@ -2,9 +2,8 @@
 
 At the beginning of a step an agent's equipment follows the agent's action. Then the power flow is solved, and the
 controls act on what they measure in it. Whenever a delay ends within the step, taps and switches change, and the power
-flow is solved again (``with_controls``). Under ``timer="per_step"`` controls act at the beginning of a step on the
-measurements of the step before, and taps and switches are then constant. At t = 0 the taps of controlled regulators
-have settled. Agents of set points choose the bands of relays and the thresholds of banks that apply within the step.
+flow is solved again (``with_controls``). At t = 0 the taps of controlled regulators have settled. Agents of set points
+choose the bands of relays and the thresholds of banks that apply within the step.
 """
 
 from __future__ import annotations
@@ -23,18 +22,17 @@ from dcgrid_env.devices.capacitor_bank.capacitor_control import (
     Thresholds,
     bank_delays,
     bank_settings,
-    control_banks,
     initial_banks,
     measured_banks,
     next_switchings,
 )
 from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
+from dcgrid_env.devices.tap_changer.regulator_state import MOST_EVENTS, SAME_TIME_S, initial_regulators
 from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, regulator_view
 from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_volts, settings_like
 from dcgrid_env.devices.tap_changer.settling import settled_taps
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
-from dcgrid_env.devices.tap_changer.tap_control import MOST_EVENTS, SAME_TIME_S, control_taps, initial_regulators
 from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from dcgrid_env.engine.physics.acting_relays import scenario_relays
 from dcgrid_env.engine.physics.state import Equipment, over_arrays
@@ -66,8 +64,6 @@ class _Group(NamedTuple):
 class _Plan(NamedTuple):
     regulators: _Group
     banks: _Group
-    timed: bool
-    """Whether a control acts within steps."""
     integrating: bool
     """Whether the timers of regulators count down in band."""
 
@@ -117,30 +113,24 @@ def begun(
 
 
 def advanced(scenario: Scenario, before: Equipment, devices: Sequence[Any]) -> Equipment:
-    """The equipment with which the power flow of a step begins, from the states of the step's devices.
+    """The equipment with which the power flow of a step begins: agents' equipment is as its agents have it.
 
-    Agents' equipment is as its agents have it. Controls that act ``per_step`` have acted.
+    ``devices`` are the states of the step's devices.
     """
-    (regulators, banks), dt_s = before, scenario.dt_s
-    of_regulators, of_banks, timed, _ = _plan(scenario, regulators.tap)
-    if timed:
-        regulators = regulators._replace(moved=0.0 * regulators.moved)
-        banks = banks._replace(switched=0.0 * banks.switched)
-    else:
-        regulators = control_taps(of_regulators.settings, regulators, dt_s, of_regulators.controlled)
-    not_yet_s = dt_s if timed else 0.0
+    regulators, banks = before
+    of_regulators, of_banks, _ = _plan(scenario, regulators.tap)
+    regulators = regulators._replace(moved=0.0 * regulators.moved)
+    banks = banks._replace(switched=0.0 * banks.switched)
     if of_regulators.agents is not None:
         state = devices[of_regulators.agents]
         tap, moved = (_picked(of_regulators, regulators, state, name) for name in ("tap", "moved"))
-        since_s = _picked(of_regulators, regulators, state._replace(since_s=state.since_s - not_yet_s), "since_s")
+        since_s = _picked(of_regulators, regulators, state._replace(since_s=state.since_s - scenario.dt_s), "since_s")
         moves = before.regulators.moves + moved
         regulators = regulators._replace(tap=tap, since_s=since_s, moved=moved, moves=moves)
-    if of_banks.acts and not timed:
-        banks = control_banks(scenario.grid_control.capacitor_settings, banks, dt_s, of_banks.controlled)
     if of_banks.agents is not None:
         state = devices[of_banks.agents]
         on, switched = (_picked(of_banks, banks, state, name) for name in ("on", "switched"))
-        since_s = _picked(of_banks, banks, state._replace(since_s=state.since_s - not_yet_s), "since_s")
+        since_s = _picked(of_banks, banks, state._replace(since_s=state.since_s - scenario.dt_s), "since_s")
         switchings = before.banks.switchings + switched
         banks = banks._replace(on=on, since_s=since_s, switched=switched, switchings=switchings)
     return Equipment(regulators, banks)
@@ -162,10 +152,10 @@ def with_controls(
     """
     equipment = measured(scenario, equipment, solution)
     plan = _plan(scenario, solution.v_pu)
-    if not plan.timed:
-        return equipment, solution
-    xp, set_points = namespace(solution.v_pu), _set_points(scenario, plan, equipment, devices, offset_v)
-    left_s = 0.0 * solution.v_pu[..., :1] + scenario.dt_s
+    xp, left_s = namespace(solution.v_pu), 0.0 * solution.v_pu[..., :1] + scenario.dt_s
+    if not (plan.regulators.acts or plan.banks.acts):
+        return _waited(equipment, left_s), solution
+    set_points = _set_points(scenario, plan, equipment, devices, offset_v)
     for _ in range(MOST_EVENTS):
         if not all_true(solution.converged):
             left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
@@ -357,7 +347,7 @@ def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> 
         pick, setter = (xp.asarray(indices, device=device) for indices in (pick, setter))
         groups.append(_Group(settings, _like(controlled, like), acts, position, pick, setters, setter))
     timer, (regulators, banks) = scenario.grid_control.regulator_settings.timer, groups
-    return _Plan(regulators, banks, timer != "per_step" and (regulators.acts or banks.acts), timer == "integrating")
+    return _Plan(regulators, banks, timer == "integrating")
 
 
 def _feeder(scenario: Scenario) -> Any:

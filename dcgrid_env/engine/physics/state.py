@@ -10,8 +10,8 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.capacitor_bank.capacitor_control import BankState
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
+from dcgrid_env.devices.tap_changer.regulator_state import RegulatorState
 from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView
-from dcgrid_env.devices.tap_changer.tap_control import RegulatorState
 
 if TYPE_CHECKING:
     from dcgrid_env.engine.physics.voltage_figures import VoltageFigures

@@ -11,17 +11,15 @@ from dcgrid_env.baselines.tuning.search import mean_cost
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from helpers.three_phase import ieee13, ieee123
 
-INTEGRATING = {"timer": "integrating"}
-SLOW = {"grid_control.regulators": "setpoint", "grid_control.regulator_settings": INTEGRATING}
 CHOSEN = {"offset_v": {"reg1": -2.0}, "half_band_v": {"reg1": 1.5}, "centre_pu": {"cap2": 0.99}}
 
 
 def slow_and_switched(**overrides):
-    return ieee13().replace(**SLOW, **{"grid_control.capacitors": {"cap2": "setpoint"}}, **overrides)
+    return ieee13().replace(grid_control={"regulators": "setpoint", "capacitors": {"cap2": "setpoint"}}, **overrides)
 
 
 def controlled(on=None, **settings):
-    return ieee13().replace(**{"grid_control.regulator_settings": INTEGRATING | settings}, **on or {})
+    return ieee13().replace(**{"grid_control.regulator_settings": settings}, **on or {})
 
 
 def test_open_set_points_are_those_of_agents_and_the_offsets_of_controlled_regulators():
@@ -32,12 +30,12 @@ def test_open_set_points_are_those_of_agents_and_the_offsets_of_controlled_regul
         ("reg1", 0.0, False), ("reg2", -1.5, False), ("reg3", 0.0, False)
     ]  # fmt: skip
     modes = {"reg1a": "setpoint", "reg2": "agent", "reg3": "fixed"}
-    mixed = ieee123().replace(**{"grid_control.regulators": modes, "grid_control.regulator_settings": INTEGRATING})
+    mixed = ieee123().replace(**{"grid_control.regulators": modes})
     names = [(p.name, p.by_agent) for p in open_set_points(mixed) if p.parameter == "offset_v"]
     assert names == [("reg1a", True), ("creg4a", False), ("creg4b", False), ("creg4c", False)]
     scheduled = controlled(offset_v={"reg1": [(6.0, 0.0), (18.0, 1.5)]}, on={"background.start_hour": 6.0})
     assert open_set_points(scheduled) == []
-    assert open_set_points(make_scenario("ieee123-3ph-day")) == open_set_points(make_scenario("toy6")) == []
+    assert open_set_points(make_scenario("toy6")) == []
 
 
 @pytest.mark.parametrize("law", [ConstantSetPoints, TwoTimescale])
@@ -101,7 +99,11 @@ def test_a_batch_of_candidates_costs_what_each_costs_alone(law, scenario):
 @pytest.mark.parametrize(
     ("law", "scenario", "message"),
     [
-        (ConstantSetPoints(), ieee13(), "static: scenario 'ieee13-three-phase' has no set points to choose; set grid_"),
+        (
+            ConstantSetPoints(),
+            ieee13().replace(grid_control={"regulators": "fixed"}),
+            "static: scenario 'ieee13-three-phase' has no set points to choose; set grid_",
+        ),
         (TwoTimescale(offset_v={"reg9": 1.0}), slow_and_switched(), "two-timescale: offset_v has 'reg9', .* from reg1"),
         (ConstantSetPoints(half_band_v={"reg1": 1.0}), controlled(), "half_band_v has 'reg1', .* choose from none"),
         (ConstantSetPoints(offset_v={"reg1": 4.5}), slow_and_switched(), "'reg1' is 4.5; give a number from -4 to 4"),
@@ -109,7 +111,7 @@ def test_a_batch_of_candidates_costs_what_each_costs_alone(law, scenario):
             ConstantSetPoints(offset_v={"reg2": -2.0}),
             controlled(),
             r"offset_v of 'reg2' is -2.0, but .* has 0 V; add --set 'grid_control.regulator_settings="
-            r"""{"timer": "integrating", "offset_v": {"reg1": 0.0, "reg2": -2.0, "reg3": 0.0}}'""",
+            r"""{"offset_v": {"reg1": 0.0, "reg2": -2.0, "reg3": 0.0}}'""",
         ),
     ],
 )  # fmt: skip

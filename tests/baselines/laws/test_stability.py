@@ -106,6 +106,15 @@ def last_steps_pu(scenario, droop):
     return np.abs(np.diff(v[-11:], axis=0)).max()
 
 
+@pytest.mark.parametrize(("k_p", "is_stable"), [(0.0, True), (1.0, False)])
+def test_in_long_steps_a_backlog_swings_only_if_the_clock_makes_it(k_p, is_stable):
+    """With steps of a minute and alpha 0.3 /s the law asks for 18 times the backlog; all that waits is served."""
+    scenario, droop = steady("toy6", dt_s=60.0, horizon=18), Droop(k_p_mw_per_pu=k_p, k_q_mvar_per_pu_s=0.0)
+    assert stability.is_stable(worst_radius(scenario, droop)) is is_stable
+    late_mhz = rollout(scenario, droop, [0]).series(0).f_mhz[-10:]
+    assert (np.ptp(late_mhz, axis=0) < 1.0).all() is np.bool_(is_stable)
+
+
 @pytest.mark.parametrize(("name", "s_kva"), [("toy6", 10000.0), ("ieee123", 5000.0)])
 def test_reactive_gains_about_the_bound_in_the_environment(name, s_kva):
     scenario = steady(name, inverters={"s_rated_kva": s_kva})

@@ -121,11 +121,10 @@ def test_an_episode_is_controlled_the_same_alone_and_among_others():
     assert alone.q_kvar == pytest.approx(among.q_kvar, abs=1e-3)
 
 
-def test_per_step_timers_and_fixed_regulators_have_no_plan():
-    for scenario in (timed(timer="per_step"), timed().replace(grid_control={"regulators": "fixed"})):
-        controller = Mpc()
-        rollout(scenario.replace(horizon=2), controller, [0])
-        assert controller._taps is None
+def test_fixed_regulators_have_no_plan():
+    controller = Mpc()
+    rollout(timed().replace(grid_control={"regulators": "fixed"}, horizon=2), controller, [0])
+    assert controller._taps is None
 
 
 def test_without_measurements_of_the_regulators_the_error_names_the_remedy():

@@ -11,8 +11,8 @@ from dcgrid_env.baselines import make_controller, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.model_based.tap_search import _Costs, _Plan
 from dcgrid_env.baselines.model_based.tap_trajectory import MARGIN_V, TapTrajectory
+from dcgrid_env.devices.tap_changer.regulator_state import initial_regulators
 from dcgrid_env.devices.tap_changer.relay import RelayBand
-from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
 from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from helpers.three_phase import ieee13
 
@@ -134,4 +134,4 @@ def test_a_price_on_switching_is_for_taps_alone():
     with pytest.raises(ValueError, match="prices the taps of built-in controls alone; make all other equipment fixed"):
         hindsight(_short(1.0).replace(grid_control={"capacitors": "controlled"}), 0)
     with pytest.raises(ValueError, match="hindsight does not price switching"):
-        hindsight(ieee13().replace(weights={"switching": 1.0}), 0)
+        hindsight(ieee13().replace(weights={"switching": 1.0}, grid_control={"regulators": "fixed"}), 0)

@@ -75,5 +75,5 @@ def test_a_search_that_ends_at_unstable_gains_is_repeated_within_the_bound():
 
 def test_a_droop_that_swings_at_all_gains_is_refused(monkeypatch):
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.has_limit_cycle", lambda *_: True)
-    with pytest.raises(ValueError, match=r"tune: 'droop-q' has a limit cycle on toy6 at all \d+ sets of gains"):
+    with pytest.raises(ValueError, match=r"tune: 'droop-q' is not stable on toy6 at any of \d+ sets of gains"):
         tune("droop-q", [make_scenario("toy6", split="validation", horizon=2)], episodes=1)

@@ -111,13 +111,11 @@ def test_what_further_devices_add_is_what_the_table_lists():
     storages = Storages(buses=("18",), p_rated_kw=100.0, energy_kwh=50.0, s_rated_kva=120.0)
     channels, fields, costs = added(before.replace(devices=(*before.devices, storages)), before)
     assert (channels | {"q"}, fields, costs) == row("device storage")
-    day = make_scenario("ieee123-3ph-day")
-    assert added(day, before)[:2] == tuple(
+    agents = {"grid_control.regulators": "agent", "grid_control.capacitors": "agent"}
+    assert added(make_scenario("ieee123-3ph", **agents), before)[:2] == tuple(
         row("three-phase feeder")[i] | row("device tap_changer")[i] | row("device capacitor_bank")[i] for i in (0, 1)
     )
-    words = {"grid_control.regulators": "setpoint", "grid_control.capacitors": "setpoint"}
-    chosen = make_scenario("ieee13-3ph", **words, **{"grid_control.regulator_settings": {"timer": "reset"}})
-    assert added(chosen, make_scenario("ieee13-3ph"))[:2] == tuple(
+    assert added(make_scenario("ieee123-3ph-day"), make_scenario("ieee123-3ph"))[:2] == tuple(
         row("device regulator_setpoint")[i] | row("device capacitor_setpoint")[i] for i in (0, 1)
     )
     assert terms(make_scenario("ieee13-3ph")) - terms(before) == row("three-phase feeder")[2]

@@ -25,7 +25,7 @@ from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.fingerprint import fields
 from dcgrid_env.traces import PowerTrace
 
-RIDE_THROUGH_TEST = "8d380d7a65d816e0"
+RIDE_THROUGH_TEST = "80a30c8f07f0d5af"
 CHANGES = {
     "horizon": 119,
     "split": "validation",

@@ -115,29 +115,12 @@ def test_a_bank_whose_set_point_is_chosen_is_one_agent():
         ({"grid_control.capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
         ({"grid_control.capacitor_settings": 3}, r"grid_control.capacitor_settings is 3; give CapacitorControl\(...\)"),
         (
-            {"grid_control.regulators": {"reg2": "setpoint"}},
-            r"grid_control.regulators is .*; for mode 'setpoint' set grid_control.regulator_settings.timer to 'reset' "
-            "or 'integrating', it is 'per_step'",
-        ),
-        (
-            {"grid_control.capacitors": "setpoint"},
-            "grid_control.capacitors is 'setpoint'; for mode 'setpoint' set grid_control.regulator_settings.timer to",
-        ),
-        (
-            {
-                "grid_control.capacitors": "setpoint",
-                "grid_control.regulator_settings": {"timer": "reset"},
-                "grid_control.capacitor_settings": {"measures": "kvar"},
-            },
+            {"grid_control.capacitors": "setpoint", "grid_control.capacitor_settings": {"measures": "kvar"}},
             "for mode 'setpoint' set grid_control.capacitor_settings.measures to 'voltage', it is 'kvar'",
         ),
         (
             {"grid_control.regulator_settings": {"timer": "reset", "offset_v": {"reg2": [[6.0, 1.0]]}}},
             "grid_control.regulator_settings.offset_v is .*; a schedule needs the hour of the day; set background",
-        ),
-        (
-            {"grid_control.regulator_settings": {"offset_v": {"reg2": [[6.0, 1.0]]}}, "background.start_hour": 0.0},
-            "offset_v is .*; a schedule needs timer 'reset' or 'integrating', it is 'per_step'",
         ),
         (
             {

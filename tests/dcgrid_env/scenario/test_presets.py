@@ -108,8 +108,8 @@ BEYOND = {
     "ieee123-3ph-day": {
         "power_flow": "sweep",
         "inverters.injection": "pv",
-        "grid_control.regulators": "agent",
-        "grid_control.capacitors": "agent",
+        "grid_control.regulators": "setpoint",
+        "grid_control.capacitors": "setpoint",
         "background.start_hour": 0.0,
         "dt_s": 60.0,
         "cost.weights": CostWeights(leftover=0.15, switching=10.0),
@@ -180,7 +180,7 @@ COMMON = {
     "grid_control.regulators": "controlled", "grid_control.capacitors": "fixed", "background.start_hour": None,
     "split": "train", "cost.weights": CostWeights(100.0, 1000.0, 0.3, 0.02, 9.0, 0.0, 0.0, 0.0), "cost.band_pu": 0.05,
     "cost.voltage": "l1", "cost.reference": "nominal", "cost.reward": "shared",
-    "grid_control.regulator_settings.timer": "per_step", OFFSETS: 0.0,
+    "grid_control.regulator_settings.timer": "integrating", OFFSETS: 0.0,
     "sensing.observe": "local", "sensing.preview": True, "sensing.r_model_share": 1.0,
     "sensing.x_model_share": 1.0,
 }  # fmt: skip

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from dcgrid_env import Scenario
-from dcgrid_env.baselines.laws.constant_set_points import has_set_points
+from dcgrid_env.baselines.laws.constant_set_points import has_set_points, open_set_points
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.peak_shaving import has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
@@ -50,8 +50,14 @@ NEEDING_A_DEVICE = (
 """Controllers that refuse a scenario of data centres and inverters alone."""
 
 
+def ships(law: str, preset: Scenario) -> bool:
+    """Whether parameters of a law ship for a preset: constant set points do where agents choose them."""
+    chosen = not TUNABLE[law].by_cross_entropy or any(point.by_agent for point in open_set_points(preset))
+    return chosen and TUNABLE[law].fits(preset)
+
+
 def drives(name: str, scenario: Scenario) -> bool:
-    """Whether a controller can drive a scenario, and a tuned one has parameters that ship."""
-    if name.endswith("-tuned") and TUNABLE[name.removesuffix("-tuned")].by_cross_entropy:
-        return False
-    return NEEDS.get(name.removesuffix("-tuned"), lambda _: True)(scenario)
+    """Whether a controller can drive a preset, and a tuned one has parameters that ship."""
+    if name.endswith("-tuned"):
+        return ships(name.removesuffix("-tuned"), scenario)
+    return NEEDS.get(name, lambda _: True)(scenario)

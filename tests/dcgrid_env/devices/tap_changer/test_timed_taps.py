@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from dcgrid_env import DcgridVectorEnv, ScenarioError, ThreePhaseFeeder, load_feeder, make_scenario
 from dcgrid_env.baselines import make_controller, rollout
+from dcgrid_env.devices.tap_changer.regulator_state import initial_regulators
 from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings, settings_like
-from dcgrid_env.devices.tap_changer.tap_control import initial_regulators
 from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from dcgrid_env.engine.physics.acting_relays import scenario_relays
 from dcgrid_env.engine.simulation import Simulation
@@ -194,7 +194,7 @@ def test_offsets_of_banks_move_what_their_relays_hold():
 @pytest.mark.parametrize(
     ("control", "message"),
     [
-        ({"timer": "fast"}, "regulator_settings.timer is 'fast'; choose one of per_step, reset, integrating"),
+        ({"timer": "fast"}, "regulator_settings.timer is 'fast'; choose one of reset, integrating"),
         ({"offset_v": 40.0}, "regulator_settings.offset_v is 40.0; give volts between -12 and 12"),
         ({"offset_v": {"reg4": True}}, "give volts between -12 and 12, or a mapping from banks or regulators to these"),
         ({"offset_v": {"creg9": 1.0}}, "has no bank or regulator 'creg9'; there are reg1a, reg2, reg3, reg4"),

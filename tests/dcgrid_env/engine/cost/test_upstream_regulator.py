@@ -111,7 +111,7 @@ def test_set_points_of_agents_and_schedules_are_in_force():
     np.testing.assert_allclose(found[1:, 0, 0, 1], (plain[1:, 0, 0, 1] - offset_v) / half_v, atol=1e-6)
 
 
-@pytest.mark.parametrize("timer", ["per_step", "reset"])
+@pytest.mark.parametrize("timer", ["reset", "integrating"])
 @pytest.mark.parametrize(("delay_s", "steps"), [(2.0, 2), (2.1, 3), (0.3, 1), (80_000.0, 45)])
 def test_figures_are_as_old_as_the_delay(timer, delay_s, steps):
     scenario = ieee13().replace(**JUMP).replace(**{"grid_control.regulator_settings": {"timer": timer}})
@@ -167,7 +167,7 @@ def test_a_regulator_that_may_make_no_tap_and_one_without_delays_have_finite_fig
         assert found[..., 2].max() <= 1.0
 
 
-@pytest.mark.parametrize("timer", ["per_step", "reset", "integrating"])
+@pytest.mark.parametrize("timer", ["reset", "integrating"])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_figures_never_leave_their_bounds(name, timer):
     """Under random actions and loads, before observations are cut to their bounds; torch equals NumPy."""

@@ -162,7 +162,7 @@ def test_a_controlled_bank_switches_itself_and_a_lost_one_stays_off():
         grid_control={"capacitors": {"cap1": "controlled"}, "capacitor_settings": settings}, horizon=10
     )
     on = [t.state.three_phase.equipment.banks.on[0].tolist() for t in play(scenario, n_env=1)]
-    assert on == [[1.0, 1.0]] * 3 + [[0.0, 1.0]] * 8
+    assert on == [[1.0, 1.0]] * 4 + [[0.0, 1.0]] * 7
     struck = ieee13().replace(
         faults=(Fault(("capacitor",), begin_s=(0.0, 0.0)),), grid_control={"capacitors": "agent"}, horizon=4
     )
