@@ -50,6 +50,11 @@ NEEDING_A_DEVICE = (
 """Controllers that refuse a scenario of data centres and inverters alone."""
 
 
+def has_policy(preset: str) -> bool:
+    """Whether policies that were trained on a preset ship."""
+    return not preset.endswith("-published") and preset != "ieee123-3ph-day"
+
+
 def ships(law: str, preset: Scenario) -> bool:
     """Whether parameters of a law ship for a preset: constant set points do where agents choose them."""
     chosen = not TUNABLE[law].by_cross_entropy or any(point.by_agent for point in open_set_points(preset))
