@@ -17,9 +17,9 @@ _SAME = 1e-6  # in the unit of a set point, by which it may exceed its range
 class EquipmentAgents:
     """Feeder equipment among a scenario's agents, if any.
 
-    Regulators follow the automatic control of their bank a step later, because they observe the relay at the end of a
-    step. Capacitor banks keep their state, and set points are constant. The object stores the timers of the relays, so
-    each run of episodes needs a new one.
+    Regulators follow the automatic control of their bank about a step later: they observe the relay at the end of a
+    step and predict its volts within the next. Capacitor banks keep their state, and set points are constant. The
+    object stores the timers of the relays, so each run of episodes needs a new one.
 
     Parameters
     ----------

@@ -12,8 +12,8 @@ work at the end of the horizon is charged like leftover work at the end of an ep
 always defer work. With a horizon of one step it is one-step control, which knows all that it needs if p_ref is
 observed. (J. B. Rawlings, D. Q. Mayne, M. Diehl, "Model predictive control: theory, computation, and design", 2017.)
 
-Where regulators' built-in controls act within steps (``timer`` other than ``per_step``), ``tap_plan`` adds demands on
-their relays to the first step. It requires taps, relay volts and timers, which ``measure`` receives before each step.
+Where built-in controls move regulators, ``tap_plan`` adds demands on their relays to the first step. It requires taps,
+relay volts and timers, which ``measure`` receives before each step.
 
 The price of what is left does most of it. J on the validation split of ieee33-weak (hindsight 2.674), 20 episodes, and
 10 under two other loads; 14 s is when the default load's autocorrelation has fallen to some 0.3:
