@@ -136,10 +136,10 @@ class ConstantSetPoints(ConstantQ):
 
     def _require(self, scenario: Scenario, points: Sequence[SetPoint]) -> None:
         if not points:
-            raise ValueError(
-                f"{self.name}: scenario {scenario.name!r} has no set points to choose; set grid_control.regulators or "
-                "capacitors to 'setpoint', or give numbers in grid_control.regulator_settings.offset_v"
-            )
+            remedy = "set grid_control.regulators to 'controlled' or 'setpoint', or capacitors to 'setpoint'"
+            if scenario.grid_control.regulator_settings.has_schedules:
+                remedy = f"give numbers for the schedules in {SETTINGS}.offset_v"
+            raise ValueError(f"{self.name}: scenario {scenario.name!r} has no set points to choose; {remedy}")
         known = {(point.parameter, point.name): point for point in points}
         for parameter in CHANNELS:
             for name, value in getattr(self, parameter).items():

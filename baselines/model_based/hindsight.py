@@ -41,6 +41,7 @@ from dcgrid_env.baselines.model_based.tap_bound import tap_bound
 from dcgrid_env.baselines.model_based.tap_search import TapSearch
 from dcgrid_env.baselines.model_based.tap_trajectory import TapTrajectory
 from dcgrid_env.baselines.rollout import ControllerError, rollout
+from dcgrid_env.devices import may_leave
 
 STARTS = (NoControl, Mpc)
 """Controllers around whose tap trajectories better ones are searched."""
@@ -307,7 +308,7 @@ def _check(scenario: Scenario) -> None:
     if not planned:
         require_known_devices("hindsight", scenario, further=("storage",))
     require_draws_of_work("hindsight", scenario)
-    if any(getattr(device, "ride_through", None) is not None for device in scenario.devices):
+    if any(map(may_leave, scenario.devices)):
         raise ValueError(
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"

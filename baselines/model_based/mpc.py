@@ -12,8 +12,8 @@ work at the end of the horizon is charged like leftover work at the end of an ep
 always defer work. With a horizon of one step it is one-step control, which knows all that it needs if p_ref is
 observed. (J. B. Rawlings, D. Q. Mayne, M. Diehl, "Model predictive control: theory, computation, and design", 2017.)
 
-Where built-in controls move regulators, ``tap_plan`` adds demands on their relays to the first step. It requires taps,
-relay volts and timers, which ``measure`` receives before each step.
+Where built-in controls move regulators and nothing trips, ``tap_plan`` adds demands on their relays to the first step.
+It requires taps, relay volts and timers, which ``measure`` receives before each step.
 
 The price of what is left does most of it. J on the validation split of ieee33-weak (hindsight 2.674), 20 episodes, and
 10 under two other loads; 14 s is when the default load's autocorrelation has fallen to some 0.3:
@@ -36,6 +36,7 @@ from dcgrid_env.baselines.model_based.linear_model import Estimate, ModelControl
 from dcgrid_env.baselines.model_based.lookahead import Iterate, Program, moved_on, restarted, solve
 from dcgrid_env.baselines.model_based.relay_model import relay_model
 from dcgrid_env.baselines.model_based.tap_plan import Demands, Outlook, TapPlan
+from dcgrid_env.devices import may_leave
 
 _SETTLED = 1e-3  # share of a site's dynamic power by which the solver's work served may fall short of all there is
 
@@ -88,7 +89,8 @@ class Mpc(ModelController):
                 f"{self.name} plans taps under constant set points; scenario {s.name!r} has a schedule in "
                 "grid_control.regulator_settings.offset_v: give it numbers"
             )
-        self._relays = acting_relays(env_info)
+        # The plan of taps assumes that sites and inverters stay on the grid. Where they trip, it does harm.
+        self._relays = None if any(map(may_leave, s.devices)) else acting_relays(env_info)
         self._regulators: RegulatorState | None = None
         self._steps_left = s.horizon
         self._taps = None if self._fixed_buses is None else self._tap_plan(self._fixed_buses)

@@ -4,7 +4,7 @@ from dcgrid_env.devices import converter
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
 from dcgrid_env.devices.datacenter.data_centers import DataCenters
 from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
-from dcgrid_env.devices.device import Channel, CostTerm, Device, Field, GridChange, Q, Work
+from dcgrid_env.devices.device import Channel, CostTerm, Device, Field, GridChange, Q, Work, may_leave
 from dcgrid_env.devices.inverter import Inverters
 from dcgrid_env.devices.ratings import DataCenterParams, InverterParams
 from dcgrid_env.devices.registry import DEVICE_REGISTRY, device_kind, is_known, register_device
@@ -32,6 +32,7 @@ __all__ = [
     "converter",
     "device_kind",
     "is_known",
+    "may_leave",
     "register_device",
     "speed_share",
     "work_classes_of",

@@ -30,6 +30,7 @@ from dcgrid_env.devices.faults import Fault
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
+from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder, bus_numbers
 from dcgrid_env.grid.network import (
     LineTable,
@@ -133,6 +134,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     SwitchTable: Kind("SwitchTable", tuple(_SWITCH.split())),
     TransformerTable: Kind("TransformerTable", tuple(_TRANSFORMER.split())),
     RegulatorTable: Kind("RegulatorTable", tuple(_REGULATOR.split())),
+    RegulatorControl: Kind("RegulatorControl", ("timer", "offset_v", "hold_s")),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 

@@ -102,7 +102,12 @@ def test_a_batch_of_candidates_costs_what_each_costs_alone(law, scenario):
         (
             ConstantSetPoints(),
             ieee13().replace(grid_control={"regulators": "fixed"}),
-            "static: scenario 'ieee13-three-phase' has no set points to choose; set grid_",
+            "static: scenario 'ieee13-three-phase' has no set points to choose; set .* to 'controlled' or",
+        ),
+        (
+            ConstantSetPoints(),
+            controlled(offset_v={"reg1": [(6.0, 0.0), (18.0, 1.5)]}, on={"background.start_hour": 6.0}),
+            "give numbers for the schedules in grid_control.regulator_settings.offset_v",
         ),
         (TwoTimescale(offset_v={"reg9": 1.0}), slow_and_switched(), "two-timescale: offset_v has 'reg9', .* from reg1"),
         (ConstantSetPoints(half_band_v={"reg1": 1.0}), controlled(), "half_band_v has 'reg1', .* choose from none"),

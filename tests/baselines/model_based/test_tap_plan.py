@@ -121,9 +121,18 @@ def test_an_episode_is_controlled_the_same_alone_and_among_others():
     assert alone.q_kvar == pytest.approx(among.q_kvar, abs=1e-3)
 
 
-def test_fixed_regulators_have_no_plan():
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        timed().replace(grid_control={"regulators": "fixed"}),
+        timed().replace(grid_control={"regulators": "agent"}),
+        make_scenario("ride-through", split="validation"),
+    ],
+    ids=["fixed", "agents", "sites that trip"],
+)
+def test_where_no_control_acts_or_sites_trip_there_is_no_plan(scenario):
     controller = Mpc()
-    rollout(timed().replace(grid_control={"regulators": "fixed"}, horizon=2), controller, [0])
+    rollout(scenario.replace(horizon=2), controller, [0])
     assert controller._taps is None
 
 

@@ -7,7 +7,7 @@ from dcgrid_env import acting_relays, load_feeder, make_scenario
 from dcgrid_env.devices.tap_changer.relay import relay_settings, relay_volts
 from dcgrid_env.engine.physics.acting_relays import BankControl
 from dcgrid_env.powerflow import Control, solve_unbalanced
-from helpers.three_phase import ieee13
+from helpers.three_phase import ieee13, ieee123
 
 TAP_V = 0.75  # 0.00625 of 120 V
 TARGET_V = 122.0
@@ -80,6 +80,10 @@ def test_relays_that_act_are_those_with_a_control_of_their_own():
     scenario = ieee13()
     assert acting_relays(scenario.replace(grid_control={"regulators": "fixed"})) is None
     assert acting_relays(make_scenario("toy6")) is None
+    of_seconds = acting_relays(ieee123())
+    assert of_seconds is not None
+    assert of_seconds.steps.tolist() == [15, 30, 30, 30, 30, 30, 30]
+    assert of_seconds.further_steps.tolist() == [2] * 7
     relays = acting_relays(scenario.replace(dt_s=60.0))
     assert relays is not None
     assert relays.steps.tolist() == [1, 1, 1]

@@ -41,15 +41,16 @@ def begun(scenario, seeds, name):
 
 def test_an_episode_is_searched_alone_and_falls_below_where_it_began(quick):
     s = returning()
-    start, rule = begun(s, [3, 5], RULE), make_controller(RULE, s)
-    together = best_known(s, [3, 5], {RULE: rule}, {}, 2)
-    alone = best_known(s, [5], {RULE: rule}, {}, 2)[0]
+    name = "staggered-return"  # untuned, which leaves more to gain
+    start, rule = begun(s, [3, 5], name), make_controller(name, s)
+    together = best_known(s, [3, 5], {name: rule}, {}, 2)
+    alone = best_known(s, [5], {name: rule}, {}, 2)[0]
     assert alone.J == together[1].J
     assert (alone.actions == together[1].actions).all()
     for found, before, cost in zip(together, start, rollout(s, rule, [3, 5]).costs(), strict=True):
         assert pytest.approx(cost, rel=1e-3) == before.J
-        assert found.J < 0.995 * before.J
-        assert (found.start, found.rounds) == (RULE, 2)
+        assert found.J < 0.97 * before.J
+        assert (found.start, found.rounds) == (name, 2)
     driven = rollout(s, RecordedActions(np.stack([found.actions for found in together])), [3, 5]).costs()
     assert driven == pytest.approx([found.J for found in together], rel=1e-9)
 
