@@ -20,15 +20,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout
+from dcgrid_env import RegulatorState, Scenario, action_layout
 from dcgrid_env.agents.leaderboard.confinement import confine
 from dcgrid_env.agents.leaderboard.entry_files import CONTROLLER
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.baselines import find_controller
+from dcgrid_env.baselines import NeedsRegulators, find_controller
 from dcgrid_env.baselines.rollout import action_of
 from dcgrid_env.baselines.user_code import described, one_line, place
 
-LOAD, RESET, PLACE, ACT, DONE, FAILED = b"L", b"R", b"P", b"A", b"=", b"!"
+LOAD, RESET, PLACE, MEASURE, ACT, DONE, FAILED = b"L", b"R", b"P", b"M", b"A", b"=", b"!"
 HEADER = struct.Struct("<cQ")
 
 
@@ -136,6 +136,14 @@ class _Server:
         self._controller.place(np.frombuffer(content, np.int64).reshape(-1, self._scenario.n_agents))  # pyright: ignore
         return b""
 
+    def measure(self, content: bytes) -> bytes:
+        """Give the measurements of the regulators."""
+        if isinstance(self._controller, NeedsRegulators):
+            feeder: Any = self._scenario.feeder
+            shape = len(RegulatorState._fields), -1, len(feeder.network.regulator)
+            self._controller.measure(RegulatorState(*np.frombuffer(content).reshape(shape)))
+        return b""
+
     def act(self, content: bytes) -> bytes:
         """The action for an observation."""
         part: Part = self._part
@@ -158,7 +166,9 @@ def _scenario(pickled: bytes) -> Scenario:
 def serve(channel: socket.socket) -> None:
     """Answer messages until the other end is closed."""
     server = _Server()
-    answers: dict[bytes, Any] = {LOAD: server.load, RESET: server.reset, PLACE: server.place, ACT: server.act}
+    answers: dict[bytes, Any] = {
+        LOAD: server.load, RESET: server.reset, PLACE: server.place, MEASURE: server.measure, ACT: server.act,
+    }  # fmt: skip
     while True:
         try:
             name, content = receive(channel)

@@ -19,12 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env import RegulatorState, Scenario, action_layout, field_names
 from dcgrid_env.agents.leaderboard.controller_process import (
     ACT,
     DONE,
     FAILED,
     LOAD,
+    MEASURE,
     PLACE,
     RESET,
     Code,
@@ -208,6 +209,12 @@ class RemoteController:
             part = Part(self._scope.columns(env_info, group), n_observed, driven)
             process.ask(RESET, pickle.dumps((pickled, part)))
             self._parts.append((process, part))
+
+    def measure(self, regulators: RegulatorState) -> None:
+        """Send the measurements of the regulators to all processes, if the scope has them."""
+        if self._scope.sends_regulators:
+            for process in self._processes:
+                process.ask(MEASURE, np.stack(regulators).astype(np.float64).tobytes())
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Return the joint action for joint observations, (n_env, n_action)."""

@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Scenario, action_layout, field_names
+from dcgrid_env import RegulatorState, Scenario, action_layout, field_names
 from dcgrid_env.agents.leaderboard.entry_files import SubmissionError
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.baselines import Controller, NeedsPlacement
+from dcgrid_env.baselines import Controller, NeedsPlacement, NeedsRegulators
 from dcgrid_env.baselines.rollout import as_driven, transitions
 
-LOCAL, JOINT, SENSITIVITIES, TOTALS, MODEL = "local", "joint", "sensitivities", "totals", "model"
+LOCAL, JOINT, SENSITIVITIES, TOTALS, REGULATORS, MODEL = (
+    "local", "joint", "sensitivities", "totals", "regulators", "model",
+)  # fmt: skip
 WIDER = {"neighbours": "neighbours", "feeder": "voltages"}
 """Word of a scope for each wider value of ``Scenario.observe``."""
 WORDS = {
@@ -28,6 +30,7 @@ WORDS = {
     TOTALS: "sums over all sites",
     "neighbours": "voltage and powers of the three electrically nearest agents",
     "voltages": "the voltage of every node",
+    REGULATORS: "taps, relay volts and timers of all regulators of a three-phase feeder",
     MODEL: "the buses of all agents, which make the preset's feeder a model of the episode",
 }
 """Words of scopes and what each of them sends."""
@@ -71,6 +74,11 @@ class Scope:
     def sends_model(self) -> bool:
         """Whether the buses of the agents are sent."""
         return MODEL in self.words
+
+    @property
+    def sends_regulators(self) -> bool:
+        """Whether measurements of the regulators are sent."""
+        return REGULATORS in self.words
 
     def groups(self, scenario: Scenario) -> list[tuple[str, ...]]:
         """Agents that one process drives, for each process."""
@@ -135,20 +143,30 @@ class _Trial:
 
     def reset(self, env_info: Scenario) -> None:
         """Begin the episode."""
-        agents, everything = env_info.agents, Scope.of(JOINT, SENSITIVITIES, TOTALS)
+        agents, everything = env_info.agents, Scope.of(JOINT, SENSITIVITIES, TOTALS, REGULATORS)
         n_seen = len(everything.columns(env_info, agents))
         layout = action_layout(env_info)
         self._copies: dict[str, tuple[Controller, np.ndarray, np.ndarray]] = {}
-        for word in (JOINT, SENSITIVITIES, TOTALS):
+        for word in (JOINT, SENSITIVITIES, TOTALS, REGULATORS):
             scope = Scope(everything.words - {word} | ({LOCAL} if word == JOINT else set()))
             seen, driven = [], []
             for group in scope.groups(env_info):
                 seen.append(np.isin(np.arange(n_seen), scope.columns(env_info, group)))
                 driven.append([agent in group for agent, _ in layout.names])
-            if not np.all(seen) or len(seen) > 1:
+            if not np.all(seen) or len(seen) > 1 or (word == REGULATORS and isinstance(self.whole, NeedsRegulators)):
                 self._copies[word] = self._make(), np.array(seen), np.array(driven)
         for controller in (self.whole, *(copy for copy, *_ in self._copies.values())):
             controller.reset(env_info)
+
+    def measure(self, regulators: RegulatorState) -> None:
+        """Give the measurements to all but the copy without them."""
+        given = [
+            (self.whole, 1),
+            *((copy, len(seen)) for word, (copy, seen, _) in self._copies.items() if word != REGULATORS),
+        ]
+        for controller, n in given:
+            if isinstance(controller, NeedsRegulators):
+                controller.measure(RegulatorState(*(np.repeat(values, n, axis=0) for values in regulators)))
 
     def act(self, observations: np.ndarray) -> Any:
         """Actions on everything."""

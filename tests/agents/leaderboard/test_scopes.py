@@ -45,6 +45,7 @@ def test_a_scope_has_one_spelling():
         ("toy6", "guarded:toy6-analytic", "local + sensitivities"),
         ("toy6", "model-aided", "local + model"),
         ("toy6", "mpc", "joint + voltages + model"),
+        ("ieee13-3ph", "mpc", "joint + voltages + regulators + model"),
         ("ieee123", "model-aided", "local + model"),
         ("routing", "droop", "local"),
         ("routing", "routing-analytic", "local + sensitivities + totals"),
@@ -72,7 +73,7 @@ def test_totals_over_sites_are_no_local_measurement():
 
 
 @pytest.mark.parametrize(
-    ("scenario", "controller"), [("ieee33", "mpc"), ("ieee123", "model-aided"), ("zero-shot", "mpc")]
+    ("scenario", "controller"), [("ieee33", "mpc"), ("ieee13-3ph", "mpc"), ("ieee123", "model-aided"), ("zero-shot", "mpc")]
 )
 def test_a_controller_acts_in_a_process_as_it_does_here(scenario, controller):
     preset = scenario_of(scenario).replace(horizon=10)
