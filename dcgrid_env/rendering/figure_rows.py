@@ -10,16 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from dcgrid_env.engine.physics.acting_relays import ActingRelays, acting_relays
 from dcgrid_env.engine.record.episode_record import Series
-from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.rendering.equipment_labels import banks_of
 from dcgrid_env.rendering.feeder_map import agent_colour
 from dcgrid_env.rendering.history import node_words
 from dcgrid_env.rendering.phase_curves import TAP_STYLES, UNBALANCE, phases_of_feeder, tap_looks
-from dcgrid_env.rendering.replay_course import agent_figures, p_ref_kw
-from dcgrid_env.scenario.grid_control import regulator_deciders
+from dcgrid_env.rendering.replay_course import agent_figures, p_ref_kw, relay_curves
 from dcgrid_env.scenario.scenario import Scenario
 
 _SMALL: dict[str, Any] = {"fontsize": 8, "frameon": False}
@@ -83,9 +80,8 @@ def phase_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
         rows.append(_unbalance(feeder))
     if any(np.ptp(run.three_phase.equipment.regulators.tap, axis=0).any() for run in runs):
         rows.append(_taps(feeder))
-        relays = acting_relays(scenario)
-        if relays is not None and not _set_points_move(scenario):
-            rows.append(_relays(feeder, relays))
+        if relay_curves(runs[0]) is not None:
+            rows.append(_relays(feeder))
     return rows
 
 
@@ -212,21 +208,14 @@ def _unbalance(feeder: Any) -> Row:
     return Row("V2 / V1 (%)", 1.5, draw, finish)
 
 
-def _set_points_move(scenario: Scenario) -> bool:
-    """Whether set points of regulators change in an episode, by agents or a schedule."""
-    control, feeder = scenario.grid_control, scenario.feeder
-    by_agents = isinstance(feeder, ThreePhaseFeeder) and "setpoint" in regulator_deciders(control, feeder)
-    return by_agents or control.regulator_settings.has_schedules
-
-
-def _relays(feeder: Any, relays: ActingRelays) -> Row:
-    looks, rows = tap_looks(feeder), relays.rows
-    target_v, half_band_v = relays.settings.target_v[rows], relays.settings.half_band_v[rows]
+def _relays(feeder: Any) -> Row:
+    looks = tap_looks(feeder)
 
     def draw(ax: Axes, run: Series, t: np.ndarray) -> None:
-        off = (run.three_phase.equipment.regulators.relay_v[:, rows] - target_v) / half_band_v
+        relays = relay_curves(run)
+        assert relays is not None
         ax.axhspan(-1.0, 1.0, color="#1A1A1A", alpha=0.07, linewidth=0.0)
-        for row, values in zip(rows, off.T, strict=True):
+        for row, values in zip(relays.rows, relays.half_bands_off.T, strict=True):
             ax.plot(t, values, color=looks["colors"][row], linestyle=looks["linestyles"][row], linewidth=1.1)
 
     def finish(across: np.ndarray, runs: list[Series]) -> None:

@@ -10,7 +10,9 @@ import numpy as np
 from dcgrid_env.devices.device import may_leave
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.exogenous import episode
+from dcgrid_env.engine.physics.acting_relays import acting_relays
 from dcgrid_env.engine.record.episode_record import Series
+from dcgrid_env.scenario.grid_control import regulator_deciders
 
 VOLTAGE_DECIMALS = 4
 _COST_DECIMALS = 5
@@ -50,6 +52,10 @@ def course(run: Series) -> dict[str, Any]:
             "on": [packed(of_one, 0) for of_one in on.T],
             "unbalance_pct": packed(100.0 * phases.unbalance.max(axis=1, initial=0.0), 2),
         }
+        if (relays := relay_curves(run)) is not None:
+            equipment |= {"relay": [None] * len(taps.T), "timer": [None] * len(taps.T)}
+            for row, off, timer_s in zip(relays.rows, relays.half_bands_off.T, relays.timer_s.T, strict=True):
+                equipment["relay"][row], equipment["timer"][row] = packed(off, 2), packed(timer_s, 0)
     return {
         "steps": len(run.v_pu),
         "converged": run.converged,
@@ -61,6 +67,27 @@ def course(run: Series) -> dict[str, Any]:
         ],
         **equipment,
     }
+
+
+class RelayCurves(NamedTuple):
+    """Relays of regulators over time, (T + 1, R) for those in the rows (R,) of the regulators' table."""
+
+    rows: np.ndarray
+    half_bands_off: np.ndarray
+    """Relay volts minus the target, in half bands."""
+    timer_s: np.ndarray
+
+
+def relay_curves(run: Series) -> RelayCurves | None:
+    """Return the relays that act on a feeder; None without such relays, or if set points change in an episode."""
+    relays, control = acting_relays(run.scenario), run.scenario.grid_control
+    if relays is None or control.regulator_settings.has_schedules:
+        return None
+    if "setpoint" in regulator_deciders(control, run.scenario.feeder):
+        return None
+    rows, measured = relays.rows, run.three_phase.equipment.regulators
+    off_v = measured.relay_v[:, rows] - relays.settings.target_v[rows]
+    return RelayCurves(rows, off_v / relays.settings.half_band_v[rows], measured.out_of_band_s[:, rows])
 
 
 def packed(values: np.ndarray, decimals: int) -> dict[str, Any]:

@@ -12,6 +12,7 @@ TERMS = {
     "backlog": "Work that waits, kW s; agents observe it in seconds at the rating.",
     "burnt": "Power drawn only to hold a floor or a slow ramp, kW.",
     "stored energy": "A device that stores energy and returns it with losses.",
+    "relay deviation": "The relay volts of a regulator minus their target, in half bands; beyond 1 it is out of band.",
     "tap": "A transformer that changes the voltage in steps, its taps.",
     "inverter": "Power electronics between a device and the grid, kVA.",
     "substation": "The supply point of the feeder, with a fixed voltage on balanced feeders.",

@@ -30,7 +30,7 @@ function unpackAll(data) {
     run.v = run.v.map(unpacked);
     run.agents = run.agents.map((own) =>
       Object.fromEntries(Object.entries(own).map(([name, values]) => [name, unpacked(values)])));
-    for (const name of ["tap", "on"]) run[name] = (run[name] || []).map(unpacked);
+    for (const name of ["tap", "on", "relay", "timer"]) run[name] = (run[name] || []).map((values) => values && unpacked(values));
     const sites = run.agents.filter((_, i) => data.map.agents[i].site);
     for (const name of ["p_kw", "p_ref_kw"]) run[name] = sites.length ? sumOf(sites.map((own) => own[name])) : null;
     run.unbalance_pct = run.unbalance_pct ? unpacked(run.unbalance_pct) : null;

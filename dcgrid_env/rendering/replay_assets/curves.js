@@ -20,7 +20,7 @@ class Curves {
     }
     for (const node of data.nodesOf[bus]) {
       const phase = data.threePhase ? ` ${"abc"[data.map.nodes.phase[node]]}` : "";
-      list.push({ name: `voltage${phase} (p.u.)`, decimals: 4, of: (run) => [run.v[node]], band: true });
+      list.push({ name: `voltage${phase} (p.u.)`, decimals: 4, of: (run) => [run.v[node]], edges: [1 - data.band_pu, 1 + data.band_pu], ticks: ".2f" });
     }
     for (const i of data.agentsAt(bus)) {
       const there = data.runs[0].agents[i];
@@ -38,6 +38,11 @@ class Curves {
       bank.rows.forEach((row, i) => list.push({
         name: `${bank.name}: tap ${bank.phases[i]}`, decimals: 0, taps: true, of: (run) => [run.tap[row]],
       }));
+      bank.rows.filter((row) => data.runs.every((run) => run.relay[row])).forEach((row) => {
+        const phase = bank.phases[bank.rows.indexOf(row)];
+        list.push({ name: `${bank.name}: relay deviation ${phase} (half bands)`, decimals: 2, edges: [-1, 1], of: (run) => [run.relay[row]] });
+        list.push({ name: `${bank.name}: timer ${phase} (s)`, decimals: 0, of: (run) => [run.timer[row]] });
+      });
     }
     if (data.threePhase) list.push({ name: "largest V2 / V1 (%)", decimals: 2, of: (run) => [run.unbalance_pct] });
     return list;
@@ -63,7 +68,7 @@ class Curves {
       const axis = { gridcolor: "#e6e6e6", zeroline: false, fixedrange: true, nticks: 4, linecolor: "#888", automargin: false };
       layout[`xaxis${id}`] = { ...axis, nticks: 6, domain: [left / width, right / width], anchor: `y${id}`, range: [0, data.last * data.time[0]] };
       layout[`yaxis${id}`] = { ...axis, domain: [1 - bottom / height, 1 - top / height], anchor: `x${id}`, rangemode: panel.held ? "tozero" : "normal" };
-      if (panel.band) layout[`yaxis${id}`].tickformat = ".2f";
+      if (panel.ticks) layout[`yaxis${id}`].tickformat = panel.ticks;
       if (row === rows - 1 || i + columns >= panels.length) layout[`xaxis${id}`].ticksuffix = ` ${data.time[1]}`;
       withTerms(element(this.names, "span", "", { style: `left:${left - 40}px;top:${top - 22}px` }), panel.name, data.terms);
       layout.shapes.push({ type: "line", xref: `x${id}`, yref: `y${id} domain`, y0: 0, y1: 1, line: { color: "#111", width: 1.2 } });
@@ -84,7 +89,7 @@ class Curves {
     const flat = (y) => ({
       x: [0, t[t.length - 1]], y: [y, y], ...axes, mode: "lines", hoverinfo: "skip", line: { color: "#444", width: 1, dash: "dash" },
     });
-    if (panel.band) list.push(flat(1 - data.band_pu), flat(1 + data.band_pu));
+    for (const edge of panel.edges || []) list.push(flat(edge));
     if (panel.asked) {
       list.push({ x: t, y: panel.asked, ...axes, mode: "lines", hoverinfo: "skip", line: { color: "#c9c9c9", width: 4, shape: "vh" } });
     }

@@ -64,9 +64,18 @@ def test_a_page_holds_the_episodes_to_the_last_decimal_shown(tmp_path):
 
 
 def test_phases_taps_storages_and_trips_are_there():
-    three = held(replay(episode("ieee13-3ph", "droop", horizon=3)))
+    run = episode("ieee13-3ph", "droop", horizon=3)
+    three = held(replay(run))
     assert set(three["map"]["nodes"]["phase"]) == {0, 1, 2}
-    assert len(three["runs"][0]["tap"]) == sum(len(bank["rows"]) for bank in three["map"]["banks"]) > 0
+    assert len(three["runs"][0]["tap"]) == sum(len(bank["rows"]) for bank in three["map"]["banks"]) == 3
+    measured = run.three_phase.equipment.regulators
+    off = measured.relay_v - np.array([119.6, 116.3, 120.3])  # published 122 V and the offsets, with a band of 2 V
+    np.testing.assert_allclose(np.transpose([unpacked(one) for one in three["runs"][0]["relay"]]), off, atol=0.0051)
+    timers = np.transpose([unpacked(one) for one in three["runs"][0]["timer"]])
+    np.testing.assert_allclose(timers, measured.out_of_band_s)
+    assert timers.max() == 1.0
+    day = held(replay(episode("ieee123-3ph-day", "none", horizon=2)))  # its set points are not constant
+    assert "relay" not in day["runs"][0]
     run = episode("ieee33-weak-ups", "droop", horizon=3)
     stored, energy_kwh = agent_figures(run)[-1]["stored_pct"], run.scenario.devices[-1].parameters.energy_kwh
     np.testing.assert_allclose(stored, 100.0 * run.stored_kwh[:, -1] / energy_kwh[-1])
