@@ -24,10 +24,13 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 from scipy.stats import trim_mean
 
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.laws.constant_set_points import agents_choose_set_points
+
 REFERENCE = "droop-tuned"
 """The controller of score 0."""
-STATIC = ("constant-q-tuned", "placement-tuned")
-"""Rules without measurements: the minimum that a learner must beat."""
+STATIC = ("constant-q-tuned", "placement-tuned", "static-tuned")
+"""Rules without measurements, see :func:`static_rules`."""
 SPLIT = "test"
 """Split of the episodes that a score is computed on."""
 PUBLISHED_EPISODES = 32
@@ -92,6 +95,14 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
         _ratio(-gained, np.ones_like(gained), seed),
         float(trim_mean(achieved, 0.25)),
     )
+
+
+def static_rules(scenario: Scenario) -> tuple[str, ...]:
+    """Return the rules of ``STATIC`` that apply to a scenario: the minimum that a learner must beat.
+
+    ``static-tuned`` applies where agents choose set points.
+    """
+    return STATIC if agents_choose_set_points(scenario) else STATIC[:-1]
 
 
 def saved_pct(j: ArrayLike, j_reference: ArrayLike) -> float:

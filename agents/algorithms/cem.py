@@ -12,7 +12,7 @@ Network outputs are changes from the action that keeps the current state (``poli
 initial mean.
 
 If agents choose set points of regulators and capacitor banks, the candidates also have constant offsets, half bands
-and centres of thresholds. The initial mean is the default.
+and centres of thresholds. The initial mean is the default, or with ``outputs="constant"`` the tuned law ``static``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -33,7 +33,10 @@ from dcgrid_env.agents.training.episodes import episode_seeds
 from dcgrid_env.agents.training.normalisation import normalisation
 from dcgrid_env.agents.training.run_folder import Run, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation, made_with, stepped
+from dcgrid_env.baselines.laws.constant_set_points import agents_choose_set_points
+from dcgrid_env.baselines.laws.static import ConstantQ
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.tuning.tuned import tuned_controller
 from dcgrid_env.core.cross_entropy import CrossEntropy
 
 
@@ -55,6 +58,10 @@ class Cem(Training):
     extra_std: float = 0.03
     """Standard deviation that is added to that of the elites; it decreases linearly to zero at 70 % of the
     iterations."""
+    outputs: Literal["change", "constant"] = "change"
+    """Meaning of the network's q output. change: a change of the current reactive power. constant: a deviation from a
+    constant of each agent, which is searched together with the network. The search then starts from the tuned law
+    static, if agents choose set points, or constant-q."""
     hidden: tuple[int, ...] = (8,)
     """Widths of the hidden layers."""
     validate_every: int = 5
@@ -78,7 +85,7 @@ class Search:
             "preview": cfg.preview,
             "act": cfg.act,
             "nameplate": True,
-            "outputs": "change",
+            "outputs": cfg.outputs,
         }
         kind = "shared" if cfg.view == "shared" else "joint"
         self.interface = PolicyInterface(others, kind, **self.chosen)
@@ -88,7 +95,7 @@ class Search:
             name: (mean.numpy(), std.numpy())
             for name, (mean, std) in normalisation([env], [seen], cfg.seed, _tensor, {}, 0).items()
         }
-        self.candidates = Candidates(self.interface, moments, cfg.hidden, grid)
+        self.candidates = Candidates(self.interface, moments, cfg.hidden, grid, _law(cfg, grid))
         start = self.candidates.start(np.random.default_rng([cfg.seed, 0]))
         self.distribution = CrossEntropy(start, cfg.std, cfg.extra_std, cfg.elites)
         self.batch = DcgridVectorEnv(cfg.num_envs, grid, info="none")
@@ -104,10 +111,12 @@ class Search:
 
     def policy(self) -> Policy:
         """Return the policy of the mean."""
+        mean = self.distribution.mean.astype(np.float32)
+        shares = self.candidates.q_share(mean)
         return Policy(
-            self.candidates.networks(self.distribution.mean), observe=self.cfg.observe, **self.chosen,
+            self.candidates.networks(mean), observe=self.cfg.observe, **self.chosen,
             scenario=trained_on(self.cfg), made_with=made_with(), channels=self.interface.further_channels,
-            set_points=self.candidates.set_points(self.distribution.mean),
+            set_points=self.candidates.set_points(mean), q_share=None if shares is None else shares.tolist(),
         )  # fmt: skip
 
     def state(self) -> dict[str, Any]:
@@ -117,6 +126,15 @@ class Search:
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a state that ``state()`` returned."""
         self.distribution.mean, self.distribution.std = (state[name].numpy() for name in ("mean", "std"))
+
+
+def _law(cfg: Cem, grid: Scenario) -> ConstantQ | None:
+    """Return the tuned law from whose constants the search starts; None to start without one."""
+    if cfg.outputs == "change":
+        return None
+    law = tuned_controller("static" if agents_choose_set_points(grid) else "constant-q", grid)
+    assert isinstance(law, ConstantQ)
+    return law
 
 
 def _tensor(array: np.ndarray) -> torch.Tensor:
@@ -132,8 +150,10 @@ def grid_of(cfg: Cem) -> Scenario:
         raise ValueError(f"num_envs is {cfg.num_envs}; give a multiple of the population, {cfg.population}")
     if not 2 <= cfg.elites <= cfg.population:
         raise ValueError(f"elites is {cfg.elites}; give at least 2 and at most the population, {cfg.population}")
-    grid = ScenarioSpec(cfg.scenario, cfg.set).make("train", observe=cfg.observe, reward="shared")
-    return under_own_control(grid, keep_set_points=True)
+    spec = ScenarioSpec(cfg.scenario, cfg.set)
+    grid = under_own_control(spec.make("train", observe=cfg.observe, reward="shared"), keep_set_points=True)
+    _law(cfg, grid)  # raise ValueError for a law that is not tuned
+    return grid
 
 
 def main(cfg: Cem) -> Path:

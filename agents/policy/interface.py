@@ -4,15 +4,16 @@ The array code runs with NumPy and torch, so a policy acts in use exactly as in 
 action itself), changes from the action that keeps the current state, or corrections of a droop law with cumulative
 memory (residual learning: T. Johannink et al., "Residual reinforcement learning for robot control", arXiv 1812.03201):
 
-            change                                                                  droop
-    clock   clock that just serves all arriving and queued work,                    the law's, plus output
-            less max(output, 0)
-    q       current dispatch, plus output                                           the law's, plus output
-    other   rest value, plus output                                                 rest value, plus output
+            change                                            droop                    constant
+    clock   clock that just serves all arriving and queued    the law's, plus output   as for change
+            work, less max(output, 0)
+    q       current dispatch, plus output                     the law's, plus output   the agent's share, plus output
+    other   rest value, plus output                           the same                 the same
 
 Changes have two advantages. A network can represent an integrating law, such as the droop, without copying its reactive
-power to four digits. The clock starts where slowing it down has an effect. Other channels are further device outputs,
-such as the power of a storage, with rest value 0, or the reconnection of a site with a UPS.
+power to four digits. The clock starts where slowing it down has an effect. Constant shares are for feeders on which a
+constant is nearly right and differs between agents, for example because they are on different phases. Other channels
+are further device outputs, such as the power of a storage, with rest value 0, or the reconnection of a site with a UPS.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ KINDS = ("joint", "shared")
 """Kinds of policies: one network for all agents, or one for each kind of agent, named after the device kind."""
 SCOPES = ("local", "neighbours", "feeder")
 ACTS = ("both", "clock", "q")
-OUTPUTS = ("setpoint", "change", "droop")
+OUTPUTS = ("setpoint", "change", "droop", "constant")
 PLATES = ("draw", "reach", "needed")
 """Names of the nameplate inputs, see :class:`Policy`."""
 SMALLEST_REACH, MOST_NEEDED = 1e-3, 3.0
@@ -73,6 +74,8 @@ class PolicyInterface:
         ``joint`` or ``shared``, see ``KINDS``.
     preview, act, nameplate, outputs, gains
         Settings of the policy, see :class:`Policy`.
+    q_share
+        Constant share of the reactive limit of each agent in ``q_agents``, (..., n_q), for ``outputs="constant"``.
     array
         Function that converts NumPy arrays: ``np.asarray``, or a conversion to tensors.
     clip
@@ -89,12 +92,13 @@ class PolicyInterface:
         nameplate: bool = False,
         outputs: str = "setpoint",
         gains: Gains | None = None,
+        q_share: Array | None = None,
         array: Callable[[np.ndarray], Any] = np.asarray,
         clip: Callable[[Any, float, float], Any] = cut,
     ):
         names = [field_names(scenario)[agent] for agent in scenario.agents]
         self.scenario, self.kind, self.nameplate, self.outputs = scenario, kind, nameplate, outputs
-        self._clip = clip
+        self._clip, self.q_share = clip, q_share
         self.groups = agent_groups(scenario)
         """Agents of each kind."""
         self._n_observed = sum(map(len, names))
@@ -115,7 +119,7 @@ class PolicyInterface:
         self._ahead = preview and scenario.sensing.preview
         if gains is not None:
             band = scenario.cost.band_pu or 1.0
-            q_kvar = q_scale_kvar[self._q_agents]
+            q_kvar = q_scale_kvar[self.q_agents]
             reach_mw = np.where(q_kvar > 0, q_kvar, np.inf) / 1e3
             self._k_q = array((gains.k_q_mvar_per_pu_s * self._dt_s * band / reach_mw).astype(np.float32))
             rated_kw = p_scale_kw[self._clock_agents]
@@ -132,12 +136,13 @@ class PolicyInterface:
         entries = [np.flatnonzero(chosen) for chosen in (self.is_clock, self.is_q, other)]
         self._clock_at, self._q_at, self._other_at = map(array, entries)
         self._back = array(np.argsort(np.concatenate(entries)))
-        self._clock_agents, self._q_agents = owner[self.is_clock], owner[self.is_q]
+        self._clock_agents, self.q_agents = owner[self.is_clock], owner[self.is_q]
+        """``q_agents`` are the positions of the agents with a reactive output, (n_q,)."""
         rest = at_rest(self.scenario).astype(np.float32)
         self._rest, self._other_rest = array(rest), array(rest[other]) if other.any() else None
         held = {"both": np.zeros(len(owner), bool), "q": ~self.is_q, "clock": ~self.is_clock}[act]
         self._at_rest = array(held) if held.any() else None
-        self._of_q = {name: self._columns(name, self._q_agents, array) for name in ("q", "v_deviation")}
+        self._of_q = {name: self._columns(name, self.q_agents, array) for name in ("q", "v_deviation")}
         of_clock = ("p_ref_next", "backlog", "v_deviation")
         self._of_clock = {name: self._columns(name, self._clock_agents, array) for name in of_clock}
 
@@ -211,8 +216,9 @@ class PolicyInterface:
         """Return the joint action, (..., n_action) in [-1, 1], for a joint observation and the network outputs."""
         out = outputs["joint"] if self.kind == "joint" else self._of_agents(joint, outputs)
         if self.outputs != "setpoint":
-            q, clock = joint[..., self._of_q["q"]] + out[..., self._q_at], out[..., self._clock_at]
-            if self.outputs == "change":
+            before = joint[..., self._of_q["q"]] if self.q_share is None else self.q_share
+            q, clock = before + out[..., self._q_at], out[..., self._clock_at]
+            if self.outputs != "droop":
                 clock = self._clock(joint, 1.0 / self._dt_s) - self._clip(clock, 0.0, 2.0)
             else:
                 q = q - joint[..., self._of_q["v_deviation"]] * self._k_q

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from sys import float_info
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -89,9 +89,11 @@ class Policy:
         A joint network has the first number of all agents, then the second, then the third.
     outputs
         Meaning of the network outputs: set points, changes from the action that keeps the current state, or corrections
-        of a droop law; see ``interface``.
+        of a droop law or of a constant reactive power; see ``interface``.
     gains
         Gains of the droop law: k_p in MW/p.u., k_q in Mvar/(p.u. s), alpha in 1/s.
+    q_share
+        Constant share of the reactive limit of each agent with reactive power, -1 to 1, for ``outputs="constant"``.
     scenario
         Name of the training scenario.
     made_with
@@ -123,6 +125,7 @@ class Policy:
         nameplate: bool = False,
         outputs: str = "setpoint",
         gains: Sequence[float] | None = None,
+        q_share: Sequence[float] | None = None,
         scenario: str = "",
         made_with: str = "",
         channels: Mapping[str, Sequence[str]] | None = None,
@@ -150,6 +153,7 @@ class Policy:
         self.observe, self.preview, self.acts, self.nameplate = observe, preview, act, nameplate
         if (outputs == "droop") != (gains is not None):
             raise PolicyError(f"gains are {gains!r} and outputs {outputs!r}; give gains with droop and only there")
+        self.q_share = _checked_shares(q_share, outputs)
         self.outputs, self.gains = outputs, None if gains is None else Gains.of(gains)
         self.trained_on = scenario
         self.made_with = made_with
@@ -184,8 +188,13 @@ class Policy:
             "nameplate": self.nameplate,
             "outputs": self.outputs,
         }
-        chosen["gains"] = self.gains
-        self._interface = PolicyInterface(env_info, self.kind, **chosen)
+        q_share = None if self.q_share is None else np.array(self.q_share, np.float32)
+        self._interface = PolicyInterface(env_info, self.kind, gains=self.gains, q_share=q_share, **chosen)
+        if q_share is not None and len(q_share) != len(self._interface.q_agents):
+            raise PolicyError(
+                f"{self.source}: has {len(q_share)} constant shares of reactive power; {env_info.name} has "
+                f"{len(self._interface.q_agents)} agents with reactive power; train one for this scenario"
+            )
         for name in self._interface.widths:
             self._check_fits(name, self._interface, env_info)
         self._memory: dict[str, tuple[np.ndarray, ...]] = {}
@@ -266,6 +275,7 @@ class Policy:
             "made_with": self.made_with,
             "networks": {name: {"family": net.family, **net.settings()} for name, net in self.networks.items()},
             **({} if self.gains is None else {"gains": list(self.gains)}),
+            **({} if self.q_share is None else {"q_share": list(self.q_share)}),
             **({"channels": {name: list(names) for name, names in self.channels.items()}} if self.channels else {}),
             **({"set_points": self.set_points} if self.set_points else {}),
         }
@@ -305,7 +315,7 @@ class Policy:
         """Return the policy with these networks and the data of ``_about``; raise KeyError if data are missing."""
         chosen: dict[str, Any] = {key: about[key] for key in ("observe", "preview", "act", "nameplate", "outputs")}
         chosen |= {"scenario": str(about["scenario"]), "made_with": str(about["made_with"])}
-        chosen |= {key: about.get(key) for key in ("gains", "channels", "set_points")}
+        chosen |= {key: about.get(key) for key in ("gains", "q_share", "channels", "set_points")}
         return cls(networks, **chosen)
 
     @classmethod
@@ -328,6 +338,17 @@ class Policy:
 FORMS[OBSERVED] = Policy
 
 
+def _checked_shares(q_share: object, outputs: str) -> tuple[float, ...] | None:
+    """Return constant shares of the reactive limit; raise PolicyError if they are invalid or the outputs need none."""
+    if (outputs == "constant") != (q_share is not None):
+        raise PolicyError(f"q_share is {q_share!r} and outputs {outputs!r}; give q_share with constant and only there")
+    if q_share is None:
+        return None
+    if not isinstance(q_share, Sequence) or not all(_is_number(share) and abs(share) <= 1.0 for share in q_share):
+        raise PolicyError(f"q_share is {q_share!r}; give one number from -1 to 1 for each agent with reactive power")
+    return tuple(map(float, q_share))
+
+
 def _checked_set_points(set_points: object) -> dict[str, dict[str, float]]:
     """Return constant set points by channel and bank; raise PolicyError unless they are such."""
     if not isinstance(set_points, Mapping) or not all(isinstance(banks, Mapping) for banks in set_points.values()):
@@ -338,10 +359,13 @@ def _checked_set_points(set_points: object) -> dict[str, dict[str, float]]:
         if channel not in SET_POINT_CHANNELS:
             raise PolicyError(f"set_points have the channel {channel!r}; choose from {', '.join(SET_POINT_CHANNELS)}")
         for bank, value in of_banks.items():
-            is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not is_number or not abs(value) <= float_info.max:
+            if not _is_number(value) or not abs(value) <= float_info.max:
                 raise PolicyError(f"set_points of {bank}: {channel} is {value!r}; give a finite number")
     return {channel: dict(of_banks) for channel, of_banks in set_points.items()}
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _is_kind(name: str) -> bool:

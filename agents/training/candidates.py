@@ -13,7 +13,8 @@ from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.neural_network import ACTIVATIONS, Network
 from dcgrid_env.agents.training.torch_modules import CLIP
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
-from dcgrid_env.baselines.laws.constant_set_points import CHANNELS, open_set_points
+from dcgrid_env.baselines.laws.constant_set_points import CHANNELS, ConstantSetPoints, open_set_points
+from dcgrid_env.baselines.laws.static import ConstantQ
 
 ACTIVATION = "tanh"
 
@@ -22,7 +23,8 @@ class Candidates:
     """Convert parameter vectors to networks, and compute the costs of many at once.
 
     A vector contains weight and bias of each layer, for one network after the other. The set points that agents choose
-    follow: 0 is the default, and 1 is half the range above it.
+    follow: 0 is the default, and 1 is half the range above it. With ``outputs="constant"`` each agent's constant share
+    of its reactive limit is last.
 
     Parameters
     ----------
@@ -34,6 +36,8 @@ class Candidates:
         Widths of the hidden layers.
     scenario
         The scenario, with agents of set points if it has any.
+    law
+        Law from whose constants the search starts; without, from the default set points.
     """
 
     def __init__(
@@ -42,9 +46,19 @@ class Candidates:
         moments: Mapping[str, tuple[np.ndarray, np.ndarray]],
         hidden: Sequence[int],
         scenario: Scenario,
+        law: ConstantQ | None = None,
     ):
         self._points = [point for point in open_set_points(scenario) if point.by_agent]
         self.interface, self.moments = interface, moments
+        chosen = law.set_points if isinstance(law, ConstantSetPoints) else {}
+        self._at_start = [
+            2.0 * (chosen[channel][point.name] - point.default) / (point.highest - point.lowest)
+            if point.name in chosen.get(channel := CHANNELS[point.parameter], {})
+            else 0.0
+            for point in self._points
+        ]
+        shares = np.zeros(interface.scenario.n_agents) + (0.0 if law is None else law.q_share)
+        self._shares = shares[interface.q_agents] if interface.outputs == "constant" else np.empty(0)
         self._shapes = {
             name: list(itertools.pairwise((n_in, *hidden, n_out))) for name, (n_in, n_out) in interface.widths.items()
         }
@@ -56,17 +70,23 @@ class Candidates:
             for i, (n_in, n_out) in enumerate(shapes):
                 std = n_in**-0.5 if i < len(shapes) - 1 else 0.0
                 parts += [std * rng.standard_normal(n_in * n_out), np.zeros(n_out)]
-        return np.concatenate([*parts, np.zeros(len(self._points))])
+        return np.concatenate([*parts, self._at_start, self._shares])
 
     def set_points(self, parameters: np.ndarray) -> dict[str, dict[str, Any]]:
         """Return the set points by channel and bank for parameters (..., n): floats, or arrays (...)."""
         chosen: dict[str, dict[str, Any]] = {}
-        values = parameters[..., parameters.shape[-1] - len(self._points) :]
+        begin = parameters.shape[-1] - len(self._points) - len(self._shares)
+        values = parameters[..., begin : begin + len(self._points)]
         for i, point in enumerate(self._points):
             moved = point.default + 0.5 * (point.highest - point.lowest) * values[..., i]
             within = np.clip(moved, point.lowest, point.highest)
             chosen.setdefault(CHANNELS[point.parameter], {})[point.name] = within if within.ndim else float(within)
         return chosen
+
+    def q_share(self, parameters: np.ndarray) -> np.ndarray | None:
+        """Return each agent's constant share of its reactive limit, (..., n_q); None if there are none."""
+        n = len(self._shares)
+        return parameters[..., parameters.shape[-1] - n :].clip(-1.0, 1.0) if n else None
 
     def layers(self, parameters: np.ndarray) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
         """Return the layers of each network, weight (..., n_in, n_out) and bias (..., n_out), for parameters (..., n).
@@ -103,7 +123,8 @@ class Candidates:
             Seeds of the episodes.
         """
         layers, n = self.layers(parameters), len(parameters)
-        of_rows = self.set_points(np.repeat(parameters, len(seeds), axis=0))
+        rows = np.repeat(parameters, len(seeds), axis=0)
+        of_rows, self.interface.q_share = self.set_points(rows), self.q_share(rows)
         equipment = EquipmentAgents(env.scenario, set_points=of_rows)
 
         def of_networks(joint: np.ndarray) -> np.ndarray:

@@ -80,6 +80,11 @@ def has_set_points(scenario: Scenario) -> bool:
     return bool(open_set_points(scenario))
 
 
+def agents_choose_set_points(scenario: Scenario) -> bool:
+    """Return whether agents choose any set point of a scenario."""
+    return any(point.by_agent for point in open_set_points(scenario))
+
+
 def offset_overrides(scenario: Scenario, offset_v: Mapping[str, float]) -> dict[str, Any]:
     """Return the override of a scenario with these offsets of its controlled regulators; empty without such ones.
 

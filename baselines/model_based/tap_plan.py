@@ -1,10 +1,8 @@
 """Plan the taps that regulators' built-in controls make, and the relay volts that lead to them.
 
-A control moves its tap if its relay is out of band when its delay ends (``timed_taps``). In each step a relay is
-
-- free if its delay does not end in this step;
-- held in band if its delay ends and its tap is to stay;
-- pushed out of band on the side of a useful tap, while its delay runs and when it ends.
+A control moves its tap if its relay is out of band when its delay ends (``timed_taps``). In each step a relay is free,
+held in band, or pushed out of band on the side of a useful tap. A relay whose tap is to stay is held when its delay
+ends, and also earlier if its timer integrates. One whose tap is to move is pushed until its delay ends.
 
 Held and pushed relays have a demand on their volts in the coming step, with a margin for the error of the prediction.
 
@@ -14,11 +12,18 @@ regulator, and, for one regulator in turn, a tap of it together with one of anot
     c(taps) = (1 - s) c_free(taps) + s c_held(taps) + a price for each tap away from the present ones
 
 A relay that is otherwise out of band is held in the share s of all steps. It is one step per delay for a timer that
-resets, and half of all steps for one that integrates. A step of a push is worth the gain of the taps until the end
-of the episode, divided by the steps that they take. The candidates for the coming step are the last choice, that choice
-with one relay changed, and all relays in the same mode. The plan takes the candidate with the least cost of the step
-plus the expected later cost of its taps. All costs are optima of one-step programs over reactive power. ``lookahead``
-solves them together, with candidates in the place of steps.
+resets, and half of all steps for one that integrates. The price is that of switching in the cost, over the steps left
+or ``LASTS_S``. If the cost has none, it is a share of the voltage's cost, because gains change with the load.
+
+Where timers integrate, a hold has a value before the delay ends, because the timer falls. It is the mean cost of a hold
+so far, times the share of the delay that is over. So relays are held in steps in which that is cheap, and a hold that
+fails moves no tap. A step of a push is worth the gain of the taps until the end of the episode, divided by the steps
+that they take.
+
+The candidates for the coming step are the last choice, that choice with one relay changed, and all relays in the same
+mode. The plan takes the candidate with the least cost of the step plus the expected later cost of its taps. All costs
+are optima of one-step programs over reactive power. ``lookahead`` solves them together, with candidates in the place of
+steps.
 """
 
 from __future__ import annotations
@@ -34,7 +39,11 @@ from dcgrid_env.baselines.model_based.relay_model import RelayModel
 MARGIN = 2.0
 """Margin of a demand, as a multiple of the root mean square error of the prediction so far."""
 TAP_PRICE = 0.04
-"""Share of the cost of the voltage that a tap moves, which it has to save in each step: gains change with the load."""
+"""Share of the cost of the voltage that a tap moves, which it has to save in each step if the cost has no price."""
+LASTS_S = 300.0
+"""Longest time in which a tap has to save its price, s: gains change with the load."""
+HOLD_VALUE = 1.5
+"""Value of holding a relay in band at the end of its delay, in mean costs of a hold."""
 _DEMAND_PRICE = 20.0  # cost of a volt off a demand in a program
 _LONG_RUN_PRICE = 1.0  # the same in the long run, where a tap follows, which is not as bad
 _PER_VOLT = 0.1  # a volt in the units of the program, in which voltages are per unit
@@ -99,10 +108,13 @@ class TapPlan:
         relays, rows = model.relays, model.relays.rows
         self._delay_s, self._tap_delay_s = relays.settings.delay_s[rows], relays.settings.tap_delay_s[rows]
         self._lowest, self._highest = relays.settings.lowest[rows], relays.settings.highest[rows]
+        self._integrating = integrating
         self._held_share = 0.5 if integrating else dt_s / max(self._delay_s.min(), 2.0 * dt_s)
         self._target: np.ndarray | None = None
         self._mode: np.ndarray | None = None
         self._expected_v: np.ndarray | None = None
+        self._hold_cost: np.ndarray | float = 0.0
+        self._holds: np.ndarray | float = 0.0
         self._runs: Iterate | None = None
         self._steps: Iterate | None = None
 
@@ -151,7 +163,8 @@ class TapPlan:
         wait = np.where(in_sequence, 0.0, np.maximum(np.ceil(left_s / self._dt_s - _SAME_TIME_S), 0.0))
         worth = long_run.gain * np.maximum(steps_left - wait - far + 1.0, 0.0) / np.maximum(wait + far, 1.0)
         # After a tap the delay runs in any case.
-        modes = self._candidates(due, (wanted != 0.0) & (due | ~in_sequence))
+        early = self._integrating & (wanted == 0.0) & ~in_sequence & ~due
+        modes = self._candidates(due, early, (wanted != 0.0) & (due | ~in_sequence))
         demands = self._demands(modes, wanted[:, None], tap[:, None])
         offset = self.offset(coming.deviation_pu[:, None], coming.relay_v[:, None], demands)
         cost, self._steps = self._solved(program, offset, self._steps)
@@ -159,6 +172,9 @@ class TapPlan:
         up, down = self._likelihoods(coming.relay_v[:, None] + np.matmul(self._steps.y, slopes), tap[:, None])
         if_due = steps_left * (up * long_run.up[:, None] + down * long_run.down[:, None])
         if_not = -worth[:, None] * np.where(wanted[:, None] > 0.0, up, down) * (modes == _PUSHED)
+        elapsed = 1.0 - left_s / np.maximum(np.minimum(self._delay_s, steps_left * self._dt_s), self._dt_s)
+        value = HOLD_VALUE * self._mean_hold_cost(cost, due | early) * np.maximum(elapsed, 0.0)
+        if_not -= (value * early)[:, None] * (1.0 - up - down)
         best = (cost + np.where(due[:, None], if_due, if_not).sum(axis=-1)).argmin(axis=1)
         row = np.arange(len(tap))
         self._mode, self._coming_v = modes[row, best], coming.relay_v
@@ -190,15 +206,25 @@ class TapPlan:
             np.where(held, rest_high - margin, np.where(pushed & (wanted > 0.0), low - margin, np.inf)),
         )
 
-    def _candidates(self, due: np.ndarray, useful: np.ndarray) -> np.ndarray:
-        """Modes of the relays in each candidate, (row, k, R); a push only where it is ``useful``."""
+    def _candidates(self, due: np.ndarray, early: np.ndarray, useful: np.ndarray) -> np.ndarray:
+        """Modes of the relays in each candidate, (row, k, R); in the last three all relays are alike.
+
+        A relay is held only if it is ``due`` or may be held ``early``, and pushed only where it is ``useful``.
+        """
         n = due.shape[-1]
-        last = np.full(due.shape, _HELD) if self._mode is None else self._mode
+        last = np.full(due.shape, _FREE) if self._mode is None else self._mode
         changed = [np.where(np.eye(n, dtype=bool), mode, last[:, None]) for mode in (_FREE, _PUSHED, _HELD)]
         alike = np.broadcast_to(np.array([_FREE, _PUSHED, _HELD])[:, None], (len(due), 3, n))
         modes = np.concatenate((last[:, None], *changed, alike), axis=1)
-        modes = np.where((modes == _PUSHED) & ~useful[:, None], _HELD, modes)
-        return np.where((modes == _HELD) & ~due[:, None], _FREE, modes)
+        modes = np.where((modes == _PUSHED) & ~useful[:, None], np.where(due, _HELD, _FREE)[:, None], modes)
+        return np.where((modes == _HELD) & ~(due | early)[:, None], _FREE, modes)
+
+    def _mean_hold_cost(self, cost: np.ndarray, can_hold: np.ndarray) -> np.ndarray:
+        """Mean cost so far of holding all relays that can be held, (row, 1); ``cost`` is that of the candidates."""
+        some = can_hold.any(axis=1, keepdims=True)
+        self._hold_cost = self._hold_cost + np.where(some, np.maximum(cost[:, -1:] - cost[:, -3:-2], 0.0), 0.0)
+        self._holds = self._holds + some
+        return self._hold_cost / np.maximum(self._holds, 1.0)
 
     def _search(self, program: Program, usual: Outlook, tap: np.ndarray, steps_left: int) -> _LongRun:
         """Move the targets to the best of their neighbours."""
@@ -215,8 +241,10 @@ class TapPlan:
         cost, self._runs = self._solved(program, offset, self._runs, _LONG_RUN_PRICE)
         free, held = np.split(cost, 2, axis=1)
         cost = free + self._held_share * (held - free)
-        moved_cost = program.voltage * np.abs(self.model.v_by_tap).sum(axis=-1)
-        cost += np.abs(change) @ (TAP_PRICE * moved_cost + self._price / steps_left)
+        price = np.full(len(one), self._price / min(steps_left, max(LASTS_S / self._dt_s, 1.0)))
+        if not self._price:
+            price = TAP_PRICE * program.voltage * np.abs(self.model.v_by_tap).sum(axis=-1)
+        cost += np.abs(change) @ price
         inside = ((taps >= self._lowest) & (taps <= self._highest)).all(axis=-1)
         best, row = np.where(inside, cost, np.inf).argmin(axis=1), np.arange(len(tap))
         self._target = taps[row, best]

@@ -82,7 +82,7 @@ class Evaluate(OverWorkers):
         from dcgrid_env.baselines import published
         from dcgrid_env.baselines.benchmark.benchmark_tables import headroom_lines
         from dcgrid_env.baselines.hindsight_costs import FOLDER
-        from dcgrid_env.baselines.score import REFERENCE, STATIC
+        from dcgrid_env.baselines.score import REFERENCE, static_rules
         from dcgrid_env.baselines.tuning.tuned import require_tuned
 
         for field, least in (("episodes", 1), ("seed", 0)):
@@ -101,7 +101,7 @@ class Evaluate(OverWorkers):
         controller = find_controller(self.policy, scenario, self.tuned) if zipped is None else _sb3(zipped)
         controllers = {self.policy: controller}
         left_out = []
-        for name in (REFERENCE, *STATIC):
+        for name in (REFERENCE, *static_rules(scenario)):
             try:
                 controllers.setdefault(name, find_controller(name, scenario, self.tuned))
             except ValueError as error:

@@ -11,7 +11,7 @@ from typing import Any
 from dcgrid_env import make_scenario
 from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.agents.training.training_runs import command
-from dcgrid_env.baselines.score import STATIC
+from dcgrid_env.baselines.score import static_rules
 from dcgrid_env.cli.names import scenario_names
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say, working
@@ -71,7 +71,8 @@ def table(episodes: int, results: Sequence[LeftOut]) -> Table:
     rows = []
     for one in results:
         droop = droop_on_test(one.scenario, episodes)
-        static = [score(controller_on_test(name, one.scenario, episodes).mean, droop) for name in STATIC]
+        rules = static_rules(make_scenario(one.scenario))
+        static = [score(controller_on_test(name, one.scenario, episodes).mean, droop) for name in rules]
         best = max((value for value in static if value), default=None, key=lambda value: value.value)
         own = f"{one.scenario}-analytic"
         there = score(controller_on_test(own, one.scenario, episodes).mean, droop) if own in SHIPPED else None

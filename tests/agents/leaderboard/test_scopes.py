@@ -73,7 +73,8 @@ def test_totals_over_sites_are_no_local_measurement():
 
 
 @pytest.mark.parametrize(
-    ("scenario", "controller"), [("ieee33", "mpc"), ("ieee13-3ph", "mpc"), ("ieee123", "model-aided"), ("zero-shot", "mpc")]
+    ("scenario", "controller"),
+    [("ieee33", "mpc"), ("ieee13-3ph", "mpc"), ("ieee123", "model-aided"), ("zero-shot", "mpc")],
 )
 def test_a_controller_acts_in_a_process_as_it_does_here(scenario, controller):
     preset = scenario_of(scenario).replace(horizon=10)

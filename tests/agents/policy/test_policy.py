@@ -36,6 +36,10 @@ def with_set_points(set_points: Any) -> Policy:
     return Policy({"joint": network(3, 2)}, set_points=set_points)
 
 
+def around_constants(q_share: Any) -> Policy:
+    return Policy({"joint": network(3, 2)}, outputs="constant", q_share=q_share)
+
+
 def shared(**settings):
     return Policy(
         {"datacenter": network(9, 8, 2, **settings), "inverter": network(7, 8, 1, **settings)},
@@ -53,12 +57,24 @@ def test_a_policy_comes_back_as_it_was_saved(tmp_path, settings):
     plated = {"datacenter": network(12, 2, **settings), "inverter": network(10, 1, **settings)}
     corrects = {"nameplate": True, "outputs": "droop", "gains": [5.0, 0.5, 0.1]}
     plates = (Policy(plated, nameplate=True, act="q", outputs="change"), Policy(plated, **corrects))
+    around = Policy(plated, nameplate=True, outputs="constant", q_share=[0.5, -0.25, 1.0])
     wide = Policy({"joint": network(n_in + 9, n_out, **settings)}, nameplate=True)
-    for policy in (shared(**settings), joint, *plates, wide):
+    for policy in (shared(**settings), joint, *plates, around, wide):
         path = policy.save(tmp_path / "new" / "policy")
         assert path == tmp_path / "new" / "policy.safetensors"
         found = Policy.load(path)
-        fields = ("kind", "observe", "preview", "acts", "nameplate", "outputs", "gains", "trained_on", "made_with")
+        fields = (
+            "kind",
+            "observe",
+            "preview",
+            "acts",
+            "nameplate",
+            "outputs",
+            "gains",
+            "q_share",
+            "trained_on",
+            "made_with",
+        )
         for field in (*fields, "sha256"):
             assert getattr(found, field) == getattr(policy, field)
         seen = RNG.normal(size=(4, n_in)).astype(np.float32)
@@ -201,6 +217,15 @@ def test_the_nameplate_worked_by_hand():
         (lambda: Policy({"joint": network(3, 2)}, gains=[1.0, 1.0, 1.0]), "and outputs 'setpoint'; give gains with"),
         (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, -1.0, 1.0]), "each at least 0"),
         (lambda: Policy({"joint": network(3, 2)}, outputs="droop", gains=[1.0, 1.0]), "give k_p_mw_per_pu, k_q"),
+        (lambda: Policy({"joint": network(3, 2)}, outputs="constant"), "q_share is None and outputs 'constant'; give"),
+        (lambda: Policy({"joint": network(3, 2)}, q_share=[0.5]), "and outputs 'setpoint'; give q_share with constant"),
+        *(
+            (
+                lambda value=value: around_constants(value),
+                "give one number from -1 to 1 for each agent with reactive power",
+            )
+            for value in ([1.5], [math.nan], ["1"], [True], "abc", 0.5)
+        ),
         *(
             (lambda value=value: with_set_points({"offset": {"reg1": value}}), "give a finite number")
             for value in (math.nan, 10**400, "1", True)

@@ -114,6 +114,31 @@ def test_taps_are_made_when_they_are_planned(monkeypatch):
     assert (made == asked)[asked != 0.0].mean() > 0.8
 
 
+def test_relays_whose_timers_integrate_are_held_before_their_delay_ends():
+    """Otherwise they are out of band until the end, and a hold that fails then makes a tap that nobody planned."""
+    recorder = rollout(make_scenario("ieee13-3ph", split="validation"), Mpc(horizon=1), range(3))
+    for env in range(3):
+        states = regulators(recorder, env)
+        assert (states.out_of_band_s[20:] < 15.0).mean() > 0.95
+        assert states.moves[-1].max() <= 2.0
+
+
+def test_no_tap_is_planned_at_a_price_that_it_cannot_save(monkeypatch):
+    asked = []
+    choose = TapPlan.choose
+
+    def recorded(self, *given):
+        choice = choose(self, *given)
+        asked.append(choice.taps)
+        return choice
+
+    monkeypatch.setattr(TapPlan, "choose", recorded)
+    for price, some in ((0.0, True), (1.0, True), (1000.0, False)):
+        asked.clear()
+        rollout(timed(timer="reset", horizon=30, weights={"switching": price}), Mpc(horizon=1), [0])
+        assert np.any(asked) == some
+
+
 def test_an_episode_is_controlled_the_same_alone_and_among_others():
     scenario = timed(horizon=40)
     among = rollout(scenario, Mpc(horizon=2), [0, 1, 2]).series(1)
