@@ -90,7 +90,7 @@ class ControllerProcess:
         ValueError
             If the controller refuses the scenario.
         """
-        limit_s = STEP_S if name == ACT and self._folder is not None else START_S
+        limit_s = STEP_S if name in (ACT, MEASURE) and self._folder is not None else START_S
         try:
             self._channel.settimeout(limit_s)
             send(self._channel, name, content)
@@ -212,7 +212,7 @@ class RemoteController:
 
     def measure(self, regulators: RegulatorState) -> None:
         """Send the measurements of the regulators to all processes, if the scope has them."""
-        if self._scope.sends_regulators:
+        if self._scope.sends_regulators and regulators.tap.size:
             for process in self._processes:
                 process.ask(MEASURE, np.stack(regulators).astype(np.float64).tobytes())
 

@@ -72,8 +72,8 @@ class Policy:
         ``{"joint": network}`` maps the joint observation to the joint action of ``gymnasium.make``, for scenarios with
         the same numbers of agents. ``{"datacenter": network, "inverter": network, "storage": network}``, with the
         ``kind`` of a device as key, maps each agent's observation to its action in ``parallel_env``, with the device's
-        channels in order. It fits any number of agents on any feeder. Regulators and capacitor banks need no network:
-        their built-in control is used.
+        channels in order. It fits any number of agents on any feeder, unless ``q_share`` is given. Regulators and
+        capacitor banks need no network: their built-in control is used.
     observe
         Scope of observation in training.
     preview

@@ -52,7 +52,7 @@ class Candidates:
         self.interface, self.moments = interface, moments
         chosen = law.set_points if isinstance(law, ConstantSetPoints) else {}
         self._at_start = [
-            2.0 * (chosen[channel][point.name] - point.default) / (point.highest - point.lowest)
+            2.0 * (chosen[channel][point.name] - point.default) / ((point.highest - point.lowest) or 1.0)
             if point.name in chosen.get(channel := CHANNELS[point.parameter], {})
             else 0.0
             for point in self._points

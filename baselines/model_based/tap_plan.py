@@ -15,10 +15,10 @@ A relay that is otherwise out of band is held in the share s of all steps. It is
 resets, and half of all steps for one that integrates. The price is that of switching in the cost, over the steps left
 or ``LASTS_S``. If the cost has none, it is a share of the voltage's cost, because gains change with the load.
 
-Where timers integrate, a hold has a value before the delay ends, because the timer falls. It is the mean cost of a hold
-so far, times the share of the delay that is over. So relays are held in steps in which that is cheap, and a hold that
-fails moves no tap. A step of a push is worth the gain of the taps until the end of the episode, divided by the steps
-that they take.
+Where timers integrate, a hold has a value before the delay ends, since the timer falls. It is ``HOLD_VALUE`` times the
+mean cost so far of holding all relays, times the share of the delay that is over. So relays are held in steps in which
+that is cheap, and a hold that fails moves no tap. A step of a push is worth the gain of the taps until the end of the
+episode, divided by the steps that they take.
 
 The candidates for the coming step are the last choice, that choice with one relay changed, and all relays in the same
 mode. The plan takes the candidate with the least cost of the step plus the expected later cost of its taps. All costs
