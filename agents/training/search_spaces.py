@@ -77,11 +77,9 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
         "tau": Range(0.003, 0.03, log=True),
     },
     "cem": {
-        "std": Range(0.1, 1.0, log=True),
+        "std": Range(0.03, 1.0, log=True),
         "extra_std": Range(0.005, 0.1, log=True),
-        "population": Choice((32, 64, 128, 256)),
-        "elites": Choice((8, 16, 24)),
-        "num_envs": Choice((256, 512, 1024)),
+        "elites": Choice((8, 12, 16, 24)),
     },
 }
 """Search spaces by algorithm; other settings are those found for the scenario."""
