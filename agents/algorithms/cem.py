@@ -8,8 +8,8 @@ The method needs no model and no credit assignment: a candidate's cost is the co
 actions have effects many steps later that gradients and value functions miss, such as the taps of regulators, which
 move 15 to 30 s after the voltage. It is made for networks of few parameters.
 
-Network outputs are changes from the action that keeps the current state (``policy.interface``). They are 0 for the
-initial mean.
+Network outputs are changes from the action that keeps the current state (``policy.interface``), or with
+``outputs="constant"`` deviations from a constant reactive power of each agent. They are 0 for the initial mean.
 
 If agents choose set points of regulators and capacitor banks, the candidates also have constant offsets, half bands
 and centres of thresholds. The initial mean is the default, or with ``outputs="constant"`` the tuned law ``static``.

@@ -12,7 +12,7 @@ memory (residual learning: T. Johannink et al., "Residual reinforcement learning
 
 Changes have two advantages. A network can represent an integrating law, such as the droop, without copying its reactive
 power to four digits. The clock starts where slowing it down has an effect. Constant shares are for feeders on which a
-constant is nearly right and differs between agents, for example because they are on different phases. Other channels
+constant is nearly right but not the same for all agents, for example on different phases. Other channels
 are further device outputs, such as the power of a storage, with rest value 0, or the reconnection of a site with a UPS.
 """
 

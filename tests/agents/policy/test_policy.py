@@ -63,19 +63,8 @@ def test_a_policy_comes_back_as_it_was_saved(tmp_path, settings):
         path = policy.save(tmp_path / "new" / "policy")
         assert path == tmp_path / "new" / "policy.safetensors"
         found = Policy.load(path)
-        fields = (
-            "kind",
-            "observe",
-            "preview",
-            "acts",
-            "nameplate",
-            "outputs",
-            "gains",
-            "q_share",
-            "trained_on",
-            "made_with",
-        )
-        for field in (*fields, "sha256"):
+        settings_of_all = ("kind", "observe", "preview", "acts", "nameplate", "outputs", "gains", "q_share")
+        for field in (*settings_of_all, "trained_on", "made_with", "sha256"):
             assert getattr(found, field) == getattr(policy, field)
         seen = RNG.normal(size=(4, n_in)).astype(np.float32)
         policy.reset(scenario)

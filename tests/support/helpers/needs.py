@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from dcgrid_env import Scenario
-from dcgrid_env.baselines.laws.constant_set_points import has_set_points, open_set_points
+from dcgrid_env.baselines.laws.constant_set_points import agents_choose_set_points, has_set_points
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.peak_shaving import has_storages
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
@@ -57,7 +57,7 @@ def has_policy(preset: str) -> bool:
 
 def ships(law: str, preset: Scenario) -> bool:
     """Whether parameters of a law ship for a preset: constant set points do where agents choose them."""
-    chosen = not TUNABLE[law].by_cross_entropy or any(point.by_agent for point in open_set_points(preset))
+    chosen = not TUNABLE[law].by_cross_entropy or agents_choose_set_points(preset)
     return chosen and TUNABLE[law].fits(preset)
 
 
