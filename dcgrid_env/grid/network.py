@@ -1,9 +1,10 @@
 """Component tables of a grid, which file formats read and write and from which a feeder is compiled.
 
 Each table is a frozen set of columns of one length, one row per component, and every physical column has its unit in
-its name. Buses are identified by text; whole numbers are converted to text. A phase is 1, 2 or 3 for a, b or c, and 0
-for the positive sequence, which describes a balanced grid. A balanced grid uses source, node, line, load and shunt; a
-three-phase grid uses source, node and the tables of ``three_phase_tables``.
+its name. Buses are identified by text; whole numbers are converted to text. A phase is 1, 2 or 3 for a, b or c, 4 to 26
+for other conductors, whose letters are d to z, and 0 for the positive sequence, which describes a balanced grid. A
+balanced grid uses source, node, line, load and shunt; a three-phase grid uses source, node and the tables of
+``three_phase_tables``.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from dcgrid_env.grid.table import BusId, Table, bus_numbers, bus_text, buses_as_text, optional_column
 from dcgrid_env.grid.three_phase_tables import (
+    AdmittanceTable,
     CapacitorTable,
     CoreTable,
     Matrix,
@@ -28,6 +30,7 @@ from dcgrid_env.grid.three_phase_tables import (
 )
 
 __all__ = [
+    "AdmittanceTable",
     "BusId",
     "CapacitorTable",
     "CoreTable",
@@ -139,6 +142,7 @@ class Network:
     phase_load: PhaseLoadTable = field(default_factory=PhaseLoadTable)
     capacitor: CapacitorTable = field(default_factory=CapacitorTable)
     core: CoreTable = field(default_factory=CoreTable)
+    admittance: AdmittanceTable = field(default_factory=AdmittanceTable)
     frequency_hz: float = 60.0
     """Frequency at which reactances and susceptances hold."""
     source_of_facts: str = ""

@@ -1,4 +1,4 @@
-"""An unbalanced three-phase radial feeder: buses of one to three phases, branches, legs. Frozen and checked once."""
+"""An unbalanced three-phase feeder: buses of one to three phases, branches, legs. Frozen and checked once."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
 from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.nodal_matrices import NodalMatrices, nodal_matrices
 from dcgrid_env.grid.three_phase_checks import check_three_phase
 from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, core_legs, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
@@ -26,7 +27,10 @@ __all__ = ["ThreePhaseFeeder"]
 
 @dataclass(frozen=True, eq=False)
 class ThreePhaseFeeder(PhaseNodes):
-    """A radial feeder of one, two and three phases. A *node* is a phase of a bus, the phases of a bus adjacent.
+    """A feeder of one, two and three phases. A *node* is a phase, or another conductor, of a bus.
+
+    On radial feeders one branch brings each bus all of its phases. Any other feeder, with loops, split-phase
+    transformers or neutral conductors, is solved by nodal admittances (``nodal``).
 
     Make one with :meth:`from_network`, :meth:`from_csv` or :func:`dcgrid_env.load_feeder`: they check it. Every array
     over buses follows ``bus_ids``, which run depth first from the source bus; branch ``k`` feeds bus ``k + 1``.
@@ -49,12 +53,12 @@ class ThreePhaseFeeder(PhaseNodes):
         Raises
         ------
         FeederError
-            Naming the component, the field and the value: an invalid cell, a loop, an island, a transformer
-            that is fed from its secondary.
+            Naming the component, the field and the value: an invalid cell, an island, a transformer of a radial
+            feeder that is fed from its secondary, a node without any connection to ground.
         """
         check_three_phase(network)
         feeder = cls(network)
-        _ = feeder.branches
+        _ = feeder.branches if feeder.is_radial else feeder.nodal
         return feeder
 
     def to_network(self) -> Network:
@@ -104,8 +108,53 @@ class ThreePhaseFeeder(PhaseNodes):
 
     @cached_property
     def branches(self) -> Branches:
-        """The generalised matrices of the branches, per unit."""
+        """The generalised matrices of the branches of a radial feeder, per unit."""
         return _frozen(branches_of(self.network, self._tree, self.base_kv_ln))
+
+    @cached_property
+    def nodal(self) -> NodalMatrices:
+        """The nodal admittances of a feeder that is not radial, per unit."""
+        return nodal_matrices(self.network, self._nodes_by_phase, self.base_kv_ln[self.node_bus])
+
+    @cached_property
+    def n_unknown(self) -> int:
+        """Number of complex figures that a power flow starts from: the nodes, and couplers of nodal equations."""
+        return self.n_node if self.is_radial else self.n_node + len(self.nodal.coupler_z)
+
+    @cached_property
+    def node_parent(self) -> IntArray:
+        """Node that feeds each node, -1 at the source bus, shape (n_node,). On radial feeders it has the same phase."""
+        if not self.is_radial:
+            return read_only(self.nodal.parent, np.intp)
+        found = [-1] * len(self.bus_phases[0])
+        for i in range(1, self.n_bus):
+            sender = self.parent[i - 1]
+            found += [self.first_node[sender] + self.bus_phases[sender].index(p) for p in self.bus_phases[i]]
+        return read_only(found, np.intp)
+
+    @cached_property
+    def node_regulator(self) -> IntArray:
+        """Row of the regulator that feeds each node, shape (n_node,); -1 where none does."""
+        if not self.is_radial:
+            return read_only(self.nodal.regulator, np.intp)
+        position = np.arange(self.n_node) - self.first_node[self.node_bus]
+        return read_only(self.branches.regulator[self.node_bus, position], np.intp)
+
+    @cached_property
+    def branch_z_pu(self) -> FloatArray:
+        """Magnitude of the series impedance of the branch to each bus but the first, p.u., shape (n_branch,).
+
+        Of branches of several phases it is that of their positive sequence: the mean of the diagonal less that of the
+        entries off it. On feeders that are not radial it is the mean of the phases.
+        """
+        if not self.is_radial:
+            judged = self.node_phase <= 3
+            sums = np.bincount(self.node_bus[judged], self.nodal.z_pu[judged], self.n_bus)
+            return read_only((sums / np.maximum(np.bincount(self.node_bus[judged], minlength=self.n_bus), 1))[1:])
+        n_phase, b = np.array([len(phases) for phases in self.bus_phases]), self.branches.b
+        self_sum = np.trace(b, axis1=1, axis2=2)
+        mutual = b.sum(axis=(1, 2)) - self_sum
+        return read_only(np.abs(self_sum / n_phase - mutual / np.maximum(n_phase * (n_phase - 1), 1))[1:])
 
     @cached_property
     def rating_a(self) -> FloatArray | None:
@@ -114,19 +163,21 @@ class ThreePhaseFeeder(PhaseNodes):
         Of a transformer it is that of its to-side, at the rated voltage of which it carries its kVA; see
         ``three_phase_ratings``.
         """
-        ratings = ratings_a(self.network, self._tree)
+        ratings = ratings_a(self.network, self._tree) if self.is_radial else self.nodal.rating_a
         return None if np.isnan(ratings).all() else read_only(ratings)
 
     @cached_property
     def regulated(self) -> IntArray:
         """Nodes that a regulator feeds."""
-        fed = np.array([False, *(branch.kind == "regulator" for branch in self._tree.branches)])
-        return read_only(np.flatnonzero(fed[self.node_bus]), np.intp)
+        return read_only(np.flatnonzero(self.node_regulator >= 0), np.intp)
 
     @cached_property
     def branch_names(self) -> tuple[str, ...]:
         """Names of the branches by kind and name, as in ``"transformer xfm1"``."""
-        return tuple(f"{b.kind.removeprefix('phase_')} {b.name}" for b in self._tree.branches)
+        table = self.network.admittance
+        kinds = (table.kind[b.rows[0]] if b.kind == "admittance" else b.kind for b in self._tree.branches)
+        names = (b.name for b in self._tree.branches)
+        return tuple(f"{kind.removeprefix('phase_')} {name}" for kind, name in zip(kinds, names, strict=True))
 
     @cached_property
     def load_legs(self) -> Legs:

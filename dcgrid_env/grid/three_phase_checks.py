@@ -9,13 +9,12 @@ from typing import Any
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.network_checks import check_numbers
-from dcgrid_env.grid.three_phase_tables import CONNECTIONS, LOAD_MODELS, RATINGS, WINDINGS, Matrix
+from dcgrid_env.grid.three_phase_tables import CONNECTIONS, LETTERS, LOAD_MODELS, RATINGS, WINDINGS, Matrix
 from dcgrid_env.grid.topology import FeederError
 
 PHASES = ("a", "b", "c", "ab", "ac", "bc", "abc")
-NUMBER = {"a": 1, "b": 2, "c": 3}
 SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
-TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core")
+TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core", "admittance")
 _SAME_BASE = 1e-9  # relative
 _FAR = 10.0
 """A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""
@@ -24,7 +23,7 @@ _FAR = 10.0
 def check_three_phase(network: Network) -> None:
     """Raise FeederError unless every cell is valid and the buses of every component have its phases.
 
-    ``three_phase_tree`` checks that the grid is radial and fed from the right side.
+    ``three_phase_tree`` checks that every bus is connected, and on radial grids that it is fed from the right side.
     """
     for kind in ("line", "load", "shunt"):
         if len(getattr(network, kind)):
@@ -40,10 +39,11 @@ def check_three_phase(network: Network) -> None:
         _check_ends(network, kind, buses)
     _check_branches(network)
     _check_windings(network, buses)
-    _check_regulators(network)
+    _check_regulators(network, buses)
     _check_loads(network, buses)
     _check_capacitors(network, buses)
     _check_cores(network, buses)
+    _check_admittances(network, buses)
 
 
 def _refuse(network: Network, component: str, field: str, value: object, remedy: str) -> FeederError:
@@ -70,14 +70,15 @@ def _check_nodes(network: Network) -> dict[str, tuple[str, float]]:
     buses: dict[str, tuple[str, float]] = {}
     last = None
     for k, (bus, phase, base_kv) in enumerate(zip(node.bus, node.phase, node.base_kv_ln, strict=True)):
-        if phase not in (1, 2, 3):
-            raise _refuse(network, f"node at bus {bus}", "phase", phase, "give 1, 2 or 3 for a, b or c")
+        if phase not in range(1, len(LETTERS) + 1):
+            remedy = "give 1, 2 or 3 for a, b or c, or up to 26 for other conductors"
+            raise _refuse(network, f"node at bus {bus}", "phase", phase, remedy)
         had, of_bus = buses.get(bus, ("", base_kv))
-        if bus in buses and (bus != last or phase <= NUMBER[had[-1]]):
+        if bus in buses and (bus != last or LETTERS[phase - 1] <= had[-1]):
             raise _refuse(network, f"bus {bus}", "phase", phase, "give each phase once, in order, in rows together")
         if base_kv != of_bus or (had and repr((node.x[k], node.y[k])) != repr((node.x[k - 1], node.y[k - 1]))):
             raise _refuse(network, f"bus {bus}", "base_kv_ln, x or y", base_kv, "give all phases of a bus the same")
-        buses[bus], last = (had + "abc"[phase - 1], base_kv), bus
+        buses[bus], last = (had + LETTERS[phase - 1], base_kv), bus
     return buses
 
 
@@ -88,8 +89,8 @@ def _check_source(network: Network, buses: dict[str, tuple[str, float]]) -> None
     bus = source.bus[0]
     if bus not in buses:
         raise _refuse(network, "source", "bus", bus, "add it to the nodes")
-    if buses[bus][0] != "abc":
-        raise _refuse(network, f"source bus {bus}", "phases", buses[bus][0], "it must be abc")
+    if not buses[bus][0].startswith("abc"):
+        raise _refuse(network, f"source bus {bus}", "phases", buses[bus][0], "it must have a, b and c")
     values = {"base_kv": source.base_kv, "v_pu": source.v_pu}
     check_numbers(name, "source", [bus], values, positive=True)
     for field in ("angle_deg", "r_ohm", "x_ohm"):
@@ -128,12 +129,22 @@ def _check_names(network: Network, kind: str) -> None:
             raise _refuse(network, _words(kind), "name", one, "give each its own text")
         seen.add(one)
     for field in dataclasses.fields(table):
-        choices = _CHOICES.get(field.name, ())
+        values, choices = getattr(table, field.name), _CHOICES.get(field.name, ())
         if kind == "switch" and field.name == "state":
             choices = ("closed", "open")
-        for one, value in zip(table.name, getattr(table, field.name), strict=True) if choices else ():
-            if value not in choices:
-                raise _refuse(network, f"{_words(kind)} {one}", field.name, value, f"choose {', '.join(choices)}")
+        named = field.name == "connection"
+        for one, value in zip(table.name, values, strict=True) if choices and values else ():
+            if value not in choices and not (named and _names_legs(value)):
+                others = " or up to three legs such as 'ad bd cd'" if named else ""
+                remedy = f"choose {', '.join(choices)}{others}"
+                raise _refuse(network, f"{_words(kind)} {one}", field.name, value, remedy)
+
+
+def _names_legs(connection: object) -> bool:
+    """Whether a connection names legs of one or two conductors each."""
+    words = connection.split() if isinstance(connection, str) else []
+    good = (set(word) <= set(LETTERS) and len(set(word)) == len(word) <= 2 for word in words)
+    return 0 < len(words) <= 3 and len(set(words)) == len(words) and all(good)
 
 
 _CHOICES: dict[str, tuple[str, ...]] = {
@@ -185,7 +196,7 @@ def _check_branches(network: Network) -> None:
             raise _refuse(network, f"transformer {one}", "phases", phases, "a delta winding needs abc")
 
 
-def _check_regulators(network: Network) -> None:
+def _check_regulators(network: Network, buses: dict[str, tuple[str, float]]) -> None:
     _numbers(network, "regulator", ["kv_ln", "kva_per_phase", "tap_step", "pt_ratio", "ct_primary_a"], positive=True)
     not_negative = ["r_percent", "x_percent", "antifloat_ppm", "vreg_v", "band_v", "delay_s", "tap_delay_s"]
     _numbers(network, "regulator", [*not_negative, "max_taps_per_move"], non_negative=True)
@@ -203,6 +214,15 @@ def _check_regulators(network: Network) -> None:
             raise _refuse(network, what, "tap_step", table.tap_step[k], "a tap would turn the voltage round")
         if not isinstance(table.bank[k], str):
             raise _refuse(network, what, "bank", table.bank[k], "give a text")
+        windings = table.windings(k)
+        if table.connection and table.connection[k] == "delta" and len(table.phases[k]) != 2:
+            raise _refuse(network, what, "phases", table.phases[k], "a regulator between two phases has two")
+        letters = "".join(sorted(set("".join(at_from for at_from, _ in windings))))
+        if letters != table.phases[k]:
+            raise _refuse(network, what, "connection", table.connection[k], f"its phases are {table.phases[k]}")
+        there = buses[table.to_bus[k]][0]
+        if not set("".join(at_to for _, at_to in windings)) <= set(there):
+            raise _refuse(network, what, "connection", table.connection[k], f"its to_bus has phases {there}")
         if table.sensed_phase[k] not in table.phases[k]:
             raise _refuse(network, what, "sensed_phase", table.sensed_phase[k], f"its phases are {table.phases[k]}")
 
@@ -227,9 +247,10 @@ def _check_windings(network: Network, buses: dict[str, tuple[str, float]]) -> No
             _check_voltage(network, f"transformer {one}", field, getattr(table, field)[k], buses[bus][1])
 
 
-def legs_of(connection: str) -> tuple[str, str, str]:
-    """The phases that the three legs of a connection join: one, to ground, or two."""
-    return ("a", "b", "c") if connection == "wye" else ("ab", "bc", "ca")
+def legs_of(connection: str) -> tuple[str, ...]:
+    """The conductors that the three legs of a connection join: one, to ground, or two; none where there are fewer."""
+    known = {"wye": ("a", "b", "c"), "delta": ("ab", "bc", "ca")}
+    return known.get(connection) or (*connection.split(), "", "")[:3]
 
 
 def _check_legs(network: Network, kind: str, fields: Sequence[str], buses: dict[str, tuple[str, float]]) -> None:
@@ -246,8 +267,9 @@ def _check_legs(network: Network, kind: str, fields: Sequence[str], buses: dict[
             check_numbers(network.name, _words(kind), [one] * 3, {field: values}, non_negative=kind != "phase_load")
             for leg, value in zip(legs_of(table.connection[k]), values, strict=True):
                 phases = buses[table.bus[k]][0]
-                if value != 0 and not set(leg) <= set(phases):
-                    raise _refuse(network, what, f"{field} of leg {leg}", value, f"its bus has phases {phases}")
+                if value != 0 and not (leg and set(leg) <= set(phases)):
+                    there = f"its bus has phases {phases}" if leg else "its connection has no such leg"
+                    raise _refuse(network, what, f"{field} of leg {leg}", value, there)
 
 
 def _check_loads(network: Network, buses: dict[str, tuple[str, float]]) -> None:
@@ -258,7 +280,11 @@ def _check_loads(network: Network, buses: dict[str, tuple[str, float]]) -> None:
         limits = (table.vlow_pu[k], table.vmin_pu[k], table.vmax_pu[k])
         if not limits[0] < limits[1] < limits[2]:
             raise _refuse(network, f"load {one}", "vlow_pu, vmin_pu, vmax_pu", limits, "they must rise")
-        shares = table.zip[k]
+        shares, exponents = table.zip[k], table.exponents[k] if table.exponents else ()
+        if len(exponents) != (2 if table.model[k] == "EXP" else 0):
+            remedy = "give that of p and that of q" if table.model[k] == "EXP" else "leave it empty for this model"
+            raise _refuse(network, f"load {one}", "exponents", exponents, remedy)
+        check_numbers(network.name, "load", [one] * len(exponents), {"exponents": exponents})
         if table.model[k] != "ZIP":
             if shares:
                 raise _refuse(network, f"load {one}", "zip", shares, f"leave it empty for the model {table.model[k]}")
@@ -278,3 +304,31 @@ def _check_capacitors(network: Network, buses: dict[str, tuple[str, float]]) -> 
 def _check_cores(network: Network, buses: dict[str, tuple[str, float]]) -> None:
     _numbers(network, "core", ["leg_kv"], positive=True)
     _check_legs(network, "core", ["p_kw", "q_kvar"], buses)
+
+
+def node_names(nodes: str) -> list[tuple[str, str]]:
+    """Bus and letter of each node in a text such as ``"650.a 650.b"``; an empty letter where there is none."""
+    parts = [word.rpartition(".") for word in nodes.split()]
+    return [(bus, letter) for bus, _, letter in parts]
+
+
+def _check_admittances(network: Network, buses: dict[str, tuple[str, float]]) -> None:
+    table = network.admittance
+    for k, one in enumerate(table.name):
+        what = f"admittance {one}"
+        for field in ("kind", "nodes"):
+            if not isinstance(getattr(table, field)[k], str) or not getattr(table, field)[k]:
+                raise _refuse(network, what, field, getattr(table, field)[k], "give a text")
+        nodes = node_names(table.nodes[k])
+        for bus, letter in nodes:
+            if bus not in buses or not letter or letter not in buses[bus][0]:
+                raise _refuse(network, what, "nodes", f"{bus}.{letter}", "no such node; give bus.phase of the nodes")
+        if len(set(nodes)) < len(nodes):
+            raise _refuse(network, what, "nodes", table.nodes[k], "give each node once")
+        size = len(nodes) * (len(nodes) + 1) // 2
+        for field in ("g_s", "b_s"):
+            values = getattr(table, field)[k]
+            if not isinstance(values, tuple) or len(values) != size:
+                remedy = f"give the upper triangle of the matrix of its {len(nodes)} nodes, {size} figures"
+                raise _refuse(network, what, field, values, remedy)
+            check_numbers(network.name, "admittance", [one] * size, {field: values})

@@ -8,7 +8,11 @@ With u the voltage across a leg over its rated voltage, a leg draws I = (p h_p -
                                           impedance, s = (h(vmin) vmin - vlow) / (vmin - vlow)
     h = 1                                 below vlow: the rated impedance
 
-for p and q each. These are OpenDSS's limits. A leg of constant impedance has h = 1 everywhere.
+for p and q each. These are OpenDSS's limits. A leg of constant impedance has h = 1 everywhere. One with exponents e has
+
+    h = u^(e - 2)                         for vmin <= u <= vmax
+
+and beyond that the h of constant power (c = 1), as in OpenDSS.
 """
 
 from __future__ import annotations
@@ -26,8 +30,9 @@ SHARES = {
     "I": (0.0, 1.0, 0.0, 0.0, 1.0, 0.0),
     "Z": (1.0, 0.0, 0.0, 1.0, 0.0, 0.0),
     "CVR": (0.0, 1.0, 0.0, 1.0, 0.0, 0.0),
+    "EXP": (0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
 }
-"""Shares of constant impedance, current and power in p, then in q."""
+"""Shares of constant impedance, current and power in p, then in q; of EXP beyond its limits."""
 
 
 class Legs(NamedTuple):
@@ -47,6 +52,8 @@ class Legs(NamedTuple):
     """Shares of constant impedance, current and power in p, then in q, shape (6, leg)."""
     limit_pu: NDArray[np.float64]
     """vlow, vmin and vmax over the rated voltage, shape (3, leg)."""
+    exponent: NDArray[np.float64]
+    """Exponents of p and q, NaN for legs without, shape (2, leg)."""
 
 
 def load_legs(network: Network, first_node: dict[str, dict[str, int]], bases: dict[str, float]) -> Legs:
@@ -63,7 +70,8 @@ def load_legs(network: Network, first_node: dict[str, dict[str, int]], bases: di
     ]
     limits = [(table.vlow_pu[r], table.vmin_pu[r], table.vmax_pu[r]) for r, *_ in rows]
     shares = [table.zip[r] or SHARES[table.model[r]] for r, *_ in rows]
-    return _legs(table, rows, shares, limits, first_node, bases)
+    exponents = [(table.exponents[r] if table.exponents else ()) or (np.nan, np.nan) for r, *_ in rows]
+    return _legs(table, rows, shares, limits, first_node, bases, exponents)
 
 
 def capacitor_legs(network: Network, first_node: dict[str, dict[str, int]], bases: dict[str, float]) -> Legs:
@@ -90,7 +98,15 @@ def core_legs(network: Network, first_node: dict[str, dict[str, int]], bases: di
     return _legs(table, rows, [SHARES["Z"]] * len(rows), [(0.5, 0.9, 1.1)] * len(rows), first_node, bases)
 
 
-def _legs(table: Any, rows: list, shares: list, limits: list, nodes: dict, bases: dict[str, float]) -> Legs:
+def _legs(
+    table: Any,
+    rows: list,
+    shares: list,
+    limits: list,
+    nodes: dict,
+    bases: dict[str, float],
+    exponents: list | None = None,
+) -> Legs:
     position = {bus: i for i, bus in enumerate(nodes)}
     buses = [table.bus[row] for row, *_ in rows]
     ends = [[nodes[bus][phase] for phase in leg] for bus, (_, leg, *_) in zip(buses, rows, strict=True)]
@@ -104,4 +120,5 @@ def _legs(table: Any, rows: list, shares: list, limits: list, nodes: dict, bases
         rated_pu=np.array([table.leg_kv[row] / bases[bus] for bus, (row, *_) in zip(buses, rows, strict=True)]),
         share=np.array(shares, np.float64).reshape(-1, 6).T.copy(),
         limit_pu=np.array(limits, np.float64).reshape(-1, 3).T.copy(),
+        exponent=np.array(exponents or [(np.nan, np.nan)] * len(rows), np.float64).reshape(-1, 2).T.copy(),
     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.three_phase_tables import TransformerTable
 from dcgrid_env.grid.three_phase_tree import Branch, Tree
 
 PHASE_BASE_KVA = S_BASE_KVA
@@ -92,10 +93,9 @@ def _transformer(network: Network, branch: Branch, bases: tuple[float, float]) -
     The to-side is a wye or the equivalent wye of a delta.
     """
     row, table, size = branch.rows[0], network.transformer, len(branch.phases)
-    kva = table.kva[row] / size
     windings = (table.connection_from[row], table.connection_to[row])
     kv_ln = (table.kv_ll_from[row] / math.sqrt(3.0), table.kv_ll_to[row] / math.sqrt(3.0))
-    z_ohm = complex(table.r_percent[row], table.x_percent[row]) / 100.0 * kv_ln[1] ** 2 * 1000.0 / kva
+    z_ohm = transformer_impedance(table, row)
     scale = kv_ln[1] / kv_ln[0] * bases[0] / bases[1]
     turned = np.eye(size)
     through = np.eye(size)
@@ -103,11 +103,23 @@ def _transformer(network: Network, branch: Branch, bases: tuple[float, float]) -
         turned = (_ALL - np.roll(_ALL, -1 if table.shift_deg[row] < 0 else 1, axis=1)) / math.sqrt(3.0)
     elif windings == ("delta", "delta"):  # line-to-line voltages alone go through; the zero sequence is set to zero
         turned = through = _ZERO_SEQUENCE_FREE
-    shunts = tuple(
+    return scale * turned, z_ohm * through, winding_shunts(table, row), -1
+
+
+def transformer_impedance(table: TransformerTable, row: int) -> complex:
+    """Impedance of a phase at the to-side, ohm."""
+    kva, kv_ln = table.kva[row] / len(table.phases[row]), table.kv_ll_to[row] / math.sqrt(3.0)
+    return complex(table.r_percent[row], table.x_percent[row]) / 100.0 * kv_ln**2 * 1000.0 / kva
+
+
+def winding_shunts(table: TransformerTable, row: int) -> tuple[NDArray[np.float64], ...]:
+    """Susceptance to ground of a transformer's phases, from-side and to-side, S."""
+    size, windings = len(table.phases[row]), (table.connection_from[row], table.connection_to[row])
+    kva, kv_ln = table.kva[row] / size, (table.kv_ll_from[row] / math.sqrt(3.0), table.kv_ll_to[row] / math.sqrt(3.0))
+    return tuple(
         -1e-9 * table.antifloat_ppm[row] * kva / v**2 * (0.5 if winding != "delta" else 1.0 / 3.0) * np.eye(size)
         for winding, v in zip(windings, kv_ln, strict=True)
     )
-    return scale * turned, z_ohm * through, shunts, -1
 
 
 def _regulator(network: Network, branch: Branch, bases: tuple[float, float]) -> tuple:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.grid.network import BusId, Network, bus_text
+from dcgrid_env.grid.three_phase_tables import LETTERS
 from dcgrid_env.grid.three_phase_tree import Tree, three_phase_tree
 from dcgrid_env.grid.topology import DepthFirst, FeederError, depth_first, listed
 
@@ -73,34 +74,36 @@ class PhaseNodes:
         """The buses in depth-first order from the source bus, which is the order they have, and their parents."""
         return depth_first(self.parent)
 
+    @property
+    def is_radial(self) -> bool:
+        """Whether one branch brings each bus all of its phases, so that the sweep solves the power flow."""
+        return self._tree.is_radial
+
+    @cached_property
+    def _nodes(self) -> tuple[tuple[int, str], ...]:
+        """Position of the bus and letter of each node: the source bus's, other conductors than phases, and the rest."""
+        nodes = [(i, letter) for i, letters in enumerate(self.bus_phases) for letter in letters]
+        return tuple(sorted(nodes, key=lambda node: 0 if node[0] == 0 else 1 if node[1] > "c" else 2))
+
     @cached_property
     def first_node(self) -> IntArray:
-        """First node of each bus, and ``n_node`` at the end, shape (n_bus + 1,)."""
+        """First node of each bus of a radial feeder, and ``n_node`` at the end, shape (n_bus + 1,)."""
         return read_only(np.cumsum([0, *map(len, self.bus_phases)]), np.intp)
 
     @cached_property
     def node_bus(self) -> IntArray:
         """Position in ``bus_ids`` of each node's bus, shape (n_node,)."""
-        return read_only(np.repeat(np.arange(self.n_bus), np.diff(self.first_node)), np.intp)
+        return read_only([bus for bus, _ in self._nodes], np.intp)
 
     @cached_property
     def node_phase(self) -> IntArray:
-        """Phase of each node, shape (n_node,): 1, 2, 3 for a, b, c."""
-        return read_only(["abc".index(phase) + 1 for phases in self.bus_phases for phase in phases], np.intp)
+        """Phase of each node, shape (n_node,): 1, 2, 3 for a, b, c, and more for other conductors."""
+        return read_only([LETTERS.index(letter) + 1 for _, letter in self._nodes], np.intp)
 
     @cached_property
     def node_ids(self) -> tuple[str, ...]:
         """Name of each node: its bus's, a dot, and its phase."""
-        return tuple(f"{bus}.{p}" for bus, phases in zip(self.bus_ids, self.bus_phases, strict=True) for p in phases)
-
-    @cached_property
-    def node_parent(self) -> IntArray:
-        """Node of the same phase at the bus that feeds each node's, shape (n_node,); -1 at the source bus."""
-        found = [-1] * len(self.bus_phases[0])
-        for i in range(1, self.n_bus):
-            sender = self.parent[i - 1]
-            found += [self.first_node[sender] + self.bus_phases[sender].index(p) for p in self.bus_phases[i]]
-        return read_only(found, np.intp)
+        return tuple(f"{self.bus_ids[bus]}.{letter}" for bus, letter in self._nodes)
 
     @cached_property
     def source_nodes(self) -> IntArray:
@@ -109,13 +112,13 @@ class PhaseNodes:
 
     @cached_property
     def load_nodes(self) -> IntArray:
-        """All other nodes: those that voltages are judged at."""
-        return read_only(np.flatnonzero(self.node_bus != 0), np.intp)
+        """The phases of all other buses: the nodes that voltages are judged at. Other conductors are not judged."""
+        return read_only(np.arange(self.load_slice.start, self.n_node), np.intp)
 
     @cached_property
     def load_slice(self) -> slice:
-        """``load_nodes`` as a slice of an axis over nodes, which takes them without a copy: the source's come first."""
-        return slice(len(self.source_nodes), None)
+        """``load_nodes`` as a slice of an axis over nodes, which takes them without a copy: the others come first."""
+        return slice(sum(bus == 0 or letter > "c" for bus, letter in self._nodes), None)
 
     def index(self, bus: BusId) -> int:
         """Position of a bus, given as text or a whole number, in ``bus_ids``; FeederError where there is none."""
@@ -127,19 +130,19 @@ class PhaseNodes:
             ) from None
 
     def nodes_of(self, bus: BusId, phases: str | None = None) -> tuple[int, ...]:
-        """The nodes of a bus, or of some of its phases; FeederError for a bus or a phase that there is not."""
+        """The nodes of a bus's phases, or of some of them; FeederError for a bus or a phase that there is not."""
         return self.nodes_at(self.index(bus), phases)
 
     def nodes_at(self, position: int, phases: str | None = None) -> tuple[int, ...]:
-        """The nodes of the bus at a position in ``bus_ids``, or of some of its phases, in their order."""
-        there, first = self.bus_phases[position], int(self.first_node[position])
+        """The nodes of the phases of the bus at a position in ``bus_ids``, or of some of its conductors, in order."""
+        bus, there = self.bus_ids[position], self.bus_phases[position]
         for phase in phases or ():
             if phase not in there:
-                bus = self.bus_ids[position]
                 raise FeederError(
                     f"feeder {self.name!r}: bus {bus!r} has the phases {there}, not {phase}; choose these"
                 )
-        return tuple(first + there.index(phase) for phase in phases or there)
+        phases = phases or "".join(letter for letter in there if letter <= "c")
+        return tuple(self._nodes_by_phase[bus][phase] for phase in phases)
 
     @cached_property
     def _index(self) -> dict[str, int]:
@@ -147,10 +150,10 @@ class PhaseNodes:
 
     @cached_property
     def _nodes_by_phase(self) -> dict[str, dict[str, int]]:
-        return {
-            bus: {phase: int(self.first_node[i]) + k for k, phase in enumerate(self.bus_phases[i])}
-            for i, bus in enumerate(self.bus_ids)
-        }
+        found: dict[str, dict[str, int]] = {bus: {} for bus in self.bus_ids}
+        for node, (bus, letter) in enumerate(self._nodes):
+            found[self.bus_ids[bus]][letter] = node
+        return found
 
     @property
     def _bases(self) -> dict[str, float]:

@@ -2,7 +2,9 @@
 
 ``phases`` is a text such as ``"abc"`` or ``"bc"``, the phases in the order of the alphabet. A matrix has three rows of
 three figures for the phases a, b and c, NaN where a phase does not exist. A load or capacitor has three legs: in the
-connection ``wye`` from a, b and c to ground, in ``delta`` from a to b, b to c and c to a.
+connection ``wye`` from a, b and c to ground, in ``delta`` from a to b, b to c and c to a. A connection can also name
+its legs, as in ``"ad bd cd"``, from a, b and c to the conductor d. Conductors other than phases, such as neutrals, have
+the letters from d on. The two halves of a split-phase winding are a and b of their bus.
 """
 
 from __future__ import annotations
@@ -15,14 +17,17 @@ from dcgrid_env.grid.table import Table, optional_column
 Matrix = Sequence[Sequence[float]]
 Legs = Sequence[float]
 """One figure for each of three legs."""
+LETTERS = "abcdefghijklmnopqrstuvwxyz"
+"""Letters of the phases and other conductors 1 to 26."""
 CONNECTIONS = ("wye", "delta")
-LOAD_MODELS = ("PQ", "I", "Z", "CVR", "ZIP")
+LOAD_MODELS = ("PQ", "I", "Z", "CVR", "ZIP", "EXP")
 WINDINGS = (("wye_grounded", "wye_grounded"), ("delta", "wye_grounded"), ("delta", "delta"))
 RATINGS = {
     "phase_line": "rating_a",
     "switch": "rating_a",
     "transformer": "rating_kva",
     "regulator": "rating_kva_per_phase",
+    "admittance": "rating_a",
 }
 """Optional column with the rating of each kind of branch."""
 FALLBACKS = {"rating_a": None, "rating_kva": "kva", "rating_kva_per_phase": "kva_per_phase"}
@@ -127,6 +132,41 @@ class RegulatorTable(Table):
     antifloat_ppm: Sequence[float] = ()
     rating_kva_per_phase: Sequence[float] = optional_column()
     """Rating of a phase; NaN where it is not known. Without the column it is ``kva_per_phase``."""
+    connection: Sequence[str] = optional_column()
+    """``wye`` from the phases to ground, which all are without the column; ``delta`` between two phases; or legs such
+    as ``"ad bd cd"``, where the windings of the to-side end at the conductor d. ``kv_ln`` and ``kva_per_phase`` are
+    those of a winding, and the relay measures the voltage across the winding of its phase."""
+
+    def windings(self, row: int) -> list[tuple[str, str]]:
+        """One or two conductors of the winding at the from-side and at the to-side, of each phase."""
+        phases, connection = self.phases[row], self.connection[row] if self.connection else "wye"
+        if connection == "wye":
+            return [(phase, phase) for phase in phases]
+        return [(phases, phases)] if connection == "delta" else [(leg[0], leg) for leg in connection.split()]
+
+    def is_wye(self, row: int) -> bool:
+        """Whether all windings end at ground."""
+        return not self.connection or self.connection[row] == "wye"
+
+
+@dataclass(frozen=True)
+class AdmittanceTable(Table):
+    """One row for each linear element that no other table can hold, by its primitive admittance matrix.
+
+    Its currents into the element are I = (G + jB) V over its nodes, for voltages to ground.
+    """
+
+    name: Sequence[str] = ()
+    kind: Sequence[str] = ()
+    """What it is, such as ``transformer``; for information alone."""
+    nodes: Sequence[str] = ()
+    """Its nodes by bus and phase, as in ``"650.a 650.b 651.a"``."""
+    g_s: Sequence[Sequence[float]] = ()
+    """Upper triangle of the symmetric conductance matrix, row by row, S."""
+    b_s: Sequence[Sequence[float]] = ()
+    """Upper triangle of the symmetric susceptance matrix, row by row, S."""
+    rating_a: Sequence[float] = optional_column()
+    """Rated current at each of the nodes that it feeds, A; NaN where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +178,7 @@ class PhaseLoadTable(Table):
     connection: Sequence[str] = ()
     model: Sequence[str] = ()
     """How power goes with voltage: PQ constant, I with its first power, Z with its second, CVR active with the first
-    and reactive with the second, ZIP by the shares of ``zip``."""
+    and reactive with the second, ZIP by the shares of ``zip``, EXP by the ``exponents``."""
     leg_kv: Sequence[float] = ()
     """Rated voltage across a leg."""
     p_kw: Sequence[Legs] = ()
@@ -151,6 +191,9 @@ class PhaseLoadTable(Table):
     """Below it the load is its rated impedance."""
     zip: Sequence[Sequence[float]] = ()
     """Shares of constant impedance, current and power in p, then in q; six figures, or none for other models."""
+    exponents: Sequence[Sequence[float]] = optional_column()
+    """Powers of the voltage with which p and q go, two figures, or none for other models. Beyond ``vmin_pu`` and
+    ``vmax_pu`` such a load has the law of constant power there, with a jump."""
 
 
 @dataclass(frozen=True)

@@ -46,15 +46,5 @@ def feeder_ends(feeder: AnyFeeder, allowed: np.ndarray) -> list[int]:
 
 
 def branch_impedance(feeder: AnyFeeder) -> np.ndarray:
-    """Magnitude of the series impedance of the branch to each bus but the first, p.u., (n_branch,).
-
-    Of branches of several phases it is that of their positive sequence, the mean of the diagonal less that of the
-    entries off it.
-    """
-    if isinstance(feeder, Feeder):
-        return np.hypot(feeder.r_pu, feeder.x_pu)
-    n_phase = np.array([len(phases) for phases in feeder.bus_phases])
-    b = feeder.branches.b
-    self_sum = np.trace(b, axis1=1, axis2=2)
-    mutual = b.sum(axis=(1, 2)) - self_sum
-    return np.abs(self_sum / n_phase - mutual / np.maximum(n_phase * (n_phase - 1), 1))[1:]
+    """Magnitude of the series impedance of the branch to each bus but the first, p.u., (n_branch,)."""
+    return np.hypot(feeder.r_pu, feeder.x_pu) if isinstance(feeder, Feeder) else feeder.branch_z_pu

@@ -18,7 +18,8 @@ from dcgrid_env.scenario.errors import ScenarioError
 def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
     """Return the positions in ``bus_ids`` where a device may be drawn: load buses without a fixed one.
 
-    On a three-phase feeder they have all three phases, or those that the devices that are drawn are connected to.
+    On a three-phase feeder they have all three phases, or those that the devices that are drawn are connected to. If no
+    load bus has, as on feeders whose loads are at service transformers, any bus with these phases may be drawn.
     """
     devices = tuple(device for device in devices if not is_equipment(device))
     taken = {0, *(feeder.index(bus) for device in devices for bus in device.buses or ())}
@@ -28,7 +29,9 @@ def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
         drawn = [device for device in devices if device.buses is None]
         needed = {phase for device in drawn for phases in phases_of(device) for phase in phases or "abc"}
         with_load = np.unique(feeder.leg_bus[feeder.p_load_kw > 0])
-        loaded = [i for i in with_load if needed <= set(feeder.bus_phases[i])]
+        fits = np.array([needed <= set(phases) for phases in feeder.bus_phases])
+        loaded = with_load[fits[with_load]]
+        loaded = loaded if len(loaded) else np.flatnonzero(fits)
     return np.array([i for i in loaded if i not in taken], dtype=np.int64)
 
 

@@ -2,8 +2,9 @@
 
     relay volts = |V / PT - (R + jX) I / CT|        out of band where off from ``vreg_v`` by more than half the band
 
-V is the voltage to ground of the sensed phase at the regulator's to-bus, and I the current through that phase. R and X
-are the settings of the line-drop compensator in volts, and CT is the primary rating of its current transformer in A
+V is the voltage of the winding of the sensed phase at the regulator's to-bus, to ground or to another node, and I the
+current through that phase. R and X are the settings of the line-drop compensator in volts, and CT is the primary rating
+of its current transformer in A
 (W. H. Kersting, "Distribution System Modeling and Analysis", chapter 7). Half the band is at least half a tap: with a
 narrower band the regulator would switch back and forth without end.
 """
@@ -26,6 +27,10 @@ class RelaySettings(NamedTuple):
 
     node: Array
     """Sensed node, int."""
+    other: Array
+    """Node at the other end of the winding, int; the sensed one again for a winding to ground."""
+    is_between: Array
+    """1 for a winding to another node, 0 to ground."""
     volts_per_pu: Array
     """Relay volts at 1 p.u. of the sensed node."""
     r_ohm: Array
@@ -63,11 +68,14 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
         [feeder.nodes_of(bus, phase)[0] for bus, phase in zip(table.to_bus, table.sensed_phase, strict=True)], np.int64
     )
     pt, ct, step = (np.array(column, np.float64) for column in (table.pt_ratio, table.ct_primary_a, table.tap_step))
+    other = _other_ends(feeder, node)
     nominal_v = np.array(table.kv_ln, np.float64) * 1000.0 / pt
     moves = np.array(table.max_taps_per_move) > 0
     volts_per_tap = _feeds(feeder, node) * step[:, None] * nominal_v
     return RelaySettings(
         node=node,
+        other=np.where(other < 0, node, other),
+        is_between=(other >= 0).astype(np.float64),
         volts_per_pu=feeder.base_kv_ln[feeder.node_bus[node]] * 1000.0 / pt,
         r_ohm=np.array(table.r_ldc_v) / ct,
         x_ohm=np.array(table.x_ldc_v) / ct,
@@ -81,13 +89,22 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
     )
 
 
+def _other_ends(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
+    """Node at the other end of the sensed winding of each regulator, -1 for ground."""
+    table, found = feeder.network.regulator, np.full(len(node), -1, np.int64)
+    for row, (bus, phase) in enumerate(zip(table.to_bus, table.sensed_phase, strict=True)):
+        winding = next(at_to for _, at_to in table.windings(row) if phase in at_to)
+        if len(winding) > 1:
+            found[row] = feeder.nodes_of(bus, winding.replace(phase, ""))[0]
+    return found
+
+
 def _feeds(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
     """Return 1 where the row regulator is the column regulator or is between it and the source in its sensed phase."""
-    regulator, feeds = feeder.branches.regulator, np.zeros((len(node), len(node)))
+    feeds = np.zeros((len(node), len(node)))
     for column, upstream in enumerate(node):
         while upstream >= 0:
-            bus = feeder.node_bus[upstream]
-            row = regulator[bus, upstream - feeder.first_node[bus]]
+            row = feeder.node_regulator[upstream]
             if row >= 0:
                 feeds[row, column] = 1.0
             upstream = feeder.node_parent[upstream]
@@ -116,6 +133,9 @@ def relay_volts(settings: RelaySettings, solution: ThreePhaseSolution) -> Array:
 def _relay_volts(settings: RelaySettings, v_re_pu: Array, v_im_pu: Array, i_re_a: Array, i_im_a: Array) -> Array:
     """See ``relay_volts``; voltages and currents of all nodes, (..., n_node)."""
     v_re, v_im, i_re, i_im = (take_last(values, settings.node) for values in (v_re_pu, v_im_pu, i_re_a, i_im_a))
+    v_re, v_im = (
+        v - settings.is_between * take_last(at, settings.other) for v, at in ((v_re, v_re_pu), (v_im, v_im_pu))
+    )
     re = v_re * settings.volts_per_pu - settings.r_ohm * i_re + settings.x_ohm * i_im
     im = v_im * settings.volts_per_pu - settings.r_ohm * i_im - settings.x_ohm * i_re
     return namespace(re).hypot(re, im)

@@ -17,8 +17,10 @@ def relay_volts(settings, v_re_pu, v_im_pu, i_re_a, i_im_a):
     for row in range(len(v_re_pu)):
         for r, node in enumerate(settings.node):
             gain, i_re, i_im = settings.volts_per_pu[r], i_re_a[row, node], i_im_a[row, node]
-            re = v_re_pu[row, node] * gain - settings.r_ohm[r] * i_re + settings.x_ohm[r] * i_im
-            im = v_im_pu[row, node] * gain - settings.r_ohm[r] * i_im - settings.x_ohm[r] * i_re
+            v_re = v_re_pu[row, node] - settings.is_between[r] * v_re_pu[row, settings.other[r]]
+            v_im = v_im_pu[row, node] - settings.is_between[r] * v_im_pu[row, settings.other[r]]
+            re = v_re * gain - settings.r_ohm[r] * i_re + settings.x_ohm[r] * i_im
+            im = v_im * gain - settings.r_ohm[r] * i_im - settings.x_ohm[r] * i_re
             out[row, r] = math.hypot(re, im)
     return out
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dcgrid_env.grid.network import (
+    AdmittanceTable,
     CapacitorTable,
     CoreTable,
     PhaseLineTable,
@@ -21,13 +22,20 @@ from dcgrid_env.grid.three_phase_tables import FALLBACKS
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TEXTS = ("name", "bank", "bus", "from_bus", "to_bus", "phases", "state", "connection", "connection_from")
-_TEXTS += ("connection_to", "model", "sensed_phase")
+_TEXTS += ("connection_to", "model", "sensed_phase", "kind", "nodes")
 _UNKNOWN = ("length_m", *FALLBACKS)
 _WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move")
 
 
 def says_nothing(column: str, columns: Mapping[str, Sequence[Any]]) -> bool:
-    """Whether a column of ratings may be left out: it is empty, all unknown, or equal to the column that counts."""
+    """Whether a column may be left out: of ratings if it is empty, all unknown, or equal to the column that counts.
+
+    The connection of regulators may be left out if all are wye.
+    """
+    if column == "connection" and "pt_ratio" in columns:
+        return all(value == "wye" for value in columns[column])
+    if column == "exponents":
+        return not any(columns[column])
     if column not in FALLBACKS:
         return False
     values, instead = columns[column], FALLBACKS[column]
@@ -41,7 +49,10 @@ class Column:
     field: str
     names: tuple[str, ...]
     shape: str = "one"
-    """``one`` cell, the upper triangle of a ``matrix``, three ``legs``, or the shares of a ``zip``."""
+    """``one`` cell, the upper triangle of a ``matrix``, three ``legs``, the shares of a ``zip`` or the exponents of a
+    load, which other models lack, or any ``list``."""
+    if_missing: str | None = None
+    """The text of a cell where the file lacks the column; None if it may not, or is a rating."""
 
     @property
     def is_text(self) -> bool:
@@ -61,7 +72,7 @@ class Column:
     @property
     def may_be_missing(self) -> bool:
         """Whether the file may lack the column."""
-        return self.shape == "zip" or self.field in _UNKNOWN
+        return self.shape == "zip" or self.field in _UNKNOWN or self.if_missing is not None
 
     def joined(self, cells: Sequence[Any]) -> Any:
         """The value that cells make."""
@@ -70,14 +81,16 @@ class Column:
             return tuple(tuple(by_position[min(i, j), max(i, j)] for j in range(3)) for i in range(3))
         if self.shape == "zip":
             return () if all(math.isnan(cell) for cell in cells) else tuple(cells)
-        return tuple(cells) if self.shape == "legs" else cells[0]
+        return tuple(cells) if self.shape in ("legs", "list") else cells[0]
 
     def cells(self, value: Any) -> Sequence[Any]:
         """The cells that a value becomes."""
         if self.shape == "matrix":
             return [value[i][j] for i, j in _UPPER]
         if self.shape == "zip":
-            return value or (math.nan,) * 6
+            return value or (math.nan,) * len(self.names)
+        if self.shape == "list":
+            return (" ".join(repr(float(figure)) for figure in value),)
         return value if self.shape == "legs" else (value,)
 
 
@@ -102,9 +115,13 @@ _SPECIAL = {
     ("phase_load", "p_kw"): Column("p_kw", ("kw_1", "kw_2", "kw_3"), "legs"),
     ("phase_load", "q_kvar"): Column("q_kvar", ("kvar_1", "kvar_2", "kvar_3"), "legs"),
     ("phase_load", "zip"): Column("zip", ("zip_pz", "zip_pi", "zip_pp", "zip_qz", "zip_qi", "zip_qp"), "zip"),
+    ("phase_load", "exponents"): Column("exponents", ("exponent_p", "exponent_q"), "zip"),
     ("core", "p_kw"): Column("p_kw", ("kw_1", "kw_2", "kw_3"), "legs"),
     ("core", "q_kvar"): Column("q_kvar", ("kvar_1", "kvar_2", "kvar_3"), "legs"),
     ("capacitor", "kvar"): Column("kvar", ("kvar_a", "kvar_b", "kvar_c"), "legs"),
+    ("regulator", "connection"): Column("connection", ("connection",), if_missing="wye"),
+    ("admittance", "g_s"): Column("g_s", ("g_s",), "list"),
+    ("admittance", "b_s"): Column("b_s", ("b_s",), "list"),
 }
 
 
@@ -121,5 +138,6 @@ FILES = {
     "phase_load": _file("loads.csv", "phase_load", PhaseLoadTable),
     "capacitor": _file("capacitors.csv", "capacitor", CapacitorTable),
     "core": _file("cores.csv", "core", CoreTable),
+    "admittance": _file("admittances.csv", "admittance", AdmittanceTable),
 }
 """Files of a folder other than feeder.toml and buses.csv, by table of ``Network``."""

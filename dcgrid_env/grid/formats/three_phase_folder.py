@@ -2,9 +2,10 @@
 
 ``feeder.toml``: name, frequency_hz, source_of_facts, and the table ``source``: bus, base_kv_ll, v_pu, angle_deg and the
 3x3 matrices r_ohm and x_ohm. ``buses.csv``, ``lines.csv``, ``switches.csv``, ``transformers.csv``, ``regulators.csv``,
-``loads.csv``, ``capacitors.csv`` and ``cores.csv``: a column for each of ``grid.three_phase_tables``, whose units they
-have; matrices as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as kw_1, kvar_1, .. or kvar_a, .. . All files but
-buses.csv and feeder.toml may be missing; ``cores.csv`` is written where there are cores.
+``loads.csv``, ``capacitors.csv``, ``cores.csv`` and ``admittances.csv``: a column for each of
+``grid.three_phase_tables``, whose units they have; matrices as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as
+kw_1, kvar_1, .. or kvar_a, .. . Matrices of admittances.csv are one cell, figures separated by blanks. All files but
+buses.csv and feeder.toml may be missing; the last two are written where there are such rows.
 Unused keys and columns are refused by name. The exceptions are the results of a reference solution in published
 folders (``RESULTS``).
 """
@@ -23,8 +24,8 @@ from typing import Any
 from dcgrid_env.core.files import write_text
 from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File, says_nothing
 from dcgrid_env.grid.network import Network, NodeTable, SourceTable
-from dcgrid_env.grid.three_phase_checks import NUMBER, PHASES, check_three_phase
-from dcgrid_env.grid.three_phase_tables import FALLBACKS
+from dcgrid_env.grid.three_phase_checks import check_three_phase
+from dcgrid_env.grid.three_phase_tables import FALLBACKS, LETTERS
 from dcgrid_env.grid.topology import FeederError
 
 _HEAD = ("name", "frequency_hz", "source_of_facts", "source")
@@ -65,7 +66,7 @@ def write_folder(network: Network, folder: Path) -> None:
     texts = {"buses.csv": _csv(["bus", "phases", "base_kv_ln", "x", "y"], _bus_rows(network.node))}
     for kind, file in FILES.items():
         table = getattr(network, kind)
-        if kind == "core" and not len(table):  # published folders have none
+        if kind in ("core", "admittance") and not len(table):  # published folders have none
             continue
         columns = [(column, getattr(table, column.field)) for column in file.columns]
         unused = {column.field for column in file.columns if says_nothing(column.field, vars(table))}
@@ -117,12 +118,15 @@ def _read_buses(path: Path) -> NodeTable:
     for line, row in _rows(path, ["bus", "phases", "base_kv_ln"], ["x", "y"], ()):
         figures = [_number(path, line, c, row.get(c, ""), math.nan) for c in ("x", "y")]
         base_kv = _number(path, line, "base_kv_ln", row["base_kv_ln"], None)
-        if row["phases"] not in PHASES:
-            raise FeederError(f"{path}, line {line}: phases is {row['phases']!r}; choose {', '.join(PHASES)}")
+        if not row["phases"] or sorted(set(row["phases"]) & set(LETTERS)) != list(row["phases"]):
+            raise FeederError(
+                f"{path}, line {line}: phases is {row['phases']!r}; give letters in order, a, b, c for the phases and "
+                "others for other conductors"
+            )
         if not row["bus"] or row["bus"] in before:
             raise FeederError(f"{path}, line {line}: bus is {row['bus']!r}; give each bus one row and its own text")
         before.add(row["bus"])
-        rows += [(row["bus"], NUMBER[phase], *figures, base_kv) for phase in row["phases"]]
+        rows += [(row["bus"], LETTERS.index(phase) + 1, *figures, base_kv) for phase in row["phases"]]
     return NodeTable(*zip(*rows, strict=True)) if rows else NodeTable()
 
 
@@ -130,7 +134,7 @@ def _bus_rows(node: NodeTable) -> Iterable[Sequence[Any]]:
     last = 0
     for k, bus in enumerate(node.bus):
         if k + 1 == len(node) or node.bus[k + 1] != bus:
-            phases = "".join("abc"[phase - 1] for phase in node.phase[last : k + 1])
+            phases = "".join(LETTERS[phase - 1] for phase in node.phase[last : k + 1])
             yield bus, phases, node.base_kv_ln[k], node.x[k], node.y[k]
             last = k + 1
 
@@ -146,6 +150,8 @@ def _read_table(folder: Path, file: File) -> Any:
         for column in file.columns:
             if column.field in FALLBACKS and column.field not in row:
                 continue
+            if column.if_missing is not None and column.field not in row:
+                row[column.field] = column.if_missing
             found[column.field].append(_read_cells(path, line, row, column))
     return file.table(**{name: values for name, values in found.items() if not says_nothing(name, found)})
 
@@ -154,7 +160,9 @@ def _read_cells(path: Path, line: int, row: dict[str, str], column: Column) -> A
     cells = []
     for name in column.names:
         text = row.get(name, "")
-        if column.is_text:
+        if column.shape == "list":
+            cells += [_number(path, line, name, word, None) for word in text.split()]
+        elif column.is_text:
             if not text:
                 raise FeederError(f"{path}, line {line}: {name} is empty")
             cells.append(text)

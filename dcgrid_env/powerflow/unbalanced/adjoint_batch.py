@@ -11,6 +11,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.nodal import nodal_of
 from dcgrid_env.powerflow.unbalanced.plan import plan_of
 from dcgrid_env.powerflow.unbalanced.sweep_adjoint import sweep_adjoint_rows
 from dcgrid_env.powerflow.unbalanced.sweep_rows import FEW, ONE, WIDE
@@ -33,7 +34,7 @@ def derivatives(
     feeder, given
         Arguments of ``solve_batch``.
     solved
-        Its ``restart``, and its currents, real parts first, shape (..., 2 n_node).
+        Its ``restart``, of which the voltages count, and its currents, real parts first, shape (..., 2 n_node).
     weights
         Those of v_pu (..., n_node), of ``solved`` and, in a sequence, of loss, source p and source q (...); None is 0.
     converged
@@ -51,15 +52,18 @@ def derivatives(
     shape, n = converged.shape, feeder.n_node
     n_row = converged.size
     rows = tuple(_rows(a, n_row, None if k == 2 else a.shape[-1]) for k, a in enumerate(given))
-    solved = (_rows(solved[0], n_row, 2 * n), _rows(solved[1], n_row, 2 * n))
+    solved = (_rows(solved[0][..., : 2 * n], n_row, 2 * n), _rows(solved[1], n_row, 2 * n))
     of_row = np.zeros((3, n_row)) if any(w is not None for w in weights[3]) else np.empty((3, 0))
     for k, weight in enumerate(weights[3]):
         if weight is not None:
             of_row[k] = weight.reshape(n_row)
     widths = (n, 2 * n, 2 * n)
-    wide = [_NO_ROWS if w is None else _rows(w, n_row, width) for w, width in zip(weights[:3], widths, strict=True)]
+    wide = [
+        _NO_ROWS if w is None else _rows(w[..., :width], n_row, width)
+        for w, width in zip(weights[:3], widths, strict=True)
+    ]
     out = tuple(np.zeros(a.shape) for a in rows)
-    plan, good = plan_of(feeder), np.ascontiguousarray(converged.reshape(n_row))
+    plan, nodal, good = plan_of(feeder), nodal_of(feeder), np.ascontiguousarray(converged.reshape(n_row))
     settled = np.ones(n_row, np.bool_)
 
     def take(width: tuple[int, ...], least: int, first: int, last: int) -> int:
@@ -67,7 +71,7 @@ def derivatives(
         given_part, solved_part, out_part = (tuple(a[cut] for a in arrays) for arrays in (rows, solved, out))
         of_part = (*(w[cut] for w in wide), np.ascontiguousarray(of_row[:, cut]))
         return sweep_adjoint_rows(
-            plan, width, given_part, solved_part, of_part, good[cut], least, settled[cut], out_part
+            plan, nodal, width, given_part, solved_part, of_part, good[cut], least, settled[cut], out_part
         )
 
     if groups is not None:

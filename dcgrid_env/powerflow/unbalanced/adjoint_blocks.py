@@ -8,7 +8,10 @@ from dcgrid_env.core.compiled import compiled
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.powerflow.unbalanced.plan import REGULATOR
 from dcgrid_env.powerflow.unbalanced.row_blocks import PER_KVA
-from dcgrid_env.powerflow.unbalanced.sweep_kernels import U2, U3, U4, leg_admittance
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import U2, U3, U4, leg_admittance, power_share
+
+NO_VOLTAGE_SQ = 1e-24
+"""Squared voltage that keeps the derivatives at a grounded conductor finite, p.u."""
 
 
 @compiled(inner=True)
@@ -23,7 +26,7 @@ def leg_derivatives(plan, wide, V, P, Q, DP, DQ, N):
         i, offset, m = n * U2 * W, n * W, n * U4 * W
         for b in range(W):
             re, im = V[i + b], V[i + W + b]
-            inverse = 1.0 / (re * re + im * im)
+            inverse = 1.0 / max(re * re + im * im, NO_VOLTAGE_SQ)
             g_p, g_q = DP[offset + b] * inverse, DQ[offset + b] * inverse
             k_p, k_q = -2.0 * g_p * inverse, -2.0 * g_q * inverse
             to_re, to_im = k_p * re + k_q * im, k_p * im - k_q * re
@@ -45,6 +48,10 @@ def leg_derivatives(plan, wide, V, P, Q, DP, DQ, N):
             elif u > law[k, 9]:
                 h_p, h_q = law[k, 11] + law[k, 12] * u, law[k, 13] + law[k, 14] * u
                 s_p, s_q = -law[k, 12] * u, -law[k, 14] * u
+            elif plan.leg_has_exponents[k]:
+                h_p, h_q = power_share(law, k, u, 11, 15), power_share(law, k, u, 13, 16)
+                inside = 1.0 if u >= law[k, 8] else 0.0
+                s_p, s_q = -inside * law[k, 15] * h_p, -inside * law[k, 16] * h_q
             else:
                 c = max(u, law[k, 8])
                 h_p, h_q = law[k, 2] + c * (law[k, 3] + c * law[k, 4]), law[k, 5] + c * (law[k, 6] + c * law[k, 7])
@@ -102,7 +109,7 @@ def load_weights(first, count, plan, wide, solved, weights, V, J, G, loss):
             V[o + b], V[o + W + b] = re, im
             J[o + b], J[o + W + b] = amperes[row, n] / plan.ampere[n], amperes[row, n_node + n] / plan.ampere[n]
             if g_magnitude.shape[0] > 0:
-                to = g_magnitude[row, n] / np.sqrt(re * re + im * im)
+                to = g_magnitude[row, n] / np.sqrt(max(re * re + im * im, NO_VOLTAGE_SQ))
                 G[o + b], G[o + W + b] = to * re, to * im
             if g_volts.shape[0] > 0:
                 G[o + b] += g_volts[row, n]
@@ -190,7 +197,7 @@ def hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out):
             for b in range(U2 * W):
                 H[b] = 1.0
         else:
-            leg_admittance(plan.leg_law, k, wide, V, i, j, H)
+            leg_admittance(plan.leg_law, k, plan.leg_has_exponents[k], wide, V, i, j, H)
         scale = plan.leg_law[k, 0]
         for b in range(n_row):
             re, im = V[i + b] - V[j + b], V[i + W + b] - V[j + W + b]
@@ -201,7 +208,7 @@ def hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out):
         o = n * U2 * W
         for b in range(n_row):
             re, im = V[o + b], V[o + W + b]
-            scale = PER_KVA / (re * re + im * im)
+            scale = PER_KVA / max(re * re + im * im, NO_VOLTAGE_SQ)
             d_p[begin + b, np.uint64(n_leg) + n] = scale * (Y[o + b] * re + Y[o + W + b] * im)
             d_q[begin + b, np.uint64(n_leg) + n] = scale * (Y[o + b] * im - Y[o + W + b] * re)
     for b in range(n_row):

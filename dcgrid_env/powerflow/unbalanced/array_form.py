@@ -16,7 +16,7 @@ from dcgrid_env.core.arrays import Array, namespace, requires_grad
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
-from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
+from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR, PowerFlowError
 from dcgrid_env.powerflow.unbalanced.plan import plan_of
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 from dcgrid_env.powerflow.unbalanced.zones import Zone, zones_of
@@ -39,6 +39,7 @@ class _Forms(NamedTuple):
     legs: Array  # incidence of the loads' legs, (leg, node)
     law: tuple[Array, ...]  # the columns of plan.LAW
     is_z: Array
+    has_exponents: Array | None  # None if no leg has
     capacitors: Array  # incidence of the capacitors' legs
     banks: Array
     capacitor_b: Array
@@ -55,7 +56,17 @@ def sweep_arrays(
 
     While a derivative is recorded a start is set aside: the derivative converges sweep by sweep like the voltage, and a
     start near the answer would stop before it has.
+
+    Raises
+    ------
+    PowerFlowError
+        For a feeder that is not radial.
     """
+    if not feeder.is_radial:
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: only radial feeders are solved on this device or by this array library; give "
+            "NumPy arrays or torch tensors of the CPU"
+        )
     if start is None or requires_grad(*given):
         return _sweeps(feeder, given, None, tolerance_pu, max_sweeps)
     xp = namespace(given[0])
@@ -105,6 +116,7 @@ def _forms(feeder: ThreePhaseFeeder, xp: ModuleType, dtype: object, device: obje
         legs=made(_incidence(plan.leg_ends, n)[order]),
         law=tuple(real(column) for column in law[order].T),
         is_z=xp.asarray(plan.leg_is_z[order], device=device),
+        has_exponents=xp.asarray(powers[order], device=device) if (powers := plan.leg_has_exponents).any() else None,
         capacitors=made(_incidence(plan.capacitor_ends, n)),
         banks=index(plan.capacitor_row),
         capacitor_b=made(1j * plan.capacitor_b),
@@ -135,11 +147,14 @@ def _drawn(f: _Forms, given: tuple[Any, ...], v: Array) -> Array:
     """Return the draw of all connected elements at voltage v, p.u., by node."""
     p_kw, q_kvar, _, _, state = given
     xp, n_load = namespace(p_kw), f.legs.shape[0]
-    scale, rated_sq, z_p, i_p, c_p, z_q, i_q, c_q, floor, low, very_low, a_p, b_p, a_q, b_q = f.law
+    scale, rated_sq, z_p, i_p, c_p, z_q, i_q, c_q, floor, low, very_low, a_p, b_p, a_q, b_q, n_p, n_q = f.law
     across = v @ f.legs.T
     u = xp.sqrt(rated_sq / xp.clip(_square(across), V_SQ_FLOOR * 1e-4, None))  # 1 / u
     c = xp.maximum(u, floor)
     h_p, h_q = z_p + c * (i_p + c * c_p), z_q + c * (i_q + c * c_q)
+    if f.has_exponents is not None:
+        inside = f.has_exponents & (u >= floor)
+        h_p, h_q = (xp.where(inside, u**n, h) for n, h in ((n_p, h_p), (n_q, h_q)))
     h_p, h_q = xp.where(u > low, a_p + b_p * u, h_p), xp.where(u > low, a_q + b_q * u, h_q)
     is_z = (u > very_low) | f.is_z
     g_p, g_q = (xp.where(is_z, xp.ones_like(u), h) for h in (h_p, h_q))

@@ -5,9 +5,10 @@ equations for the voltages V of all nodes and the currents I of their branches,
 
     V_m - A V_n + B I_m = 0          I_m - (what legs, capacitors and susceptances draw at V_m) - sum of A^T I = 0
 
-from the voltages without load. It returns the solution of high voltage, to which a growing load leads. The determinant
-of the derivative changes its sign where that solution and one of low voltage meet, so its sign must be that without
-load. If the step to the whole load fails, the load grows in smaller steps.
+from the voltages without load. On feeders that are not radial the equations are those of ``nodal``. It returns the
+solution of high voltage, to which a growing load leads. The determinant of the derivative changes its sign where that
+solution and one of low voltage meet, so its sign must be that without load. If the step to the whole load fails, the
+load grows in smaller steps.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
+from dcgrid_env.powerflow.unbalanced.nodal import coupler_ratios, nodal_matrix
 from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
 
 MOST = 40
@@ -36,6 +38,8 @@ CLOSE_PU = 1e-8
 LEAST_SHARE = 1.0 / 16.0
 """Least part of the load that is added at a time."""
 TINY = 1e-30
+OF_P, OF_Q = (2, 11, 15), (5, 13, 16)
+"""Rows of the law with the first share, the line below vmin and the power, of p and of q."""
 
 FloatArray = NDArray[np.float64]
 
@@ -56,6 +60,8 @@ class Places(NamedTuple):
 class Equations:
     """The equations of one power flow and their derivative, sparse, real parts first: V, I, then their imaginary parts.
 
+    With nodal equations the currents of the couplers stand in place of I.
+
     Parameters
     ----------
     feeder
@@ -69,14 +75,25 @@ class Equations:
     ):
         plan, n = plan_of(feeder), feeder.n_node
         self.n, self._law, self._is_z = n, plan.leg_law.T, plan.leg_is_z
+        self._has_exponents = plan.leg_has_exponents
+        self.legs_at, self.legs_sign = (n, -1.0) if feeder.is_radial else (0, 1.0)
+        """The first equation in which legs draw, and the sign with which."""
         load, device = p_kw[:-n] - 1j * q_kvar[:-n], p_kw[-n:] - 1j * q_kvar[-n:]
         self._load = load[plan.leg_order.astype(np.intp)] * plan.leg_law[:, 0]
         self._device = device / PHASE_BASE_KVA
         nodes = np.arange(n)
         self.ends = np.concatenate((plan.leg_ends.astype(np.intp), np.stack((nodes, np.full(n, n)), axis=1)))
-        self._linear = self._real(*_linear(feeder, ratio, state))
-        right = np.zeros(2 * n, np.complex128)
-        right[:3] = source_pu * (plan.source[:, 0] + 1j * plan.source[:, 1])
+        ideal = source_pu * (plan.source[:, 0] + 1j * plan.source[:, 1])
+        if feeder.is_radial:
+            self.half, linear = 2 * n, _linear(feeder, ratio, state)
+        else:
+            matrix: Any = nodal_matrix(feeder, coupler_ratios(feeder, ratio)).tocoo()
+            self.half, ideal = matrix.shape[0], feeder.nodal.source_y @ ideal
+            own = ((matrix.data, matrix.row, matrix.col), *_shunts(feeder, state))
+            linear = tuple(np.concatenate(one) for one in zip(*own, strict=True))
+        self._linear = self._real(*linear)
+        right = np.zeros(self.half, np.complex128)
+        right[:3] = ideal
         self._right = np.concatenate((right.real, right.imag))
         i, j = self.ends.T
         self._rows, self._columns = np.concatenate((i, i, j, j)), np.concatenate((i, j, i, j))
@@ -89,16 +106,20 @@ class Equations:
     def evaluate(self, x: FloatArray, share: float) -> tuple[FloatArray, csc_matrix]:
         """By how much the equations miss at ``x`` under a share of all loads and devices, and their derivative."""
         n = self.n
-        v = np.append(x[:n] + 1j * x[2 * n : 3 * n], 0.0)
+        v = np.append(self.voltages(x), 0.0)
         across = v[self.ends[:, 0]] - v[self.ends[:, 1]]
         current, slopes = self._drawn(across, share)
         drawn = np.zeros(n + 1, np.complex128)
         np.add.at(drawn, self.ends[:, 0], current)
         np.subtract.at(drawn, self.ends[:, 1], current)
         missing = self._matrix() @ x - self._right
-        missing[n : 2 * n] -= drawn[:n].real
-        missing[3 * n :] -= drawn[:n].imag
+        for first, part in ((self.legs_at, drawn.real), (self.legs_at + self.half, drawn.imag)):
+            missing[first : first + n] += self.legs_sign * part[:n]
         return missing, self._matrix(slopes)
+
+    def voltages(self, x: FloatArray) -> Any:
+        """Complex voltages of the nodes in a vector of all unknowns."""
+        return x[: self.n] + 1j * x[self.half : self.half + self.n]
 
     def _drawn(self, across: Array, share: float) -> tuple[Any, tuple[FloatArray, ...]]:
         """Currents of the legs, and their derivatives d re / d re, d re / d im, d im / d re, d im / d im.
@@ -107,7 +128,7 @@ class Equations:
         """
         n_load, squared = len(self._load), np.maximum(np.abs(across) ** 2, TINY)
         inverse = np.sqrt(self._law[1] / squared[:n_load])
-        (h_p, s_p), (h_q, s_q) = self.shares(inverse, 2, 11), self.shares(inverse, 5, 13)
+        (h_p, s_p), (h_q, s_q) = self.shares(inverse, *OF_P), self.shares(inverse, *OF_Q)
         p, q, of_v = self._load.real, self._load.imag, squared[:n_load]
         g: Any = np.concatenate((p * h_p + 1j * q * h_q, self._device / squared[n_load:]))
         k = np.concatenate(((p * s_p + 1j * q * s_q) / of_v, -2.0 * self._device / squared[n_load:] ** 2))
@@ -116,19 +137,22 @@ class Equations:
         slopes = (g.real + to.real * re, -g.imag + to.real * im, g.imag + to.imag * re, g.real + to.imag * im)
         return share * g * across, tuple(share * slope for slope in slopes)
 
-    def shares(self, inverse: FloatArray, first: int, line: int) -> tuple[FloatArray, FloatArray]:
-        """Return H of the legs and u h', of p or of q, from the shares and the line in these rows of the law."""
+    def shares(self, inverse: FloatArray, first: int, line: int, power: int) -> tuple[FloatArray, FloatArray]:
+        """Return H of the legs and u h', of p or of q, from the shares, line and power in these rows of the law."""
         (z, i, c), (slope, offset) = self._law[first : first + 3], self._law[line : line + 2]
         _, floor, low, very_low = self._law[7:11]
         u = np.maximum(inverse, floor)
         h, to = z + u * (i + u * c), np.where(inverse >= floor, -inverse * (i + 2.0 * inverse * c), 0.0)
+        inside = self._has_exponents & (inverse >= floor)
+        raised = inverse ** self._law[power]
+        h, to = np.where(inside, raised, h), np.where(inside, -self._law[power] * raised, to)
         h, to = np.where(inverse > low, slope + offset * inverse, h), np.where(inverse > low, -offset * inverse, to)
         is_z = self._is_z | (inverse > very_low)
         return np.where(is_z, 1.0, h), np.where(is_z, 0.0, to)
 
     def _real(self, values: Array, rows: np.ndarray, columns: np.ndarray) -> tuple[Any, Any, Any]:
         """Entries of complex equations as those of twice as many real ones."""
-        half = 2 * self.n
+        half = self.half
         re, im = values.real, values.imag
         return (
             np.concatenate((re, -im, im, re)),
@@ -138,20 +162,20 @@ class Equations:
 
     def _matrix(self, slopes: tuple[FloatArray, ...] | None = None) -> csc_matrix:
         """The derivative under these slopes of the legs' currents; without them what is linear in the equations."""
-        n, (values, rows, columns) = self.n, self._linear
+        n, half, (values, rows, columns) = self.n, self.half, self._linear
         if slopes is not None:
             kept = (self._rows < n) & (self._columns < n)
-            below, right = self._rows[kept] + n, self._columns[kept]
-            signs = np.repeat((-1.0, 1.0, 1.0, -1.0), len(self.ends))[kept]
+            below, right = self._rows[kept] + self.legs_at, self._columns[kept]
+            signs = self.legs_sign * np.repeat((1.0, -1.0, -1.0, 1.0), len(self.ends))[kept]
             legs = [signs * np.tile(slope, 4)[kept] for slope in slopes]
             values = np.concatenate((values, *legs))
-            rows = np.concatenate((rows, below, below, below + 2 * n, below + 2 * n))
-            columns = np.concatenate((columns, right, right + 2 * n, right, right + 2 * n))
-        return csc_matrix((values, (rows, columns)), (4 * n, 4 * n))
+            rows = np.concatenate((rows, below, below, below + half, below + half))
+            columns = np.concatenate((columns, right, right + half, right, right + half))
+        return csc_matrix((values, (rows, columns)), (2 * half, 2 * half))
 
 
 def high_voltage_solution(feeder: ThreePhaseFeeder, inputs: tuple[Any, ...]) -> FloatArray | None:
-    """Voltages of the solution of high voltage, p.u., real parts first, (2 n_node,); None where none was found.
+    """The solution of high voltage as ``solve_batch`` starts from it, (2 n_unknown,); None where none was found.
 
     ``inputs`` is one power flow as ``solve_batch`` takes it, without leading dimensions.
     """
@@ -168,12 +192,14 @@ def high_voltage_solution(feeder: ThreePhaseFeeder, inputs: tuple[Any, ...]) -> 
                 step /= 2.0
             else:
                 return None
-    return np.concatenate((x[: equations.n], x[2 * equations.n : 3 * equations.n]))
+    volts, n = equations.voltages(x), equations.n
+    others = () if feeder.is_radial else (x[n : equations.half], x[equations.half + n :])
+    return np.concatenate((volts.real, volts.imag, *others))
 
 
 def _newton(equations: Equations, x: FloatArray, share: float, sign: float) -> FloatArray | None:
     """Solve for a share of the load from ``x``; None where the changes do not shrink or the sign is another."""
-    n, before = equations.n, np.inf
+    before = np.inf
     for _ in range(MOST):
         missing, slope = equations.evaluate(x, share)
         try:
@@ -181,7 +207,7 @@ def _newton(equations: Equations, x: FloatArray, share: float, sign: float) -> F
         except RuntimeError:  # exactly singular, or not finite
             return None
         change = factors.solve(missing)
-        size = np.abs(change[:n] + 1j * change[2 * n : 3 * n]).max()
+        size = np.abs(equations.voltages(change)).max()
         if not size < SHRINKS * before:
             return None
         x, before = x - change, size
@@ -227,17 +253,24 @@ def _linear(feeder: ThreePhaseFeeder, ratio: Array, state: Array) -> tuple[Any, 
     a = plan.a[place.bus, place.entry] * tap[place.row]
     b = (plan.z_re + 1j * plan.z_im)[place.bus, place.entry] * tap[place.row] * tap[place.column]
     fed, nodes = place.bus > 0, np.arange(2 * n)
-    i, j = np.concatenate((plan.capacitor_ends, plan.core_ends)).astype(np.intp).T
-    banks = 1j * plan.capacitor_b * state[plan.capacitor_row.astype(np.intp)]
-    y = np.concatenate((banks, plan.core_g + 1j * plan.core_b))
     parts = (
         (np.ones(2 * n), nodes, nodes),
         (-a[fed], place.row[fed], place.above[fed]),
         (b, place.row, place.column + n),
         (-a[fed], place.above[fed] + n, place.row[fed] + n),
         (-1j * plan.shunt[place.bus, place.entry], place.row + n, place.column),
-        *((sign * y[there], to[there] + n, by[there]) for sign, to, by in ((-1, i, i), (1, i, j), (1, j, i), (-1, j, j))
-          for there in ((to < n) & (by < n),)),
-    )  # fmt: skip
+        *((-y, row + n, column) for y, row, column in _shunts(feeder, state)),
+    )
     values, rows, columns = (np.concatenate(one) for one in zip(*parts, strict=True))
     return values, rows, columns
+
+
+def _shunts(feeder: ThreePhaseFeeder, state: Array) -> list[tuple[Any, Any, Any]]:
+    """Admittances of capacitors and cores, with their nodes as rows and columns."""
+    plan, n = plan_of(feeder), feeder.n_node
+    i, j = np.concatenate((plan.capacitor_ends, plan.core_ends)).astype(np.intp).T
+    banks = 1j * plan.capacitor_b * state[plan.capacitor_row.astype(np.intp)]
+    y = np.concatenate((banks, plan.core_g + 1j * plan.core_b))
+    parts = ((y, i, i), (-y, i, j), (-y, j, i), (y, j, j))
+    return [(values[there], row[there], column[there]) for values, row, column in parts
+            for there in ((row < n) & (column < n),)]  # fmt: skip

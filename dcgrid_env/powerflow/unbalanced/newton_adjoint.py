@@ -15,8 +15,13 @@ from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.powerflow.solution import PowerFlowError
-from dcgrid_env.powerflow.unbalanced.newton import Equations, places, tap_of_nodes
+from dcgrid_env.powerflow.unbalanced.newton import OF_P, OF_Q, TINY, Equations, places, tap_of_nodes
+from dcgrid_env.powerflow.unbalanced.nodal import coupler_ratios
 from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
+from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
+
+_AT_ONCE = 64
+"""Nodes whose derivatives are found together."""
 
 
 def derivative(
@@ -40,9 +45,15 @@ def derivative(
     to_i = (of_amperes[:n] + 1j * of_amperes[n:]) * plan.ampere
     to_v[:3] += (of_p + 1j * of_q) * i[:3]
     to_i[:3] += (of_p - 1j * of_q) * v[:3]
-    place, tap, grounded = places(feeder), tap_of_nodes(feeder, ratio), np.append(v, 0.0)
-    resistance = np.where(place.bus > 0, plan.z_re[place.bus, place.entry], 0.0) * tap[place.row] * tap[place.column]
-    np.add.at(to_i, place.row, 2.0 * of_loss * resistance * i[place.column])
+    grounded = np.append(v, 0.0)
+    if feeder.is_radial:
+        place, tap = places(feeder), tap_of_nodes(feeder, ratio)
+        ohms = np.where(place.bus > 0, plan.z_re[place.bus, place.entry], 0.0) * tap[place.row] * tap[place.column]
+        np.add.at(to_i, place.row, 2.0 * of_loss * ohms * i[place.column])
+        others, of_source = i, to_i[:3]
+    else:
+        others, of_source = coupler_currents(feeder, i), to_i[:3]
+        to_v, to_i = _to_unknowns(feeder, v, others, ratio, to_v, to_i, of_loss)
     in_cores, cores = np.zeros(n + 1, np.complex128), plan.core_ends.astype(np.intp)
     lost = 2.0 * of_loss * plan.core_g * (grounded[cores[:, 0]] - grounded[cores[:, 1]])
     np.add.at(in_cores, cores[:, 0], lost)
@@ -50,7 +61,7 @@ def derivative(
     to_v += in_cores[:n]
 
     equations = Equations(feeder, *inputs)
-    slope = equations.evaluate(np.concatenate((v.real, i.real, v.imag, i.imag)), 1.0)[1]
+    slope = equations.evaluate(np.concatenate((v.real, others.real, v.imag, others.imag)), 1.0)[1]
     try:
         factors = splu(slope)
     except RuntimeError:  # exactly singular
@@ -58,12 +69,19 @@ def derivative(
             f"feeder {feeder.name!r}: there is no derivative at the largest load that the feeder can carry; reduce p_kw"
         ) from None
     mu = factors.solve(np.concatenate((to_v.real, to_i.real, to_v.imag, to_i.imag)), trans="T")
-    mu_v, mu_i = mu[:n] + 1j * mu[2 * n : 3 * n], mu[n : 2 * n] + 1j * mu[3 * n :]
-    d_p, d_q = _by_powers(feeder, equations, grounded, np.append(mu_i, 0.0))
-    d_source = (np.conj(mu_v[:3]) * (plan.source[:, 0] + 1j * plan.source[:, 1])).real.sum()
-    d_ratio = _by_ratios(feeder, ratio, v, i, mu_v, mu_i, of_loss)
+    mu = mu[: equations.half] + 1j * mu[equations.half :]
+    mu_v, mu_i = mu[:n], mu[n:]
+    of_draw = -equations.legs_sign * np.append(mu[equations.legs_at : equations.legs_at + n], 0.0)
+    d_p, d_q = _by_powers(feeder, equations, grounded, of_draw)
+    ideal = plan.source[:, 0] + 1j * plan.source[:, 1]
+    if feeder.is_radial:
+        d_source = (np.conj(mu_v[:3]) * ideal).real.sum()
+        d_ratio = _by_ratios(feeder, ratio, v, i, mu_v, mu_i, of_loss)
+    else:
+        d_source = (np.conj(mu_v[:3] + of_source) * (feeder.nodal.source_y @ ideal)).real.sum()
+        d_ratio = _by_couplers(feeder, ratio, grounded, others, np.append(mu_v, 0.0), mu_i, of_loss)
     d_state, banks = np.zeros(feeder.n_capacitor), plan.capacitor_ends.astype(np.intp)
-    across, to = (a[banks[:, 0]] - a[banks[:, 1]] for a in (grounded, np.append(mu_i, 0.0)))
+    across, to = (a[banks[:, 0]] - a[banks[:, 1]] for a in (grounded, of_draw))
     np.add.at(d_state, plan.capacitor_row.astype(np.intp), (np.conj(to) * 1j * plan.capacitor_b * across).real)
     return d_p, d_q, d_source, d_ratio, d_state
 
@@ -74,9 +92,9 @@ def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Array, mu_i: A
     both, squared = np.conj(to) * across, np.abs(across) ** 2
     inverse = np.sqrt(plan.leg_law[:, 1] / squared[:n_load])
     found = []
-    for of_leg, first, line in ((both.real, 2, 11), (both.imag, 5, 13)):
-        at_legs = of_leg / (PHASE_BASE_KVA * squared)
-        h = equations.shares(inverse, first, line)[0]
+    for of_leg, rows in ((both.real, OF_P), (both.imag, OF_Q)):
+        at_legs = of_leg / (PHASE_BASE_KVA * np.maximum(squared, TINY))
+        h = equations.shares(inverse, *rows)[0]
         at_legs[plan.leg_order.astype(np.intp)] = plan.leg_law[:, 0] * h * of_leg[:n_load]
         found.append(at_legs)
     return found[0], found[1]
@@ -93,4 +111,79 @@ def _by_ratios(
     moved = np.conj(mu_v[nodes]) * (v[above] - 2.0 * r * z * current) + np.conj(mu_i[above]) * current
     found = np.zeros(feeder.n_regulator)
     np.add.at(found, row, moved.real + 2.0 * of_loss * r * z.real * np.abs(current) ** 2)
+    return found
+
+
+def coupler_currents(feeder: ThreePhaseFeeder, i: Array) -> Array:
+    """Currents of the couplers from those that are brought to the nodes, p.u."""
+    nodal = feeder.nodal
+    fed = np.flatnonzero(nodal.feed_coupler >= 0)
+    found = np.zeros(len(nodal.coupler_z), np.complex128)
+    found[nodal.feed_coupler[fed]] = np.where(nodal.coupler_ends[nodal.feed_coupler[fed], 2] == fed, 1.0, -1.0) * i[fed]
+    return found
+
+
+def _to_unknowns(
+    feeder: ThreePhaseFeeder, v: Array, currents: Array, ratio: Array, to_v: Array, to_i: Array, of_loss: float
+) -> tuple[Any, Any]:
+    """Weights of voltages and of couplers' currents, from those of voltages, of feeding currents and of the loss."""
+    nodal, tap = feeder.nodal, coupler_ratios(feeder, ratio)
+    fed = np.flatnonzero(nodal.feed_coupler >= 0)
+    signs = np.where(nodal.coupler_ends[nodal.feed_coupler[fed], 2] == fed, 1.0, -1.0)
+    to_v = to_v + nodal.feed.conj().T @ to_i + 2.0 * of_loss * (nodal.y.real @ v)
+    to_v[:3] -= np.conj(nodal.source_y).T @ to_i[:3]
+    to_couplers = 2.0 * of_loss * nodal.coupler_z.real * tap**2 * currents
+    np.add.at(to_couplers, nodal.feed_coupler[fed], signs * to_i[fed])
+    return to_v, to_couplers
+
+
+def voltage_slopes(
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], solution: ThreePhaseSolution, nodes: np.ndarray
+) -> tuple[Any, Any, Any, Any]:
+    """Derivatives of the voltage magnitudes of some nodes of a feeder that is not radial, a row each.
+
+    They are by p_kw and q_kvar of the devices' legs (node, n_node), by ratio and by state. The nodal equations of the
+    one power flow are factored once.
+    """
+    n, plan, (_, _, _, ratio, _) = feeder.n_node, plan_of(feeder), inputs
+    v = solution.v_re_pu + 1j * solution.v_im_pu
+    others = coupler_currents(feeder, (solution.i_re_a + 1j * solution.i_im_a) / plan.ampere)
+    equations = Equations(feeder, *inputs)
+    factors = splu(equations.evaluate(np.concatenate((v.real, others.real, v.imag, others.imag)), 1.0)[1])
+    per_v, grounded = v / np.maximum(np.abs(v) ** 2, TINY) / PHASE_BASE_KVA, np.append(v, 0.0)
+    banks, tap = plan.capacitor_ends.astype(np.intp), coupler_ratios(feeder, ratio)
+    found: list[tuple[Any, ...]] = []
+    for first in range(0, len(nodes), _AT_ONCE):
+        some = nodes[first : first + _AT_ONCE]
+        weights = np.zeros((2 * equations.half, len(some)))
+        unit, column = v[some] / np.maximum(np.abs(v[some]), TINY), np.arange(len(some))
+        weights[some, column], weights[equations.half + some, column] = unit.real, unit.imag
+        mu = factors.solve(weights, trans="T").T
+        mu = mu[:, : equations.half] + 1j * mu[:, equations.half :]
+        at = np.concatenate((mu[:, :n], np.zeros((len(some), 1))), axis=1)
+        both = np.conj(-mu[:, :n]) * per_v
+        d_ratio, d_state = np.zeros((len(some), feeder.n_regulator)), np.zeros((len(some), feeder.n_capacitor))
+        for k in np.flatnonzero(feeder.nodal.coupler_regulator >= 0):
+            f, g, z, i = *feeder.nodal.coupler_ends[k, :2], feeder.nodal.coupler_z[k], others[k]
+            across = grounded[f] - grounded[g] - 2.0 * tap[k] * z * i
+            moved = np.conj(at[:, f] - at[:, g]) * i + np.conj(mu[:, n + k]) * across
+            d_ratio[:, feeder.nodal.coupler_regulator[k]] -= moved.real
+        for (i, j), b, row in zip(banks, plan.capacitor_b, plan.capacitor_row.astype(np.intp), strict=True):
+            moved = np.conj(at[:, i] - at[:, j]) * 1j * b * (grounded[i] - grounded[j])
+            d_state[:, row] -= moved.real
+        found.append((both.real, both.imag, d_ratio, d_state))
+    d_p, d_q, d_ratio, d_state = (np.concatenate(part) for part in zip(*found, strict=True))
+    return d_p, d_q, d_ratio, d_state
+
+
+def _by_couplers(
+    feeder: ThreePhaseFeeder, ratio: Array, v: Array, currents: Array, mu_v: Array, mu_c: Array, of_loss: float
+) -> Array:
+    """Derivatives by the ratios of the regulators; the last of ``v`` and ``mu_v`` is ground."""
+    nodal, tap, found = feeder.nodal, coupler_ratios(feeder, ratio), np.zeros(feeder.n_regulator)
+    tapped = np.flatnonzero(nodal.coupler_regulator >= 0)
+    f, g = nodal.coupler_ends[tapped, :2].T
+    z, r, i = nodal.coupler_z[tapped], tap[tapped], currents[tapped]
+    moved = np.conj(mu_v[f] - mu_v[g]) * i + np.conj(mu_c[tapped]) * (v[f] - v[g] - 2.0 * r * z * i)
+    np.add.at(found, nodal.coupler_regulator[tapped], 2.0 * of_loss * r * z.real * np.abs(i) ** 2 - moved.real)
     return found

@@ -23,7 +23,8 @@ class Plan(NamedTuple):
     """
 
     first: np.ndarray
-    """First node of each bus, and n_node at the end, (n_bus + 1,)."""
+    """First node of each bus, and n_node at the end, (n_bus + 1,). This and the figures up to ``shunt`` are empty
+    for feeders that are not radial, apart from the length of ``up``."""
     up: np.ndarray
     """Node that feeds each node, (n_node,)."""
     kind: np.ndarray
@@ -46,6 +47,8 @@ class Plan(NamedTuple):
     """Node and other node of each leg, in that order, (n_load_leg, 2)."""
     leg_is_z: np.ndarray
     """Whether the leg is a constant impedance, bool, (n_load_leg,)."""
+    leg_has_exponents: np.ndarray
+    """Whether the leg has exponents, bool, (n_load_leg,)."""
     leg_law: np.ndarray
     """Rows of ``LAW`` for each leg, (n_load_leg, len(LAW))."""
     capacitor_ends: np.ndarray
@@ -62,6 +65,8 @@ class Plan(NamedTuple):
     """Susceptance of each leg of a core, p.u., (n_core_leg,)."""
     source: np.ndarray
     """Voltages of the ideal source at 1 p.u., real and imaginary, (3, 2)."""
+    has_voltage: np.ndarray
+    """Whether a voltage near 0 is no solution, bool, (n_node,): at all nodes of radial feeders, or where legs draw."""
     ampere: np.ndarray
     """Base current of each node, A, (n_node,)."""
 
@@ -82,42 +87,29 @@ LAW = (
     "offset_p",
     "slope_q",
     "offset_q",
+    "power_p",
+    "power_q",
 )
 """Columns of ``Plan.leg_law``: p.u. a kW and squared p.u. voltage; squared rated voltage over base; the shares of the
-law; the limits; and the line below vmin, h = slope + offset / u."""
+law; the limits; the line below vmin, h = slope + offset / u; and the powers of 1 / u of a leg with exponents."""
 
 
 @cached_on_owner
 def plan_of(feeder: ThreePhaseFeeder) -> Plan:
     """Lay a feeder out for the compiled sweeps, once."""
-    branches, n_node, n_bus = feeder.branches, feeder.n_node, feeder.n_bus
-    up = feeder.node_parent.copy()
-    up[:3] = n_node + 1 + np.arange(3)
-    kind = np.full(n_bus, LINE)
-    size = np.diff(feeder.first_node)
-    for i in range(1, n_bus):
-        same = np.array_equal(branches.a[i, : size[i], : size[i]], np.eye(size[i]))
-        kind[i] = REGULATOR if (branches.regulator[i] >= 0).any() else LINE if same else TRANSFORMER
-    of_node = [branches.regulator[i, k] for i in range(n_bus) for k in range(size[i])]
-    legs = feeder.load_legs
+    n_node, n_bus, legs = feeder.n_node, feeder.n_bus, feeder.load_legs
     order = np.argsort(legs.bus, kind="stable")
     start = np.searchsorted(legs.bus[order], np.arange(n_bus + 1))
     capacitors, cores = feeder.capacitor_legs, feeder.core_legs
     angle = np.deg2rad(feeder.source_angle_deg)
     ratio = feeder.network.source.base_kv[0] / np.sqrt(3.0) / feeder.base_kv_ln[0]
     return Plan(
-        first=_index(feeder.first_node),
-        up=_index(up),
-        kind=_index(kind),
-        a=branches.a.reshape(n_bus, 9).copy(),
-        z_re=branches.b.real.reshape(n_bus, 9).copy(),
-        z_im=branches.b.imag.reshape(n_bus, 9).copy(),
-        regulator=_index(np.maximum(of_node, 0)),
-        shunt=branches.shunt.reshape(n_bus, 9).copy(),
+        **(_of_branches(feeder) if feeder.is_radial else _without_branches(n_node)),
         leg_order=_index(order),
         leg_start=_index(start),
         leg_ends=_ends(legs, order, n_node),
         leg_is_z=(legs.share[0, order] == 1.0) & (legs.share[3, order] == 1.0),
+        leg_has_exponents=~np.isnan(legs.exponent[0, order]),
         leg_law=_law(legs, order),
         capacitor_ends=_ends(capacitors, np.arange(len(capacitors.row)), n_node),
         capacitor_row=_index(capacitors.row),
@@ -126,8 +118,41 @@ def plan_of(feeder: ThreePhaseFeeder) -> Plan:
         core_g=cores.p_kw / PHASE_BASE_KVA / cores.rated_pu**2,
         core_b=-cores.q_kvar / PHASE_BASE_KVA / cores.rated_pu**2,
         source=ratio * np.stack((np.cos(angle), np.sin(angle)), axis=1),
+        has_voltage=_has_voltage(feeder),
         ampere=PHASE_BASE_KVA / feeder.base_kv_ln[feeder.node_bus],
     )
+
+
+def _has_voltage(feeder: ThreePhaseFeeder) -> np.ndarray:
+    found = np.full(feeder.n_node, feeder.is_radial)
+    found[feeder.load_legs.node[feeder.load_legs.other < 0]] = True
+    return found
+
+
+def _of_branches(feeder: ThreePhaseFeeder) -> dict[str, np.ndarray]:
+    branches, n_bus = feeder.branches, feeder.n_bus
+    up = feeder.node_parent.copy()
+    up[:3] = feeder.n_node + 1 + np.arange(3)
+    kind = np.full(n_bus, LINE)
+    size = np.diff(feeder.first_node)
+    for i in range(1, n_bus):
+        same = np.array_equal(branches.a[i, : size[i], : size[i]], np.eye(size[i]))
+        kind[i] = REGULATOR if (branches.regulator[i] >= 0).any() else LINE if same else TRANSFORMER
+    of_node = [branches.regulator[i, k] for i in range(n_bus) for k in range(size[i])]
+    return {
+        "first": _index(feeder.first_node), "up": _index(up), "kind": _index(kind),
+        "a": branches.a.reshape(n_bus, 9).copy(), "z_re": branches.b.real.reshape(n_bus, 9).copy(),
+        "z_im": branches.b.imag.reshape(n_bus, 9).copy(), "regulator": _index(np.maximum(of_node, 0)),
+        "shunt": branches.shunt.reshape(n_bus, 9).copy(),
+    }  # fmt: skip
+
+
+def _without_branches(n_node: int) -> dict[str, np.ndarray]:
+    """No branches: the nodal equations have them. Only the number of nodes is read."""
+    nothing, nodes = np.zeros((0, 9)), _index(np.zeros(n_node))
+    none = _index(np.zeros(0))
+    matrices = dict.fromkeys(("a", "z_re", "z_im", "shunt"), nothing)
+    return {"first": none, "up": nodes, "kind": none, "regulator": nodes, **matrices}
 
 
 def _index(values: Array) -> np.ndarray:
@@ -147,4 +172,5 @@ def _law(legs: Legs, order: np.ndarray) -> np.ndarray:
         h_vmin = z + i / vmin + c / vmin**2
         slope = (h_vmin * vmin - vlow) / (vmin - vlow)
         rows += [slope, (1.0 - slope) * vlow]
+    rows += list(np.nan_to_num(2.0 - legs.exponent))
     return np.ascontiguousarray(np.array(rows).reshape(len(LAW), -1).T[order])

@@ -7,6 +7,13 @@ import numpy as np
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
+from dcgrid_env.powerflow.unbalanced.nodal_kernels import (
+    clear_currents,
+    feeding_currents,
+    nodal_loss,
+    nodal_rest,
+    nodal_step,
+)
 from dcgrid_env.powerflow.unbalanced.plan import REGULATOR
 from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
     U1,
@@ -22,23 +29,28 @@ from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
 )
 
 PER_KVA = 1.0 / PHASE_BASE_KVA
+TILE = 64
+"""Nodes that are handed over together: their figures fit into the fastest cache."""
 
 
 @compiled(inner=True)
-def workspace(plan, wide, given):
+def workspace(plan, nodal, wide, given):
     """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each.
 
     Each has as many rows as what is put into it has columns: ``ratio`` one a regulator, and one where there is none;
-    ``on`` one a bank.
+    ``on`` one a bank. V and J also have the currents of the couplers of ``nodal``, which is None for radial feeders.
     """
-    n, W = plan.up.shape[0] + 4, len(wide)
+    n, W, scratch = plan.up.shape[0] + 4, len(wide), max(6, 1 + TILE)
+    if nodal is not None:
+        n += nodal.base_ratio.shape[0]
+        scratch += 2 * nodal.place.shape[0]
     n_leg, n_ratio, n_bank = plan.leg_is_z.shape[0], max(given[3].shape[1], 1), given[4].shape[1]
     V = np.zeros(2 * n * W)
     J = np.zeros(2 * n * W)
     P, Q = np.zeros(n_leg * W), np.zeros(n_leg * W)
     DP, DQ = np.zeros(n * W), np.zeros(n * W)
     ratio, on = np.ones(n_ratio * W), np.ones(n_bank * W)
-    return V, J, P, Q, DP, DQ, np.zeros(2 * W), ratio, on, np.zeros(6 * W), np.zeros(W)
+    return V, J, P, Q, DP, DQ, np.zeros(2 * W), ratio, on, np.zeros(scratch * W), np.zeros(W)
 
 
 @compiled(inner=True)
@@ -90,8 +102,8 @@ def load_row(b, row, plan, wide, given, nodes, n_device, work):
 
 
 @compiled(inner=True)
-def start_row(b, row, plan, wide, start, work):
-    """Put the voltages to start from into column b, where there are any: a row of zeros is none."""
+def start_row(b, row, plan, nodal, wide, start, work):
+    """Put what to start from into column b, where there is any: a row of zeros is none."""
     V = work[0]
     W = np.uint64(len(wide))
     n_node = plan.up.shape[0]
@@ -101,15 +113,28 @@ def start_row(b, row, plan, wide, start, work):
         entry = np.uint64(n) * U2 * W + np.uint64(b)
         V[entry] = start[row, n]
         V[entry + W] = start[row, n_node + n]
+    if nodal is not None:
+        n_coupler = nodal.base_ratio.shape[0]
+        for k in range(n_coupler):
+            entry = np.uint64(n_node + 4 + k) * U2 * W + np.uint64(b)
+            V[entry] = start[row, 2 * n_node + k]
+            V[entry + W] = start[row, 2 * n_node + n_coupler + k]
 
 
 @compiled(inner=True)
-def begin(plan, wide, work):
+def begin(plan, nodal, wide, work):
     """Voltages without any load: the cold start of a block."""
     V, J, _, _, _, _, _, ratio, _, T, off = work
     for k in range(J.shape[0]):
         J[k] = 0.0
-    go_down(plan, wide, 1.0, ratio, J, V, T, off)
+    if nodal is None:
+        go_down(plan, wide, 1.0, ratio, J, V, T, off)
+    else:
+        ideal = 2 * (plan.up.shape[0] + 1) * len(wide)
+        for k in range(V.shape[0]):  # apart from the ideal source: ratios start from nothing, whatever was here before
+            if k < ideal or k >= ideal + 6 * len(wide):
+                V[k] = 0.0
+        nodal_step(plan, nodal, wide, 1.0, ratio, J, V, T, off)
 
 
 @compiled(inner=True)
@@ -130,16 +155,25 @@ def core_currents(plan, wide, sign, V, J):
 
 
 @compiled(inner=True)
-def sweep_block(plan, wide, nodes, n_device, work):
-    """Do one backward and forward sweep; the last row then contains the squared change of the voltages."""
+def sweep_block(plan, nodal, wide, nodes, n_device, work):
+    """Do one backward and forward sweep; the last row then contains the squared change of the voltages.
+
+    With ``nodal`` the nodal equations take the place of the sweep.
+    """
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
-    shunt_currents(plan, wide, 1.0, V, J)
+    if nodal is None:
+        shunt_currents(plan, wide, 1.0, V, J)
+    else:
+        clear_currents(nodal, wide, np.uint64(plan.up.shape[0]), J)
     load_currents(plan, wide, V, P, Q, H, J)
     device_currents(nodes, n_device, wide, V, DP, DQ, J)
     capacitor_currents(plan, wide, V, on, J)
     core_currents(plan, wide, 1.0, V, J)
-    add_up(plan, wide, ratio, J)
-    go_down(plan, wide, 1.0, ratio, J, V, T, off)
+    if nodal is None:
+        add_up(plan, wide, ratio, J)
+        go_down(plan, wide, 1.0, ratio, J, V, T, off)
+    else:
+        nodal_step(plan, nodal, wide, 1.0, ratio, J, V, T, off)
 
 
 @compiled(inner=True)
@@ -151,7 +185,7 @@ def _loss(plan, wide, V, J, ratio, loss):
     W = np.uint64(len(wide))
     for b in range(W):
         loss[b] = 0.0
-    for k in range(1, plan.kind.shape[0]):
+    for k in range(1, plan.kind.shape[0]):  # none with nodal equations
         n, size = plan.first[k], plan.first[k + 1] - plan.first[k]
         for i in range(size):
             o, t = (n + i) * U2 * W, plan.regulator[n + i] * W
@@ -172,31 +206,47 @@ def _loss(plan, wide, V, J, ratio, loss):
 
 
 @compiled(inner=True)
-def store_rows(columns, count, first, plan, wide, work, sweeps, is_good, out):
+def store_rows(columns, count, first, plan, nodal, wide, work, sweeps, is_good, out):
     """Hand over the first ``count`` of these columns of a block whose first row is ``first``.
 
-    A row whose voltages cannot be is said not to have converged.
+    ``sweeps`` are those of each column. A row whose voltages cannot be is said not to have converged.
     """
     V, J, _, _, _, _, H, ratio, _, T, off = work
     v_pu, volts, amperes, per_row, converged, iterations = out
     W = np.uint64(len(wide))
     n_node = plan.up.shape[0]
+    if nodal is not None:
+        nodal_rest(plan, nodal, wide, V, T)
     _loss(plan, wide, V, J, ratio, T)
+    if nodal is not None:
+        nodal_loss(plan, nodal, wide, V, ratio, T)
+        feeding_currents(plan, nodal, wide, V, J)
     for b in range(W):
         H[b], H[W + b] = V_SQ_CEILING, V_SQ_FLOOR
-    for n in range(n_node):
-        o = np.uint64(n) * U2 * W
-        ampere = plan.ampere[n]
-        for b in range(W):
-            v_sq = V[o + b] * V[o + b] + V[o + W + b] * V[o + W + b]
-            H[b] = H[b] if H[b] < v_sq else v_sq
-            H[W + b] = H[W + b] if H[W + b] > v_sq else v_sq
-            T[W + b] = np.sqrt(v_sq)
+    for begin_at in range(0, n_node, TILE):
+        end = min(begin_at + TILE, n_node)
+        for n in range(begin_at, end):
+            o, t = np.uint64(n) * U2 * W, np.uint64(1 + n - begin_at) * W
+            for b in range(W):
+                v_sq = V[o + b] * V[o + b] + V[o + W + b] * V[o + W + b]
+                if plan.has_voltage[n]:
+                    H[b] = H[b] if H[b] < v_sq else v_sq
+                H[W + b] = H[W + b] if H[W + b] > v_sq else v_sq
+                T[t + b] = np.sqrt(v_sq)
         for c in range(count):
             b, row = columns[c], first + columns[c]
-            v_pu[row, n] = T[W + b]
-            volts[row, n], volts[row, n_node + n] = V[o + b], V[o + W + b]
-            amperes[row, n], amperes[row, n_node + n] = J[o + b] * ampere, J[o + W + b] * ampere
+            for n in range(begin_at, end):
+                o, t, ampere = np.uint64(n) * U2 * W + b, np.uint64(1 + n - begin_at) * W + b, plan.ampere[n]
+                v_pu[row, n] = T[t]
+                volts[row, n], volts[row, n_node + n] = V[o], V[o + W]
+                amperes[row, n], amperes[row, n_node + n] = J[o] * ampere, J[o + W] * ampere
+    if nodal is not None:
+        n_coupler = nodal.base_ratio.shape[0]
+        for c in range(count):
+            row = first + columns[c]
+            for k in range(n_coupler):
+                o = np.uint64(n_node + 4 + k) * U2 * W + columns[c]
+                volts[row, 2 * n_node + k], volts[row, 2 * n_node + n_coupler + k] = V[o], V[o + W]
     failed = 0
     for c in range(count):
         b, row = columns[c], first + columns[c]
@@ -208,6 +258,6 @@ def store_rows(columns, count, first, plan, wide, work, sweeps, is_good, out):
         per_row[0, row], per_row[1, row] = T[b] * PHASE_BASE_KVA, p * PHASE_BASE_KVA
         per_row[2, row], per_row[3, row] = q * PHASE_BASE_KVA, np.sqrt(off[b]) * PHASE_BASE_KVA
         converged[row] = is_good and H[b] > V_SQ_FLOOR and H[W + b] < V_SQ_CEILING
-        iterations[row] = sweeps if converged[row] or not is_good else 0
+        iterations[row] = sweeps[b] if converged[row] or not is_good else 0
         failed += not converged[row]
     return failed

@@ -8,6 +8,7 @@ weighted sum by a real and an imaginary part, and N the two by two real derivati
     ibar_m = weight of I + A ibar_n - conj(B) vbar_m
 
 This is the same sweep, with ibar for the voltage, vbar for the current, conjugated matrices and a source of zero.
+With nodal equations M x = s - J(V) the same holds of conj(M) ibar = -(weights + N^T ibar).
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     load_weights,
     weights_of_currents,
 )
+from dcgrid_env.powerflow.unbalanced.nodal_adjoint import nodal_hand_over, nodal_weights
+from dcgrid_env.powerflow.unbalanced.nodal_kernels import nodal_step
 from dcgrid_env.powerflow.unbalanced.row_blocks import core_currents, load_row, workspace
 from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
     add_up,
@@ -38,16 +41,23 @@ TOLERANCE = 1e-9
 
 
 @compiled(inner=True)
-def _transposed(plan, wide, N, off_on, G, Y, X):
+def _transposed(plan, nodal, wide, N, off_on, G, Y, X):
     """Set X to G plus what the legs' transposed derivatives make of Y, and nothing added up yet."""
-    shunt_currents(plan, wide, -1.0, Y, X)
+    if nodal is None:
+        shunt_currents(plan, wide, -1.0, Y, X)
+    else:
+        n = 2 * plan.up.shape[0] * len(wide)
+        for k in range(n):
+            X[k] = 0.0
+        for k in range(n, X.shape[0]):  # of the couplers
+            X[k] = G[k]
     capacitor_currents(plan, wide, Y, off_on, X)
     core_currents(plan, wide, -1.0, Y, X)
     legs_transposed(plan, wide, N, G, Y, X)
 
 
 @compiled(inner=True)
-def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good):
+def _settle(plan, nodal, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good):
     """Sweep ``least`` times and until ibar (Y) stands still in the first ``count`` columns; the number of sweeps.
 
     X is then vbar, added up, and ``is_good`` says in which columns ibar stands still.
@@ -56,9 +66,12 @@ def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good
     for k in range(Y.shape[0]):
         Y[k] = 0.0
     for sweep in range(SWEEPS):
-        _transposed(plan, wide, N, off_on, G, Y, X)
-        add_up(plan, wide, ratio, X)
-        go_down(plan, wide, -1.0, ratio, X, Y, T, off)
+        _transposed(plan, nodal, wide, N, off_on, G, Y, X)
+        if nodal is None:
+            add_up(plan, wide, ratio, X)
+            go_down(plan, wide, -1.0, ratio, X, Y, T, off)
+        else:
+            nodal_step(plan, nodal, wide, -1.0, ratio, X, Y, T, off)
         settled = sweep > 0
         for b in range(count):
             if sweep == 0:
@@ -75,7 +88,7 @@ def _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good
 
 
 @compiled(nogil=True)
-def sweep_adjoint_rows(plan, wide, given, solved, weights, converged, least, settled, out):
+def sweep_adjoint_rows(plan, nodal, wide, given, solved, weights, converged, least, settled, out):
     """Fill ``out`` with derivatives of sum(weights * figures), in blocks of rows of width ``wide``.
 
     ``given`` is the argument of ``sweep_rows``; ``solved`` holds volts in p.u. and currents in A (row, 2 node).
@@ -86,9 +99,9 @@ def sweep_adjoint_rows(plan, wide, given, solved, weights, converged, least, set
     the most sweeps of a block.
     """
     width, n_row, n_node = len(wide), converged.shape[0], plan.up.shape[0]
-    work = workspace(plan, wide, given)
+    work = workspace(plan, nodal, wide, given)
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
-    rows = 2 * (n_node + 4) * width
+    rows = V.shape[0]
     X, Y, G, K = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows)
     N = np.zeros((n_node + plan.leg_is_z.shape[0]) * 4 * width)
     loss, is_good = np.zeros(width), np.ones(width, np.bool_)
@@ -103,20 +116,24 @@ def sweep_adjoint_rows(plan, wide, given, solved, weights, converged, least, set
         for k in range(on.shape[0]):
             off_on[k] = -on[k]
         has_currents = load_weights(first, count, plan, wide, solved, weights, V, J, G, loss)
+        if nodal is not None:
+            nodal_weights(first, count, plan, nodal, wide, weights, converged, V, J, ratio, loss, G, K)
         clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, loss)
         leg_derivatives(plan, wide, V, P, Q, DP, DQ, N)
-        if has_currents:  # what they weigh goes down the tree once, and from there through the legs
+        if nodal is None and has_currents:  # what they weigh goes down the tree once, and from there through the legs
             for k in range(K.shape[0]):
                 X[k] = 0.0
             weights_of_currents(first, count, plan, wide, weights, converged, V, J, ratio, loss, K)
-            _transposed(plan, wide, N, off_on, G, K, X)
+            _transposed(plan, nodal, wide, N, off_on, G, K, X)
             for k in range(2 * n_node * width):
                 G[k] = X[k]
-        most = max(most, _settle(plan, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good))
+        most = max(most, _settle(plan, nodal, wide, count, least, N, off_on, ratio, G, Y, X, T, off, is_good))
         for b in range(count):
             settled[first + b] = is_good[b]
-        if has_currents:
+        if nodal is None and has_currents:
             for k in range(2 * n_node * width):
                 Y[k] += K[k]
         hand_over(first, count, plan, wide, V, J, X, Y, ratio, loss, H, out)
+        if nodal is not None:
+            nodal_hand_over(first, count, plan, nodal, wide, V, Y, K, ratio, loss, out)
     return most

@@ -10,6 +10,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.powerflow.unbalanced.nodal import Nodal, nodal_of
 from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of
 from dcgrid_env.powerflow.unbalanced.sweep_rows import FEW, ONE, WIDE, sweep_blocks, sweep_rows
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
@@ -27,23 +28,31 @@ def solve_batch(
     shape, dtype, n = given[0].shape[:-1], given[0].dtype, feeder.n_node
     n_row = given[2].size
     rows = tuple(_rows(a, (n_row,) if k == 2 else (n_row, a.shape[-1])) for k, a in enumerate(given))
-    start = _NO_ROWS if start is None else _rows(start, (n_row, 2 * n))
+    start = _NO_ROWS if start is None else _rows(start, (n_row, 2 * feeder.n_unknown))
     out = (
         np.empty((n_row, n)),
-        np.empty((n_row, 2 * n)),
+        np.empty((n_row, 2 * feeder.n_unknown)),
         np.empty((n_row, 2 * n)),
         np.empty((4, n_row)),
         np.empty(n_row, np.bool_),
         np.zeros(n_row, np.int64),
     )
-    plan, failed = plan_of(feeder), 0
+    plan, nodal, failed = plan_of(feeder), _nodal(feeder, rows), 0
     if n_row == 1:
-        failed = sweep_rows(plan, ONE, rows, start, tolerance_pu, max_sweeps, out)
+        failed = sweep_rows(plan, nodal, ONE, rows, start, tolerance_pu, max_sweeps, out)
     elif n_row:
-        failed = over_rows(partial(_part, plan, rows, start, tolerance_pu, max_sweeps, out), n_row)
+        failed = over_rows(partial(_part, plan, nodal, rows, start, tolerance_pu, max_sweeps, out), n_row)
     if failed:
         _solve_by_newton(feeder, rows, tolerance_pu, out)
     return _solution(out, shape, dtype, n)
+
+
+def _nodal(feeder: ThreePhaseFeeder, rows: tuple[np.ndarray, ...]) -> Nodal | None:
+    """The nodal equations for the devices that draw in any of these rows."""
+    if feeder.is_radial:
+        return None
+    n = feeder.n_node
+    return nodal_of(feeder, (rows[0][:, -n:] != 0.0).any(0) | (rows[1][:, -n:] != 0.0).any(0))
 
 
 def _solve_by_newton(
@@ -52,7 +61,7 @@ def _solve_by_newton(
     """Try Newton's method where the sweep has failed; one sweep from its solution gives the figures and checks it."""
     from dcgrid_env.powerflow.unbalanced.newton import high_voltage_solution  # brings SciPy with it
 
-    plan = plan_of(feeder)
+    plan, nodal = plan_of(feeder), _nodal(feeder, rows)
     for row in np.flatnonzero(~out[4]):
         one = slice(row, row + 1)
         if not (np.isfinite(rows[0][row]).all() and np.isfinite(rows[1][row]).all()):
@@ -61,13 +70,14 @@ def _solve_by_newton(
         if volts is None:
             continue
         found = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.zeros(1, int))
-        if sweep_rows(plan, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
+        if sweep_rows(plan, nodal, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
             for figures, of_row in zip(_cut(out, one), found, strict=True):
                 figures[...] = of_row
 
 
 def _part(
     plan: Plan,
+    nodal: Nodal | None,
     rows: tuple[Array, ...],
     start: Array,
     tolerance: float,
@@ -83,9 +93,9 @@ def _part(
     # Two kernels and not one, so that a single environment does not compile what many need.
     failed = last - first
     if failed > FEW:
-        failed = sweep_blocks(plan, WIDE, given, start, tolerance, max_sweeps, figures)
+        failed = sweep_blocks(plan, nodal, WIDE, given, start, tolerance, max_sweeps, figures)
     if failed:
-        failed = sweep_rows(plan, ONE, given, start, tolerance, max_sweeps, figures)
+        failed = sweep_rows(plan, nodal, ONE, given, start, tolerance, max_sweeps, figures)
     part[3][...] = per_row
     return failed
 
@@ -107,7 +117,7 @@ def _solution(out: tuple[np.ndarray, ...], shape: tuple[int, ...], dtype: Any, n
     return ThreePhaseSolution(
         v_pu,
         volts[..., :n],
-        volts[..., n:],
+        volts[..., n : 2 * n],
         amperes[..., :n],
         amperes[..., n:],
         loss,

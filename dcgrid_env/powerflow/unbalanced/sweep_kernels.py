@@ -58,8 +58,37 @@ def shunt_currents(plan, wide, sign, V, J):
 
 
 @compiled(inline="always")
-def leg_admittance(law, k, wide, V, i, j, H):
+def power_share(law, k, inverse, line, power):
+    """Return h of a leg with exponents at 1 / u, from the line below vmin and the power in these columns."""
+    if inverse > law[k, 10]:
+        return 1.0
+    if inverse > law[k, 9]:
+        return law[k, line] + law[k, line + 1] * inverse
+    return inverse ** law[k, power] if inverse >= law[k, 8] else law[k, 8] * law[k, 8]
+
+
+@compiled(inner=True)
+def _power_admittance(law, k, wide, V, i, j, H):
+    W = np.uint64(len(wide))
+    for b in range(W):
+        re = V[i + b] - V[j + b]
+        im = V[i + W + b] - V[j + W + b]
+        inverse = np.sqrt(law[k, 1] / (re * re + im * im))
+        H[b] = power_share(law, k, inverse, 11, 15)
+        H[W + b] = power_share(law, k, inverse, 13, 16)
+
+
+@compiled(inline="always")
+def leg_admittance(law, k, has_exponents, wide, V, i, j, H):
     """Set H to h_p and h_q of a leg between the rows i and j of V: see ``grid.three_phase_legs``."""
+    if has_exponents:
+        _power_admittance(law, k, wide, V, i, j, H)
+    else:
+        _share_admittance(law, k, wide, V, i, j, H)
+
+
+@compiled(inline="always")
+def _share_admittance(law, k, wide, V, i, j, H):
     W = np.uint64(len(wide))
     rated_sq, z_p, i_p, c_p = law[k, 1], law[k, 2], law[k, 3], law[k, 4]
     z_q, i_q, c_q = law[k, 5], law[k, 6], law[k, 7]
@@ -98,7 +127,7 @@ def load_currents(plan, wide, V, P, Q, H, J):
             for b in range(U2 * W):
                 H[b] = 1.0
         else:
-            leg_admittance(plan.leg_law, k, wide, V, i, j, H)
+            leg_admittance(plan.leg_law, k, plan.leg_has_exponents[k], wide, V, i, j, H)
         if plan.leg_ends[k, 1] == ground:
             for b in range(W):
                 p, q = P[offset + b] * H[b], Q[offset + b] * H[W + b]

@@ -6,6 +6,7 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.powerflow.solution import V_SQ_FLOOR
+from dcgrid_env.powerflow.unbalanced.nodal_kernels import copy_column
 from dcgrid_env.powerflow.unbalanced.row_blocks import (
     active_devices,
     begin,
@@ -49,15 +50,15 @@ def _clear(plan, work):
 
 
 @compiled(nogil=True)
-def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
+def sweep_blocks(plan, nodal, wide, given, start, tolerance_pu, max_sweeps, out):
     """Solve the rows of ``sweep_rows`` from their starts, in blocks of width ``wide``.
 
     Returns the number of rows that did not settle within BLOCK_SWEEPS; their sweeps are then NOT_IN_BLOCKS.
     """
     p_kw, q_kvar = given[0], given[1]
     tolerance_sq = tolerance_pu * tolerance_pu
-    width, n_row, n_leg = len(wide), p_kw.shape[0], plan.leg_order.shape[0]
-    work = workspace(plan, wide, given)
+    width, n_row, n_leg, n_node = len(wide), p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
+    work = workspace(plan, nodal, wide, given)
     off = work[10]
     nodes = np.empty(plan.up.shape[0], np.uint64)
     drawn = np.empty(plan.up.shape[0])
@@ -65,6 +66,9 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     finite = np.empty(width, np.bool_)
     before = np.empty(width)
     columns = np.empty(width, np.uint64)
+    sweeps = np.zeros(width, np.int64)
+    settled_at = np.empty(width)
+    volts = np.empty(0 if nodal is None else work[0].shape[0])
     most = min(BLOCK_SWEEPS, max_sweeps)
     for first in range(0, n_row, width):
         count = min(width, n_row - first)
@@ -73,12 +77,13 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
             finite[b] = load_row(b, first + min(b, count - 1), plan, wide, given, nodes, n_device, work)
             done[b] = b >= count
             before[b] = 1.0
-        begin(plan, wide, work)
+        begin(plan, nodal, wide, work)
         for b in range(width):
-            start_row(b, first + min(b, count - 1), plan, wide, start, work)
+            start_row(b, first + min(b, count - 1), plan, nodal, wide, start, work)
         left = count
+        stored = 0
         for sweep in range(1, most + 1):
-            sweep_block(plan, wide, nodes, n_device, work)
+            sweep_block(plan, nodal, wide, nodes, n_device, work)
             settled = 0
             for b in range(count):
                 change = off[b]
@@ -87,18 +92,30 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
                 if done[b]:
                     continue
                 if finite[b] and off[b] <= tolerance_sq:
-                    columns[settled] = b
+                    columns[stored + settled] = b
                     settled += 1
+                    sweeps[b] = sweep
+                    settled_at[b] = off[b]
+                    if nodal is not None:
+                        copy_column(nodal, wide, np.uint64(n_node), np.uint64(b), work[0], volts)
                 elif finite[b] and change <= DIVERGED and sweep < most:
                     continue
                 else:
                     out[5][first + b] = 0
                 done[b] = True
                 left -= 1
-            if settled > 0:
-                store_rows(columns, settled, np.uint64(first), plan, wide, work, sweep, True, out)
+            if nodal is not None:
+                stored += settled  # all at once at the end, as the rest of the unknowns follows for a whole block
+            elif settled > 0:
+                store_rows(columns, settled, np.uint64(first), plan, nodal, wide, work, sweeps, True, out)
             if left == 0:
                 break
+        if stored > 0:
+            for c in range(stored):
+                off[columns[c]] = settled_at[columns[c]]
+                if nodal is not None:
+                    copy_column(nodal, wide, np.uint64(n_node), columns[c], volts, work[0])
+            store_rows(columns, stored, np.uint64(first), plan, nodal, wide, work, sweeps, True, out)
     unsettled = 0
     for row in range(n_row):
         if out[5][row] <= 0:  # 0 where the voltages that it settled at cannot be
@@ -108,7 +125,7 @@ def sweep_blocks(plan, wide, given, start, tolerance_pu, max_sweeps, out):
 
 
 @compiled(inner=True)
-def _one(row, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
+def _one(row, plan, nodal, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
     """Sweep one row in a block of width 1 to the tolerance; return the number of sweeps and whether it settled."""
     off, finite = work[10], True
     for b in range(len(wide)):  # no literal 0, for which the compiler would make a second version
@@ -116,11 +133,11 @@ def _one(row, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_devic
     off[0] = np.inf
     if not finite:
         return 0, False
-    begin(plan, wide, work)
-    start_row(0, row, plan, wide, start, work)
+    begin(plan, nodal, wide, work)
+    start_row(0, row, plan, nodal, wide, start, work)
     before = 1.0
     for sweep in range(1, max_sweeps + 1):
-        sweep_block(plan, wide, nodes, n_device, work)
+        sweep_block(plan, nodal, wide, nodes, n_device, work)
         change = off[0]
         off[0] = error_sq(change, before)
         before = change
@@ -133,7 +150,7 @@ def _one(row, plan, wide, given, start, tolerance_sq, max_sweeps, nodes, n_devic
 
 
 @compiled(nogil=True)
-def sweep_rows(plan, wide, given, start, tolerance_pu, max_sweeps, out):
+def sweep_rows(plan, nodal, wide, given, start, tolerance_pu, max_sweeps, out):
     """Solve each row of ``given`` into the arrays of ``out``; return the number of rows without a solution.
 
     ``given`` holds p_kw, q_kvar (row, leg), source_pu (row,), the regulators' ratios (row, regulator) and the
@@ -146,10 +163,11 @@ def sweep_rows(plan, wide, given, start, tolerance_pu, max_sweeps, out):
     p_kw, q_kvar = given[0], given[1]
     n_row, n_leg, n_node = p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
     tolerance_sq = tolerance_pu * tolerance_pu
-    work = workspace(plan, wide, given)
+    work = workspace(plan, nodal, wide, given)
     nodes = np.empty(n_node, np.uint64)
     drawn = np.empty(n_node)
     column = np.zeros(1, np.uint64)
+    of_row = np.zeros(1, np.int64)
     cold = start[:0]
     failed = 0
     for row in range(n_row):
@@ -159,15 +177,17 @@ def sweep_rows(plan, wide, given, start, tolerance_pu, max_sweeps, out):
         n_device = active_devices(p_kw, q_kvar, row, 1, n_leg, drawn, nodes)
         if start.shape[0] > 0 and out[5][row] != NOT_IN_BLOCKS:
             most = min(BLOCK_SWEEPS, max_sweeps)
-            sweeps, settled = _one(row, plan, wide, given, start, tolerance_sq, most, nodes, n_device, work)
-            if settled and store_rows(column, 1, place, plan, wide, work, sweeps, settled, out) == 0:
+            sweeps, settled = _one(row, plan, nodal, wide, given, start, tolerance_sq, most, nodes, n_device, work)
+            of_row[0] = sweeps
+            if settled and store_rows(column, 1, place, plan, nodal, wide, work, of_row, settled, out) == 0:
                 continue
-        sweeps, settled = _one(row, plan, wide, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
+        sweeps, settled = _one(row, plan, nodal, wide, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
+        of_row[0] = sweeps
         if work[10][0] == np.inf:
             _clear(plan, work)
         if settled:
-            settled = store_rows(column, 1, place, plan, wide, work, sweeps, settled, out) == 0
+            settled = store_rows(column, 1, place, plan, nodal, wide, work, of_row, settled, out) == 0
         if not settled:
-            store_rows(column, 1, place, plan, wide, work, sweeps, settled, out)
+            store_rows(column, 1, place, plan, nodal, wide, work, of_row, settled, out)
             failed += 1
     return failed

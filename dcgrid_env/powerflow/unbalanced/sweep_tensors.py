@@ -25,7 +25,7 @@ def sweep_tensors(
     volts, amperes, *rest = _Sweep.apply(*given, feeder, start, tolerance_pu, max_sweeps)  # pyright: ignore
     v_pu, loss, p, q, converged, iterations, residual = rest
     n = feeder.n_node
-    parts = (volts[..., :n], volts[..., n:], amperes[..., :n], amperes[..., n:])
+    parts = (volts[..., :n], volts[..., n : 2 * n], amperes[..., :n], amperes[..., n:])
     return ThreePhaseSolution(v_pu, *parts, loss, p, q, converged, iterations, residual, restart=volts.detach())
 
 

@@ -141,13 +141,13 @@ def source_voltage(feeder: ThreePhaseFeeder, p_kw: Array, source_voltage_pu: Arr
 
 
 def voltages_to_start_from(feeder: ThreePhaseFeeder, p_kw: Array, start: Any) -> Array | None:
-    """Return the voltages to start from, of the loads' kind; PowerFlowError unless (..., 2 n_node) fits the loads."""
+    """Return what to start from, of the loads' kind; PowerFlowError unless (..., 2 n_unknown) fits the loads."""
     if start is None:
         return None
     start = getattr(start, "restart", start)
     if not (type(start) is np.ndarray and type(p_kw) is np.ndarray and start.dtype == p_kw.dtype):
         start = like_loads("warm", figures(feeder, "warm", start), p_kw)
-    wanted = (*p_kw.shape[:-1], 2 * feeder.n_node)
+    wanted = (*p_kw.shape[:-1], 2 * feeder.n_unknown)
     if tuple(start.shape) != wanted:
         raise PowerFlowError(f"start has shape {tuple(start.shape)}; for these loads it must be {wanted}")
     return start

@@ -11,6 +11,7 @@ from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.powerflow.control import Control
+from dcgrid_env.powerflow.solution import PowerFlowError
 
 _DEGREES = 180.0 / np.pi
 
@@ -47,7 +48,10 @@ class ThreePhaseSolution(NamedTuple):
     """Estimated largest error of a voltage, p.u., times 1 MVA, kVA, shape (...): what it moves the power of a node by
     that draws 1 MVA at constant current."""
     restart: Array
-    """Start for the next, similar power flow, shape (..., 2 n_node); a row of zeros means without a start."""
+    """Start for the next, similar power flow, shape (..., 2 n_unknown); a row of zeros means without a start.
+
+    Real and imaginary parts of the voltages, and then of the couplers' currents where there are nodal equations.
+    """
 
     @property
     def v_angle_deg(self) -> Array:
@@ -85,7 +89,14 @@ def branch_flows(feeder: ThreePhaseFeeder, solution: ThreePhaseSolution, control
         The feeder and what its power flow returned, as NumPy arrays.
     control
         The control that the solution was made with, whose ``tap_ratio`` counts.
+
+    Raises
+    ------
+    PowerFlowError
+        For a feeder that is not radial: its branches have more than two ends.
     """
+    if not feeder.is_radial:
+        raise PowerFlowError(f"feeder {feeder.name!r}: branch flows are known of radial feeders only")
     v = np.asarray(solution.v_re_pu) + 1j * np.asarray(solution.v_im_pu)
     i_a = np.asarray(solution.i_re_a) + 1j * np.asarray(solution.i_im_a)
     ratio = feeder.tap_ratio(feeder.base_tap) if control is None or control.tap_ratio is None else control.tap_ratio

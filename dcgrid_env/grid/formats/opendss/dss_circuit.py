@@ -149,6 +149,10 @@ class DssCircuit:
             return float("nan"), float("nan")
         return float(self.engine.Bus.X()), float(self.engine.Bus.Y())
 
+    def node_numbers(self) -> set[int]:
+        """Numbers of all nodes, such as 1, 2 and 3 for the phases."""
+        return {int(name.rpartition(".")[2]) for name in self.engine.Circuit.AllNodeNames()}
+
     def volts(self) -> dict[str, complex]:
         """Voltage of each node to ground, V, by its name such as ``"671.1"``."""
         flat = np.asarray(self.engine.Circuit.AllBusVolts(), np.float64)

@@ -1,4 +1,4 @@
-"""Lines, switches and series reactors of an OpenDSS circuit: whole matrices, from OpenDSS's own admittances."""
+"""Lines, switches and reactors of an OpenDSS circuit: whole matrices, from OpenDSS's own admittances."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.grid.formats.import_report import Report
+from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
-from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
+from dcgrid_env.grid.formats.opendss.joints import Joint, Letters
 from dcgrid_env.grid.three_phase_tables import Matrix
 
 _ROUNDING = 1e-12  # relative, of what an inverse leaves in place of 0
@@ -22,58 +23,72 @@ _NO_PHASE = math.nan
 _METRES = {"mi": 1609.344, "kft": 304.8, "km": 1000.0, "m": 1.0, "ft": 0.3048, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 
 
-def read_lines(circuit: DssCircuit, report: Report, ratings: ScriptRatings) -> list[Joint]:
-    """Read the lines, switches and series reactors that can be represented, and report the others."""
-    named = [("line", name) for name in circuit.names("line")]
-    named += [("reactor", name) for name in circuit.names("reactor") if in_series(circuit, "reactor", name)]
-    found = [_line(circuit, report, ratings, kind, name) for kind, name in named]
-    return _side_by_side([line for line in found if line is not None], report)
+def read_lines(circuit: DssCircuit, report: Report, ratings: ScriptRatings, letters: Letters) -> list[Joint]:
+    """Read the lines, switches, reactors and fault resistances, and report them."""
+    named = [(kind, name) for kind in ("line", "reactor", "fault") for name in circuit.names(kind)]
+    found = []
+    for kind, name in named:
+        rating_a = ratings.of_conductor(kind, name) if kind != "fault" else math.nan
+        branch = kind == "line" or (kind == "reactor" and _in_series(circuit, name))
+        line: Joint | str | None = _line(circuit, report, kind, name, rating_a) if branch else ""
+        if isinstance(line, str):
+            reason, line = line, admittance_joint(circuit, letters, kind, name, rating_a)
+            report_admittance(report, kind, name, line, reason)
+        found.append(line)
+    return _side_by_side([line for line in found if isinstance(line, Joint)], report)
 
 
-def in_series(circuit: DssCircuit, kind: str, name: str) -> bool:
-    """Make an element the active one and return whether it connects two buses."""
-    circuit.activate(kind, name)
+def report_admittance(report: Report, kind: str, name: str, joint: Joint | str | None, reason: str) -> None:
+    """Report an element that may be a row of the admittances, with the reason."""
+    if isinstance(joint, str):
+        report.add("refused", kind, name, joint)
+    elif joint:
+        report.add("taken", kind, name, f"in admittances.csv{f': {reason}' if reason else ''}")
+    else:
+        report.add("nothing lost", kind, name, "it connects nothing")
+
+
+def _in_series(circuit: DssCircuit, name: str) -> bool:
+    circuit.activate("reactor", name)
     return len({end.bus for end in circuit.terminals()}) > 1
 
 
-def _line(circuit: DssCircuit, report: Report, ratings: ScriptRatings, kind: str, name: str) -> Joint | None:
+def _line(circuit: DssCircuit, report: Report, kind: str, name: str, rating_a: float) -> Joint | str:
+    """The row of a line or switch, or why it is to be a row of the admittances."""
     circuit.activate(kind, name)
     first, second = circuit.terminals()
     wrong = _wrong_ends(first.nodes, second.nodes)
     opened = [all(phases) for phases in circuit.open_conductors()]
     if any(any(phases) for phases in circuit.open_conductors()) and not any(opened):
-        wrong = "some of its phases are open; open all of them, or leave those phases out"
+        wrong = "some of its phases are open"
     if wrong:
-        report.add("refused", kind, name, wrong)
-        return None
+        return wrong
     with circuit.closed():
         y = circuit.admittance()
     n = len(first.nodes)
-    z = np.linalg.inv(-y[:n, n:])
     shunt = y[:n, :n] + y[:n, n:]
     noise = _ROUNDING * np.abs(y[:n, n:]).max()
     if np.abs(shunt.real).max() > noise + 1e-9 * np.abs(shunt).max():
-        report.add("lost", "line", name, "its shunt conductance is left out")
+        return "it has a shunt conductance"
+    z = np.linalg.inv(-y[:n, n:])
     b_us = 2e6 * np.where(np.abs(shunt.imag) > noise, shunt.imag, 0.0)  # half of it stands at this end
-    phases = phases_of(first.nodes)
+    phases = "".join("abc"[node - 1] for node in sorted(first.nodes))
     turned = np.argsort(first.nodes)
     z, b_us = z[np.ix_(turned, turned)], b_us[np.ix_(turned, turned)]
     ends = (first.bus, second.bus)
     length_m = _length_m(circuit) if kind == "line" else math.nan
     is_switch = kind == "line" and circuit.yes("switch")
-    values = _columns(length_m, z, b_us, phases) | {"rating_a": ratings.of_conductor(kind, name)}
+    values = _columns(length_m, z, b_us, phases) | {"rating_a": rating_a}
     joint = Joint("phase_line", name, ends, phases, not any(opened), values)
     return _as_switch(report, kind, joint, is_switch, z, b_us)
 
 
 def _wrong_ends(first: tuple[int, ...], second: tuple[int, ...]) -> str:
     if not (set(first) | set(second)) <= {1, 2, 3}:
-        return "a conductor is no phase (nodes 1, 2, 3): reduce its neutral, with Reduce=yes of its LineGeometry"
+        return "it has a conductor other than phases"
     if len(set(first)) < len(first):
-        return f"two conductors stand at one node, {'.'.join(map(str, first))}"
-    if first != second:
-        return f"its phases change from {'.'.join(map(str, first))} to {'.'.join(map(str, second))}"
-    return ""
+        return "two of its conductors stand at one node"
+    return "its phases change along it" if first != second else ""
 
 
 def _length_m(circuit: DssCircuit) -> float:
@@ -119,7 +134,7 @@ def _side_by_side(lines: list[Joint], report: Report) -> list[Joint]:
     """Closed lines between the same two buses made one, since a bus is fed by one branch."""
     found: dict[Any, Joint] = {}
     for k, line in enumerate(lines):
-        pair = frozenset(line.ends) if line.closed else k
+        pair = frozenset(line.ends) if line.closed and line.kind != "admittance" else k
         other = found.get(pair)
         if other:
             text = "beside each other between two buses: one row that is both, rated as balanced currents divide"

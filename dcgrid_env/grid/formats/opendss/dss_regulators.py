@@ -3,7 +3,8 @@
 A voltage regulator proper (wye, the same voltage on both sides, the tap on the side that it feeds) is one row. Any
 other transformer whose fed-from side is tapped, such as a substation transformer with its tap changer, becomes a
 transformer at the neutral tap and an ideal regulator behind it. A separate bus connects the two. With the impedance z
-of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, which is equivalent. A tap on the side that is fed from is fixed.
+of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, which is equivalent. If the transformer is a row of the
+admittances, the matrix at its neutral tap takes that place. A tap on the side that is fed from is fixed.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from dcgrid_env.grid.formats.import_report import Report
+from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint, joint_of, matrix_of_joint
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
-from dcgrid_env.grid.formats.opendss.dss_transformers import Unit
+from dcgrid_env.grid.formats.opendss.dss_transformers import Unit, Winding
+from dcgrid_env.grid.formats.opendss.joints import Joint, Letters
 
 _SAME = 1e-9  # relative
 _WHOLE = 1e-6  # of a tap
@@ -59,13 +64,12 @@ def _regulation(circuit: DssCircuit, report: Report, name: str, unit: str) -> Re
     ):
         if circuit.yes(field):
             report.add("lost", "regcontrol", name, text)
-    if circuit.text("bus"):
-        report.add("lost", "regcontrol", name, "it senses its own terminal here, not another bus")
     if circuit.figure("vlimit") > 0:
         report.add("lost", "regcontrol", name, "its limit of voltage is left out")
     if circuit.figure("ldc_z") != 0:
         report.add("lost", "regcontrol", name, "its compensation by the current's magnitude is left out")
     winding, sensed = int(circuit.figure("winding")), circuit.text("ptphase").lower()
+    remote = circuit.text("bus").lower()
     tapped = int(circuit.figure("tapwinding") or winding)
     if tapped != winding:
         report.add("lost", "regcontrol", name, "it senses the winding that it taps here, not the other")
@@ -77,25 +81,32 @@ def _regulation(circuit: DssCircuit, report: Report, name: str, unit: str) -> Re
     }  # fmt: skip
     row: dict[str, Any] = {column: circuit.figure(field) for column, field in values.items()}
     row["max_taps_per_move"] = int(circuit.figure("maxtapchange"))
+    circuit.activate("transformer", unit)
+    if remote and remote != circuit.terminals()[winding - 1].bus:
+        report.add("lost", "regcontrol", name, "it senses its own terminal here, not another bus")
     return Regulation(name, unit, tapped, max(int(sensed) - 1, 0) if sensed.isdigit() else 0, row)
 
 
 def is_regulator(unit: Unit) -> bool:
     """Whether an oriented transformer is a row of the regulators' table by itself, without a transformer before it."""
     first, second = unit.windings
-    wye = first.connection == second.connection == "wye_grounded"
-    return wye and first.tap == 1.0 and math.isclose(first.kv_ll, second.kv_ll, rel_tol=_SAME)
+    alike = first.connection == second.connection and first.connection != "delta"
+    return alike and first.tap == 1.0 and math.isclose(first.kv_ll, second.kv_ll, rel_tol=_SAME)
 
 
-def regulator_row(unit: Unit, regulation: Regulation, from_bus: str, report: Report) -> dict[str, Any] | None:
+def regulator_row(
+    unit: Unit, regulation: Regulation, from_bus: str, report: Report, connection: str = "wye"
+) -> dict[str, Any] | None:
     """Return a row from an oriented transformer; None, with the reason in the report, if its tap is between steps."""
     to = unit.windings[1]
+    if to.connection == "between":
+        connection = "delta"
     step = (to.tap_max - to.tap_min) / to.n_tap
     tap, lowest, highest = ((value - 1.0) / step for value in (to.tap, to.tap_min, to.tap_max))
     if abs(tap - round(tap)) > _WHOLE or max(abs(end - round(end)) for end in (lowest, highest)) > _WHOLE:
         report.add("refused", "transformer", unit.name, f"its tap {to.tap:g} is not 1 plus whole steps of {step:g}")
         return None
-    proper = is_regulator(unit)
+    proper, size = is_regulator(unit), 1 if to.connection == "between" else len(unit.phases)
     if regulation.sensed >= len(unit.nodes):
         report.add("refused", "regcontrol", regulation.name, "ptphase is beyond the phases of its transformer")
         return None
@@ -106,11 +117,51 @@ def regulator_row(unit: Unit, regulation: Regulation, from_bus: str, report: Rep
         between = "its transformer is a row of its own, at its neutral tap, with a bus between them"
         report.add("nothing lost", "regcontrol", regulation.name, between)
     return {
-        "name": regulation.name, "bank": unit.bank or to.bus, "from_bus": from_bus, "to_bus": to.bus,
+        "connection": connection, "name": regulation.name, "bank": unit.bank or to.bus,
+        "from_bus": from_bus, "to_bus": to.bus,
         "phases": unit.phases, "sensed_phase": "abc"[unit.nodes[regulation.sensed] - 1],
-        "kv_ln": rounded(to.kv_ll / math.sqrt(3.0)), "kva_per_phase": rounded(unit.kva / len(unit.phases)),
-        "rating_kva_per_phase": rounded(unit.rating_kva / len(unit.phases)),
+        "kv_ln": rounded(to.kv_ll / math.sqrt(3.0)), "kva_per_phase": rounded(unit.kva / size),
+        "rating_kva_per_phase": rounded(unit.rating_kva / size),
         "r_percent": unit.r_percent if proper else 0.0, "x_percent": unit.x_percent if proper else 0.0,
         "tap": round(tap), "tap_neutral": 0, "tap_min": round(lowest), "tap_max": round(highest),
         "tap_step": rounded(step), "antifloat_ppm": unit.antifloat_ppm if proper else 0.0, **regulation.values,
     }  # fmt: skip
+
+
+def regulated_admittance(
+    circuit: DssCircuit, letters: Letters, name: str, regulation: Regulation, between: str
+) -> tuple[Joint, Unit, str] | str:
+    """A transformer of any windings at its neutral tap, with the winding of a regulator behind it; or what is wrong.
+
+    The tapped winding ends at the bus ``between``. Returned are the row of the admittances, the regulator as a unit
+    and its connection.
+    """
+    joint = admittance_joint(circuit, letters, "transformer", name)
+    if not isinstance(joint, Joint):
+        return joint or "it connects nothing"
+    end, size = circuit.terminals()[regulation.winding - 1], circuit.engine.CktElement.NumPhases()
+    phases, neutral = end.nodes[:size], end.nodes[size:]
+    taps = circuit.engine.Transformers
+    taps.Name(name)
+    taps.Wdg(regulation.winding)
+    if taps.IsDelta() or not set(phases) <= {1, 2, 3} or any(map(any, circuit.open_conductors())):
+        return "its winding is a delta, of other conductors than phases, or open"
+    at = {(end.bus, letters[node]) for node in end.nodes if node}
+    if any((other.bus, letters[node]) in at for other in circuit.terminals() if other != end for node in other.nodes
+           if node):  # fmt: skip
+        return "another of its windings ends at the same node"
+    kva, kv = circuit.figures("kvas")[0], float(taps.kV()) * (math.sqrt(3.0) if size == 1 else 1.0)
+    tap = float(taps.Tap())
+    to = Winding(end.bus, "wye_grounded", kv, tap, float(taps.MinTap()), float(taps.MaxTap()), int(taps.NumTaps()))
+    y = matrix_of_joint(joint)
+    scale = np.array([tap if node in at else 1.0 for node in joint.nodes])
+    y = y * np.outer(scale, scale)
+    inner = {(end.bus, letters[node]) for node in neutral if node}
+    kept = [k for k, node in enumerate(joint.nodes) if node not in inner]
+    nodes = tuple((between, joint.nodes[k][1]) if joint.nodes[k] in at else joint.nodes[k] for k in kept)
+    legs = [f"{letters[phase]}{letters[neutral[0]]}" for phase in sorted(phases)] if inner else []
+    unit = Unit(
+        name, letters.of(phases), phases, (Winding(between, "", kv, 1.0, 1.0, 1.0, 1), to), kva, math.nan,
+        0.0, 0.0, False, 0.0, 0.0, 0.0, circuit.text("bank"),
+    )  # fmt: skip
+    return joint_of(name, "transformer", nodes, y[np.ix_(kept, kept)], math.nan), unit, " ".join(legs) or "wye"

@@ -8,11 +8,11 @@ import numpy as np
 
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
-from dcgrid_env.grid.formats.opendss.dss_lines import in_series, matrix_of
+from dcgrid_env.grid.formats.opendss.dss_lines import matrix_of
 from dcgrid_env.grid.network import SourceTable
 from dcgrid_env.grid.topology import FeederError
 
-_READ = ("vsource", "line", "transformer", "regcontrol", "load", "capacitor")
+_READ = ("vsource", "line", "reactor", "fault", "transformer", "regcontrol", "load", "capacitor")
 _NO_LOSS = {
     "monitor": "it measures alone",
     "energymeter": "it measures alone",
@@ -30,8 +30,6 @@ LOSSES = {
     "isource": "what it injects is left out",
     "vccs": "what it injects is left out",
     "indmach012": "what it draws is left out",
-    "reactor": "what it draws is left out",
-    "fault": "the fault is left out",
     "invcontrol": "its inverters are not controlled by it",
     "expcontrol": "its inverters are not controlled by it",
     "storagecontroller": "its storage is not controlled by it",
@@ -39,7 +37,7 @@ LOSSES = {
     "espvlcontrol": "what it controls is left alone",
 }
 """Classes of elements that can be left out, and what is lost with each."""
-ALLOWABLE = (*LOSSES, "regcontrol", "load", "line", "isolated")
+ALLOWABLE = (*LOSSES, "regcontrol", "load", "isolated")
 """Kinds of loss that can be allowed."""
 
 
@@ -76,10 +74,14 @@ def report_the_rest(circuit: DssCircuit, report: Report) -> None:
         for name in circuit.disabled(kind) if kind != "regcontrol" else ():
             report.add("nothing lost", kind, name, "disabled: it is not in the circuit")
         for name in circuit.names(kind) if kind not in _READ else ():
-            series = in_series(circuit, kind, name)
             if kind in _NO_LOSS:
                 report.add("nothing lost", kind, name, _NO_LOSS[kind])
-            elif kind not in LOSSES or (kind in ("vccs", "fault") and series):
+            elif kind not in LOSSES or (kind == "vccs" and _in_series(circuit, name)):
                 report.add("refused", kind, name, "an element of this kind cannot be represented")
-            elif kind != "reactor" or not series:
+            else:
                 report.add("lost", kind, name, LOSSES[kind])
+
+
+def _in_series(circuit: DssCircuit, name: str) -> bool:
+    circuit.activate("vccs", name)
+    return len({end.bus for end in circuit.terminals()}) > 1

@@ -1,4 +1,7 @@
-"""Transformers of two windings of an OpenDSS circuit; those with a RegControl go on to ``dss_regulators``."""
+"""Transformers of an OpenDSS circuit; those with a RegControl go on to ``dss_regulators``.
+
+Those of two windings that a table can hold are units. The others become rows of the admittances.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, Terminal
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
-from dcgrid_env.grid.formats.opendss.joints import Joint, phases_of
+from dcgrid_env.grid.formats.opendss.joints import Joint
 from dcgrid_env.grid.three_phase_tables import WINDINGS
 
 _SIZES = {"kva": 0.0, "rating_kva": 0.0}
@@ -35,6 +38,7 @@ class Unit:
 
     name: str
     phases: str
+    """Of a winding between two phases both of them."""
     nodes: tuple[int, ...]
     windings: tuple[Winding, Winding]
     kva: float
@@ -50,25 +54,32 @@ class Unit:
     bank: str
 
 
-def read_units(circuit: DssCircuit, report: Report, ratings: ScriptRatings) -> list[Unit]:
-    """Read the transformers that can be represented, and report the others as refused."""
-    found = []
-    for name in circuit.names("transformer"):
-        unit = _unit(circuit, ratings, name)
-        if isinstance(unit, str):
-            report.add("refused", "transformer", name, unit)
-        else:
-            found.append(unit)
-    return found
+def read_units(circuit: DssCircuit, ratings: ScriptRatings) -> dict[str, Unit | str]:
+    """Each transformer by name, or why it is to be a row of the admittances."""
+    return {name: _unit(circuit, ratings, name) for name in circuit.names("transformer")}
+
+
+def rating_of_fed_side(circuit: DssCircuit, ratings: ScriptRatings, name: str, depth: dict[str, int]) -> float:
+    """Rated current of a transformer of any windings at the bus that it feeds, A; NaN where it is not known.
+
+    The windings of one phase to that bus are in series, as the two halves of a split-phase transformer are.
+    """
+    rating_kva = ratings.of_transformer(name)
+    circuit.activate("transformer", name)
+    buses, size = [end.bus for end in circuit.terminals()], circuit.engine.CktElement.NumPhases()
+    fed = max(buses, key=lambda bus: depth.get(bus, 0))
+    kvs = [kv for kv, bus in zip(circuit.figures("kvs"), buses, strict=True) if bus == fed]
+    volts = sum(kvs) if size == 1 else math.sqrt(3.0) * max(kvs) * size / 3.0
+    return rating_kva / volts
 
 
 def _unit(circuit: DssCircuit, ratings: ScriptRatings, name: str) -> Unit | str:
     circuit.activate("transformer", name)
     ends = circuit.terminals()
     if len(ends) != 2:
-        return f"it has {len(ends)} windings; two can be represented"
+        return f"it has {len(ends)} windings"
     if any(any(phases) for phases in circuit.open_conductors()):
-        return "a terminal is open; disable the transformer instead"
+        return "a terminal is open"
     engine = circuit.engine
     engine.Transformers.Name(name)
     size = engine.CktElement.NumPhases()
@@ -82,19 +93,23 @@ def _unit(circuit: DssCircuit, ratings: ScriptRatings, name: str) -> Unit | str:
         kv = float(engine.Transformers.kV()) * (math.sqrt(3.0) if size == 1 else 1.0)
         taps = engine.Transformers
         windings.append(
-            Winding(end.bus, "delta" if delta and size == 3 else "wye_grounded", kv, float(taps.Tap()),
-                    float(taps.MinTap()), float(taps.MaxTap()), int(taps.NumTaps()))
+            Winding(end.bus, _connection(end, delta, size), kv, float(taps.Tap()), float(taps.MinTap()),
+                    float(taps.MaxTap()), int(taps.NumTaps()))
         )  # fmt: skip
         resistance += float(engine.Transformers.R())
-    nodes = [end.nodes[:size] for end in ends]
+    between = [winding.connection == "between" for winding in windings]
+    if any(between) and not all(between):
+        return "one of its windings stands between two phases"
+    nodes = [end.nodes[: size + any(between)] for end in ends]
     turned = (1, 2, 3), (2, 3, 1), (3, 1, 2)
     if nodes[0] != nodes[1] or (size == 3 and "delta" in {w.connection for w in windings} and nodes[0] not in turned):
-        return f"its phases are {nodes[0]} and {nodes[1]}; both sides must have the same, a delta in the order 1 2 3"
+        return "its phases change, or are not in the order 1 2 3"
     rating_kva = ratings.of_transformer(name)
     circuit.activate("transformer", name)
     return Unit(
-        name, phases_of(nodes[0]), nodes[0], (windings[0], windings[1]), circuit.figures("kvas")[0], rating_kva,
-        rounded(resistance), rounded(circuit.figure("xhl")), circuit.text("leadlag").lower() in ("lag", "ansi"),
+        name, "".join("abc"[node - 1] for node in sorted(nodes[0])), nodes[0], (windings[0], windings[1]),
+        circuit.figures("kvas")[0], rating_kva, rounded(resistance), rounded(circuit.figure("xhl")),
+        circuit.text("leadlag").lower() in ("lag", "ansi"),
         circuit.figure("ppm_antifloat"), circuit.figure("%noloadloss"), circuit.figure("%imag"), circuit.text("bank"),
     )  # fmt: skip
 
@@ -102,13 +117,18 @@ def _unit(circuit: DssCircuit, ratings: ScriptRatings, name: str) -> Unit | str:
 def _wrong_winding(end: Terminal, delta: bool, size: int) -> str:
     phases, rest = end.nodes[:size], end.nodes[size:]
     if not set(phases) <= {1, 2, 3} or len(set(phases)) < size:
-        return f"has the nodes {'.'.join(map(str, end.nodes))}; its phases must be of the nodes 1, 2, 3"
+        return "has other nodes than one for each of its phases"
     if delta and size == 3:
         return ""
-    if any(rest):
-        what = "stands between two phases" if size < 3 else "has a neutral that is not at ground"
-        return f"{what} (nodes {'.'.join(map(str, end.nodes))}); wye to ground and delta of three phases are known"
+    if any(rest) and not (size == 1 and set(rest) <= {1, 2, 3} - set(phases)):
+        return "has a neutral that is not at ground"
     return "is a delta of two phases" if delta and size == 2 else ""
+
+
+def _connection(end: Terminal, delta: bool, size: int) -> str:
+    if size == 1 and any(end.nodes[1:]):
+        return "between"
+    return "delta" if delta and size == 3 else "wye_grounded"
 
 
 def oriented(unit: Unit, depth: dict[str, int]) -> Unit:
@@ -125,8 +145,7 @@ def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
     first, second = unit.windings
     pair = (first.connection, second.connection)
     if pair not in WINDINGS:
-        known = ", ".join(" / ".join(one) for one in WINDINGS)
-        return f"it is {' / '.join(pair)} from its fed side; {known} are known"
+        return f"it is {' / '.join(pair)} from its fed side"
     shift_deg = 0.0
     if pair == ("delta", "wye_grounded"):
         steps_down = first.kv_ll >= second.kv_ll
@@ -142,7 +161,7 @@ def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
 
 def merged(joints: list[Joint], report: Report) -> list[Joint]:
     """Transformers of one kind between the same two buses made one: of single phases, or in parallel."""
-    found: dict[tuple[str, str], Joint] = {}
+    found: dict[object, Joint] = {}
     for joint in joints:
         other = found.get(joint.ends)
         if other is None:
@@ -155,7 +174,7 @@ def merged(joints: list[Joint], report: Report) -> list[Joint]:
             other.values["kva"] / len(other.phases), joint.values["kva"] / len(joint.phases)
         )
         if other.values | _SIZES != joint.values | _SIZES or not (parallel or beside):
-            report.add("refused", "transformer", joint.name, f"it stands beside {other.name}, which is not its like")
+            found[joint.name] = joint
             continue
         text = "beside each other between two buses: one row that is both"
         report.add("nothing lost", "transformer", f"{other.name} and {joint.name}", text)

@@ -1,29 +1,61 @@
-"""Connections between two buses before their direction is known, and the tree that they form."""
+"""Connections between buses before their direction is known, and what they supply."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
+
+from dcgrid_env.grid.three_phase_tables import LETTERS
+from dcgrid_env.grid.topology import FeederError
+
+Node = tuple[str, str]
+"""Bus and letter of a conductor."""
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One row of lines, switches or transformers, with its ends in OpenDSS's order."""
+    """One row of lines, switches, transformers or admittances, with its ends in OpenDSS's order."""
 
     kind: str
-    """The table of ``Network``: phase_line, switch or transformer."""
+    """The table of ``Network``: phase_line, switch, transformer or admittance."""
     name: str
-    ends: tuple[str, str]
+    ends: tuple[str, ...]
     phases: str
+    """Phases at both ends; empty for an admittance, which has nodes."""
     closed: bool
-    values: dict[str, Any]
+    values: dict[str, Any] = field(default_factory=dict)
     """The other columns of the row."""
+    nodes: tuple[Node, ...] = ()
+
+    @property
+    def all_nodes(self) -> Sequence[Node]:
+        """All nodes that it connects."""
+        return self.nodes or [(bus, phase) for bus in self.ends for phase in self.phases]
 
 
-def phases_of(nodes: Iterable[int]) -> str:
-    """Phases of nodes as a text in the order of the alphabet, ground left out."""
-    return "".join("abc"[node - 1] for node in sorted(node for node in nodes if node))
+@dataclass
+class Letters:
+    """Letters of OpenDSS's nodes: the k-th of the alphabet for node k, and unused ones for nodes beyond 26."""
+
+    numbers: Iterable[int]
+    """All numbers of nodes in the circuit."""
+
+    def __post_init__(self) -> None:
+        numbers = sorted(set(self.numbers) - {0})
+        self._of = {number: LETTERS[number - 1] for number in numbers if number <= len(LETTERS)}
+        free = [letter for letter in LETTERS[3:] if letter not in self._of.values()]
+        self.beyond = [number for number in numbers if number > len(LETTERS)]
+        if len(self.beyond) > len(free):
+            raise FeederError(f"the circuit numbers its nodes {numbers}; at most {len(LETTERS)} can be represented")
+        self._of |= dict(zip(self.beyond, free, strict=False))
+
+    def __getitem__(self, number: int) -> str:
+        return self._of[number]
+
+    def of(self, nodes: Iterable[int]) -> str:
+        """Letters of nodes as a text in the order of the alphabet, ground left out."""
+        return "".join(sorted(self._of[node] for node in nodes if node))
 
 
 @dataclass(frozen=True)
@@ -33,43 +65,34 @@ class Supply:
     depth: dict[str, int]
     """Branches between the source bus and each bus that has supply."""
     phases: dict[str, str]
-    """Phases that each bus is fed with."""
-    loops: tuple[tuple[Joint, ...], ...]
-    """The joints of each loop, first the one that closes it."""
+    """Letters of the conductors that each bus is fed with."""
 
     def fed(self, joint: Joint) -> bool:
-        """Whether both ends have supply."""
-        return all(end in self.depth for end in joint.ends)
+        """Whether all its nodes have supply."""
+        return all(letter in self.phases.get(bus, "") for bus, letter in joint.all_nodes)
 
 
 def supply_of(source: str, joints: Sequence[Joint]) -> Supply:
-    """Follow the closed joints from the source bus; where a loop could be named by several, by a switch."""
-    joints_of_bus: dict[str, list[Joint]] = {}
-    for joint in sorted(joints, key=lambda joint: joint.kind == "switch"):
-        for end in set(joint.ends) if joint.closed else ():
-            joints_of_bus.setdefault(end, []).append(joint)
-    depth, phases, loops = {source: 0}, {source: "abc"}, []
-    fed_by: dict[str, tuple[str, Joint]] = {}
+    """Follow the closed joints from the source bus."""
+    joints_of_node: dict[Node, list[Joint]] = {}
+    for joint in joints:
+        for node in joint.all_nodes if joint.closed else ():
+            joints_of_node.setdefault(node, []).append(joint)
+    depth: dict[Node, int] = {(source, phase): 0 for phase in "abc"}
     used: set[int] = set()
-    queue = [source]
-    for bus in queue:
-        for joint in joints_of_bus.get(bus, ()):
+    queue = list(depth)
+    for node in queue:
+        for joint in joints_of_node.get(node, ()):
             if id(joint) in used:
                 continue
             used.add(id(joint))
-            other = joint.ends[1] if joint.ends[0] == bus else joint.ends[0]
-            if other in depth:
-                loops.append((joint, *_between(bus, other, depth, fed_by)))
-                continue
-            depth[other], phases[other], fed_by[other] = depth[bus] + 1, joint.phases, (bus, joint)
-            queue.append(other)
-    return Supply(depth, phases, tuple(loops))
-
-
-def _between(first: str, second: str, depth: dict[str, int], fed_by: dict[str, tuple[str, Joint]]) -> Iterable[Joint]:
-    """The joints on the way from one bus that has supply to another."""
-    while first != second:
-        if depth[first] < depth[second]:
-            first, second = second, first
-        first, joint = fed_by[first]
-        yield joint
+            for other in joint.all_nodes:
+                if other not in depth:
+                    depth[other] = depth[node] + (other[0] != node[0])
+                    queue.append(other)
+    of_bus: dict[str, int] = {}
+    letters: dict[str, set[str]] = {}
+    for (bus, letter), hops in depth.items():
+        of_bus[bus] = min(hops, of_bus.get(bus, hops))
+        letters.setdefault(bus, set()).add(letter)
+    return Supply(of_bus, {bus: "".join(sorted(found)) for bus, found in letters.items()})

@@ -10,21 +10,31 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.grid.formats.import_report import Finding, Report
+from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
-from dcgrid_env.grid.formats.opendss.dss_lines import read_lines
-from dcgrid_env.grid.formats.opendss.dss_loads import Row, core_rows, read_capacitors, read_loads
+from dcgrid_env.grid.formats.opendss.dss_lines import read_lines, report_admittance
+from dcgrid_env.grid.formats.opendss.dss_loads import Row, capacitor_legs, core_rows, read_capacitors, read_loads
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.dss_regulators import (
     Regulation,
     is_regulator,
     read_regulations,
+    regulated_admittance,
     regulator_row,
 )
 from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE, read_source, report_the_rest
-from dcgrid_env.grid.formats.opendss.dss_transformers import Unit, merged, oriented, read_units, transformer_joint
-from dcgrid_env.grid.formats.opendss.joints import Joint, Supply, supply_of
+from dcgrid_env.grid.formats.opendss.dss_transformers import (
+    Unit,
+    merged,
+    oriented,
+    rating_of_fed_side,
+    read_units,
+    transformer_joint,
+)
+from dcgrid_env.grid.formats.opendss.joints import Joint, Letters, Supply, supply_of
 from dcgrid_env.grid.formats.three_phase_columns import says_nothing
 from dcgrid_env.grid.network import (
+    AdmittanceTable,
     CapacitorTable,
     CoreTable,
     Network,
@@ -35,6 +45,7 @@ from dcgrid_env.grid.network import (
     SwitchTable,
     TransformerTable,
 )
+from dcgrid_env.grid.three_phase_tables import LETTERS
 from dcgrid_env.grid.topology import FeederError
 
 
@@ -70,9 +81,13 @@ def read_circuit(master: str | Path, *, allow: Collection[str] = (), trust: bool
 
 
 def _voltages(circuit: DssCircuit, network: Network) -> dict[str, complex]:
-    volts, node = circuit.volts(), network.node
+    letters, node = Letters(circuit.node_numbers()), network.node
+    volts = {}
+    for name, v in circuit.volts().items():
+        bus, _, number = name.rpartition(".")
+        volts[f"{bus}.{letters[int(number)]}"] = v
     rows = zip(node.bus, node.phase, node.base_kv_ln, strict=True)
-    found = ((f"{bus}.{'abc'[phase - 1]}", volts.get(f"{bus}.{phase}"), kv) for bus, phase, kv in rows)
+    found = ((name := f"{bus}.{LETTERS[phase - 1]}", volts.get(name), kv) for bus, phase, kv in rows)
     return {name: v / (1000.0 * kv) for name, v, kv in found if v is not None}
 
 
@@ -80,35 +95,28 @@ def _network(
     circuit: DssCircuit, report: Report, ratings: ScriptRatings, script: str, allow: Collection[str]
 ) -> Network:
     source, source_bus = read_source(circuit, report)
-    lines, units = read_lines(circuit, report, ratings), read_units(circuit, report, ratings)
-    supply = supply_of(source_bus, [*lines, *_unit_joints(units)])
-    for loop in supply.loops:
-        kind = "transformer" if loop[0].kind == "unit" else "line"
-        others = ", ".join(joint.name for joint in loop[1:])
-        text = f"it closes a loop with {others or 'itself'}: open one of them"
-        if len(loop) == 2 and not set(loop[0].phases) & set(loop[1].phases):
-            text = f"it stands beside {others} for other phases: one branch must bring a bus all its phases"
-        report.add("refused", kind, loop[0].name, text)
-    lines = _with_supply(lines, supply, report)
-    tables = _Tables(circuit, report, supply)
-    for unit in units:
-        tables.add(unit, tables.regulations.pop(unit.name.lower(), None))
+    letters = Letters(circuit.node_numbers())
+    if letters.beyond:
+        renamed = ", ".join(f"{number} is {letters[number]}" for number in letters.beyond)
+        report.add("nothing lost", "node", "numbers beyond 26", f"they have unused letters: {renamed}")
+    lines, units = read_lines(circuit, report, ratings, letters), read_units(circuit, ratings)
+    others = _series_capacitors(circuit, report, letters)
+    supply = supply_of(source_bus, [*lines, *others, *_unit_joints(circuit, letters, units)])
+    lines = _with_supply([*lines, *others], supply, report)
+    tables = _Tables(circuit, report, supply, letters, ratings)
+    for name, unit in units.items():
+        tables.add(name, unit, tables.regulations.pop(name.lower(), None))
     for regulation in tables.regulations.values():
         report.add("lost", "regcontrol", regulation.name, "its transformer is not in the tables")
-    loads = read_loads(circuit, report, supply)
-    capacitors = read_capacitors(circuit, report, supply)
+    loads = read_loads(circuit, report, supply, letters)
+    capacitors = read_capacitors(circuit, report, supply, letters)
     transformers = merged(tables.transformers, report)
-    for joint in transformers:
-        beside = [row["name"] for row in tables.regulators if (row["from_bus"], row["to_bus"]) == joint.ends]
-        if beside:
-            text = f"it stands beside the regulator {', '.join(beside)} without a RegControl of its own"
-            report.add("refused", "transformer", joint.name, text)
     report_the_rest(circuit, report)
     report.refuse_unless(circuit.name, allow)
     return Network(
         name=circuit.name,
         source=source,
-        node=_nodes(circuit, supply, tables.between),
+        node=_nodes(circuit, supply, tables.between, letters),
         phase_line=_table(PhaseLineTable, _rows(lines, "phase_line")),
         switch=_table(SwitchTable, _rows(lines, "switch")),
         transformer=_table(TransformerTable, _rows(transformers, "transformer")),
@@ -116,25 +124,33 @@ def _network(
         phase_load=_table(PhaseLoadTable, loads),
         capacitor=_table(CapacitorTable, capacitors),
         core=_table(CoreTable, tables.cores),
+        admittance=_table(AdmittanceTable, _admittance_rows([*lines, *tables.admittances])),
         frequency_hz=float(circuit.engine.Solution.Frequency()),
         source_of_facts=f"OpenDSS script {script}",
     )
 
 
-def _unit_joints(units: Sequence[Unit]) -> Iterable[Joint]:
-    """Yield one joint for all parallel transformers between two buses: see ``merged``."""
-    found: dict[frozenset[str] | str, Joint] = {}
-    for unit in units:
-        first, second = unit.windings
-        pair = frozenset((first.bus, second.bus))
-        other = found.get(pair)
-        if other is None:
-            found[pair] = Joint("unit", unit.name, (first.bus, second.bus), unit.phases, True, {})
-        elif set(other.phases) & set(unit.phases) and other.phases != unit.phases:
-            found[unit.name] = Joint("unit", unit.name, (first.bus, second.bus), unit.phases, True, {})
+def _unit_joints(circuit: DssCircuit, letters: Letters, units: dict[str, Unit | str]) -> Iterable[Joint]:
+    """What the transformers connect."""
+    for name, unit in units.items():
+        if isinstance(unit, Unit):
+            yield Joint("unit", name, tuple(winding.bus for winding in unit.windings), unit.phases, True)
         else:
-            found[pair] = replace(other, phases="".join(sorted(set(other.phases + unit.phases))))
-    return found.values()
+            circuit.activate("transformer", name)
+            nodes = [(end.bus, letters[node]) for end in circuit.terminals() for node in end.nodes if node]
+            yield Joint("unit", name, (), "", True, {}, tuple(dict.fromkeys(nodes)))
+
+
+def _series_capacitors(circuit: DssCircuit, report: Report, letters: Letters) -> list[Joint]:
+    """Capacitors that are no banks to be switched: in series, or with a resistance or reactance of their own."""
+    found = []
+    for name in circuit.names("capacitor"):
+        if capacitor_legs(circuit, letters, name) is None:
+            joint = admittance_joint(circuit, letters, "capacitor", name)
+            reason = "in series, at no separate legs, or with a reactance of its own; it stays in its present state"
+            report_admittance(report, "capacitor", name, joint, reason)
+            found += [joint] if isinstance(joint, Joint) else []
+    return found
 
 
 def _with_supply(lines: Sequence[Joint], supply: Supply, report: Report) -> list[Joint]:
@@ -144,31 +160,43 @@ def _with_supply(lines: Sequence[Joint], supply: Supply, report: Report) -> list
             kept.append(line)
         else:
             fate = "lost" if line.closed else "nothing lost"
-            report.add(fate, "isolated", f"line {line.name}", "without supply at an end: it is left out")
+            kind = "" if line.kind == "admittance" else "line "
+            report.add(fate, "isolated", f"{kind}{line.name}", "without supply at an end: it is left out")
     return kept
 
 
 class _Tables:
     """Transformers and regulators as they are sorted, with the buses that come between them."""
 
-    def __init__(self, circuit: DssCircuit, report: Report, supply: Supply) -> None:
+    def __init__(
+        self, circuit: DssCircuit, report: Report, supply: Supply, letters: Letters, ratings: ScriptRatings
+    ) -> None:
+        self.circuit, self.letters, self.ratings = circuit, letters, ratings
         self.report, self.supply = report, supply
         self.regulations = read_regulations(circuit, report)
         self.transformers: list[Joint] = []
+        self.admittances: list[Joint] = []
         self.regulators: list[Row] = []
         self.cores: list[Row] = []
         self.between: dict[str, tuple[str, str]] = {}
         """Phases of each bus that was put in, and the bus whose base voltage and coordinates it has."""
 
-    def add(self, unit: Unit, regulation: Regulation | None) -> None:
+    def add(self, name: str, unit: Unit | str, regulation: Regulation | None) -> None:
         """Take a transformer, with its control if it has one."""
         report, supply = self.report, self.supply
-        if not all(winding.bus in supply.depth for winding in unit.windings):
-            report.add("lost", "isolated", f"transformer {unit.name}", "without supply: it is left out")
+        self.circuit.activate("transformer", name)
+        if not all(end.bus in supply.depth for end in self.circuit.terminals()):
+            report.add("lost", "isolated", f"transformer {name}", "without supply: it is left out")
             return
-        self.cores += core_rows(unit, report)
+        if isinstance(unit, str):
+            self._add_admittance(name, unit, regulation)
+            return
         tapped = unit.windings[regulation.winding - 1] if regulation else None
-        unit = oriented(unit, supply.depth)
+        cores, unit = core_rows(unit, report), oriented(unit, supply.depth)
+        between = unit.windings[0].connection == "between"
+        if between and not (regulation and tapped is unit.windings[1] and is_regulator(unit)):
+            self._add_admittance(name, "its windings stand between two phases", regulation)
+            return
         if regulation and tapped is not unit.windings[1]:
             report.add("lost", "regcontrol", regulation.name, "it taps the side that is fed from: the tap is fixed")
             regulation = None
@@ -179,8 +207,9 @@ class _Tables:
         elif not is_regulator(unit):
             joint = transformer_joint(unit, self._between(unit), 1.0)
         if isinstance(joint, str):
-            report.add("refused", "transformer", unit.name, joint)
+            self._add_admittance(name, joint, regulation)
             return
+        self.cores += cores
         if joint:
             self.transformers.append(joint)
             report.add("taken", "transformer", unit.name, "in transformers.csv")
@@ -189,15 +218,47 @@ class _Tables:
         row = regulator_row(unit, regulation, joint.ends[1] if joint else first.bus, report) if regulation else None
         self.regulators += [row] if row else []
 
+    def _add_admittance(self, name: str, reason: str, regulation: Regulation | None) -> None:
+        """Take a transformer as an admittance; its tap is fixed unless a regulator can stand behind it."""
+        report, circuit = self.report, self.circuit
+        rating_a = rating_of_fed_side(circuit, self.ratings, name, self.supply.depth)
+        if regulation:
+            circuit.activate("transformer", name)
+            ends, k = circuit.terminals(), regulation.winding - 1
+            between = f"{ends[0 if k else -1].bus}-{ends[k].bus}"
+            made = regulated_admittance(circuit, self.letters, name, regulation, between)
+            if not isinstance(made, str):
+                joint, unit, connection = made
+                unit = replace(unit, rating_kva=self.ratings.of_transformer(name))
+                row = regulator_row(unit, regulation, between, report, connection)
+                if row:
+                    self._put_between(between, unit.phases, ends[k].bus)
+                    self.regulators.append(row)
+                    joint.values["rating_a"] = rating_a
+                    self.admittances.append(joint)
+                    report.add("taken", "transformer", name, f"in admittances.csv: {reason}")
+                return
+            report.add("lost", "regcontrol", regulation.name, f"{made}: its tap is fixed")
+        joint = admittance_joint(circuit, self.letters, "transformer", name, rating_a)
+        report_admittance(report, "transformer", name, joint, reason)
+        self.admittances += [joint] if isinstance(joint, Joint) else []
+
     def _between(self, unit: Unit) -> str:
         first, second = unit.windings
         bus = f"{first.bus}-{second.bus}"
-        phases = self.between.get(bus, ("", ""))[0] + unit.phases
-        self.between[bus] = ("".join(sorted(phases)), second.bus)
+        self._put_between(bus, unit.phases, second.bus)
         return bus
 
+    def _put_between(self, bus: str, phases: str, like: str) -> None:
+        had = self.between.get(bus, ("", ""))[0]
+        self.between[bus] = ("".join(sorted(set(had + phases))), like)
 
-def _nodes(circuit: DssCircuit, supply: Supply, between: dict[str, tuple[str, str]]) -> NodeTable:
+
+def _admittance_rows(joints: Iterable[Joint]) -> list[Row]:
+    return [{"name": joint.name, **joint.values} for joint in joints if joint.kind == "admittance"]
+
+
+def _nodes(circuit: DssCircuit, supply: Supply, between: dict[str, tuple[str, str]], letters: Letters) -> NodeTable:
     rows: list[tuple[Any, ...]] = []
     fed = {bus: (phases, bus) for bus, phases in supply.phases.items()}
     for bus, (phases, like) in (fed | between).items():
@@ -209,7 +270,7 @@ def _nodes(circuit: DssCircuit, supply: Supply, between: dict[str, tuple[str, st
             )
         if not (math.isfinite(x) and math.isfinite(y)):
             x = y = math.nan
-        rows += [(bus, "abc".index(phase) + 1, x, y, base_kv) for phase in phases]
+        rows += [(bus, LETTERS.index(letter) + 1, x, y, base_kv) for letter in phases]
     return NodeTable(*zip(*rows, strict=True))
 
 

@@ -24,7 +24,7 @@ def change(path, old, new):
     ("lines.csv", "length_m", "length", r"lines\.csv: the column 'length' is not known, or comes twice; the col"),
     ("capacitors.csv", "state", "state,state", r"capacitors\.csv: the column 'state' is not known, or comes twice"),
     ("buses.csv", "phases", "phase", r"buses\.csv: the column 'phases' is missing"),
-    ("buses.csv", "645,bc", "645,cb", r"buses\.csv, line \d+: phases is 'cb'; choose a, b, c"),
+    ("buses.csv", "645,bc", "645,cb", r"buses\.csv, line \d+: phases is 'cb'; give letters in order"),
     ("buses.csv", "645,bc", "632,bc", r"buses\.csv, line \d+: bus is '632'; give each bus one row"),
     ("transformers.csv", "5000.0", "big", r"transformers\.csv, line 2: kva is 'big'; give a number"),
     ("transformers.csv", "5000.0", "inf", r"transformers\.csv, line 2: kva is 'inf'; give a finite number"),

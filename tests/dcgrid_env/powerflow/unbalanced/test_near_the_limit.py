@@ -173,6 +173,6 @@ def test_newtons_derivative_is_the_sweeps_where_that_settles(feeder, random_inpu
         return torch.autograd.grad(total, given)
 
     swept = derivatives()
-    monkeypatch.setattr(adjoint_batch, "sweep_adjoint_rows", lambda *given: given[7].fill(False) or 0)
+    monkeypatch.setattr(adjoint_batch, "sweep_adjoint_rows", lambda *given: given[8].fill(False) or 0)
     for one, two in zip(derivatives(), swept, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-6 * float(two.abs().max()))

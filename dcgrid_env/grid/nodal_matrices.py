@@ -1,0 +1,276 @@
+"""Nodal admittances of a three-phase feeder that is not radial, per unit.
+
+Y V is the current that linear elements draw at each node, for voltages V to ground. Regulators and switches may have
+no impedance, or one so small that differences of voltages would be lost in rounding. Each of their phases, a *coupler*,
+adds an unknown, the current i that it brings to the side that it feeds, and a row. From the winding f to the winding t
+with the ratio r, 1 for a switch, and the impedance z at the neutral tap
+
+    V_t = r V_f - r^2 z i        with the draw -i at t and r i at f
+
+A winding is from a node to ground or between two nodes. Per unit is that of ``three_phase_matrices``, by node.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.three_phase_checks import node_names
+from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA, transformer_impedance, winding_shunts
+from dcgrid_env.grid.topology import FeederError, listed
+
+GROUND = -1
+_PER_SIEMENS = 1000.0 / PHASE_BASE_KVA  # times both base voltages in kV
+Nodes = dict[str, dict[str, int]]
+"""Node by bus and letter."""
+
+
+class NodalMatrices(NamedTuple):
+    """Matrices over the nodes of a feeder, and what feeds each of them."""
+
+    y: csr_matrix
+    """Admittance of all elements but the source, couplers, legs, capacitors and cores, (n_node, n_node), symmetric."""
+    source_y: NDArray[np.complex128]
+    """Admittance of the source's impedance, (3, 3), at the first three nodes."""
+    coupler_ends: NDArray[np.intp]
+    """Nodes of the windings f and t of each coupler, two each, -1 for ground, (n_coupler, 4)."""
+    coupler_z: NDArray[np.complex128]
+    """Impedance at the neutral tap, (n_coupler,)."""
+    coupler_regulator: NDArray[np.intp]
+    """Row of the regulators' table, -1 for a switch, (n_coupler,)."""
+    feed: csr_matrix
+    """The current brought to each node by what feeds it, from the voltages of all nodes, (n_node, n_node)."""
+    feed_coupler: NDArray[np.intp]
+    """The coupler that feeds each node, -1 for none, (n_node,). The source feeds its own three."""
+    parent: NDArray[np.intp]
+    """Node that feeds each node, -1 at the source and for nodes that only elements to ground reach, (n_node,)."""
+    regulator: NDArray[np.intp]
+    """Row of the regulator that feeds each node, -1 where none does, (n_node,)."""
+    z_pu: NDArray[np.float64]
+    """Magnitude of the impedance of what feeds each node, (n_node,)."""
+    rating_a: NDArray[np.float64]
+    """Rated current of what feeds each node, A, NaN where it is not known, (n_node,)."""
+
+
+class _Element(NamedTuple):
+    nodes: tuple[int, ...]
+    y: NDArray[np.complex128]
+    """Primitive admittance matrix, p.u."""
+    rating_a: NDArray[np.float64]
+    """Rated current at each node if it is the one that is fed, A."""
+
+
+class _Coupler(NamedTuple):
+    ends: tuple[int, int, int, int]
+    z: complex
+    regulator: int
+    rating_a: float
+
+
+def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> NodalMatrices:
+    """Compile checked tables; ``base_kv`` is the base voltage of each node, line to neutral, (n_node,).
+
+    Raises
+    ------
+    FeederError
+        Naming nodes that no element connects to the source.
+    """
+    n = len(base_kv)
+    elements = [*_lines(network, nodes, base_kv), *_transformers(network, nodes, base_kv)]
+    elements += _admittances(network, nodes, base_kv)
+    couplers = [*_regulators(network, nodes, base_kv, elements), *_switches(network, nodes, base_kv)]
+    source = network.source
+    z = (np.array(source.r_ohm[0]) + 1j * np.array(source.x_ohm[0])) / (base_kv[0] ** 2 * _PER_SIEMENS)
+    ends = np.array([c.ends for c in couplers], np.intp).reshape(-1, 4)
+    fed = _fed(elements, couplers, n)
+    lost = [f"{bus}.{letter}" for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not fed[node]]
+    if lost:
+        raise FeederError(f"feeder {network.name!r}: no element connects the nodes {listed(lost)} to the source")
+    return NodalMatrices(
+        y=_sum([(e.nodes, e.y) for e in elements], n),
+        source_y=np.linalg.inv(z) if np.any(z) else _refuse_ideal(network),
+        coupler_ends=ends,
+        coupler_z=np.array([c.z for c in couplers], np.complex128),
+        coupler_regulator=np.array([c.regulator for c in couplers], np.intp),
+        **_feeds(elements, couplers, fed, n),
+    )
+
+
+def _refuse_ideal(network: Network) -> NDArray[np.complex128]:
+    raise FeederError(f"feeder {network.name!r}: source: r_ohm and x_ohm are 0; a feeder that is not radial needs them")
+
+
+def _sum(parts: Sequence[tuple[Sequence[int], NDArray[np.complex128]]], n: int) -> csr_matrix:
+    rows = [np.repeat(nodes, len(nodes)) for nodes, _ in parts]
+    columns = [np.tile(nodes, len(nodes)) for nodes, _ in parts]
+    values = [y.ravel() for _, y in parts]
+    if not parts:
+        return csr_matrix((n, n), dtype=np.complex128)
+    flat = np.concatenate(values)
+    some = flat != 0.0
+    matrix = csr_matrix((flat[some], (np.concatenate(rows)[some], np.concatenate(columns)[some])), (n, n))
+    matrix.sum_duplicates()
+    return _frozen(matrix)
+
+
+def _frozen(matrix: csr_matrix) -> csr_matrix:
+    """The matrix with arrays that cannot be written to: results on feeders are shared."""
+    for array in (matrix.data, matrix.indices, matrix.indptr):
+        array.flags.writeable = False
+    return matrix
+
+
+def _per_unit(y_s: NDArray[Any], nodes: Sequence[int], base_kv: NDArray[np.float64]) -> NDArray[Any]:
+    kv = base_kv[list(nodes)]
+    return y_s * np.outer(kv, kv) * _PER_SIEMENS
+
+
+def _two_sided(y_s: NDArray[Any], through: NDArray[Any], shunts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Admittance of a branch V_to = through V_from - Z I with y = 1 / Z at its to-side, and shunts at its ends."""
+    from_y, mutual = through.T @ y_s @ through, -through.T @ y_s
+    return np.block([[from_y + shunts[0], mutual], [mutual.T, y_s + shunts[1]]])
+
+
+def _lines(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Element]:
+    table = network.phase_line
+    rated = table.rating_a or (math.nan,) * len(table)
+    for row, phases in enumerate(table.phases):
+        at = ["abc".index(phase) for phase in phases]
+        r, x, b_us = (np.array(m[row], float)[np.ix_(at, at)] for m in (table.r_ohm, table.x_ohm, table.b_us))
+        half = 0.5e-6j * b_us
+        ends = [nodes[bus][phase] for bus in (table.from_bus[row], table.to_bus[row]) for phase in phases]
+        if not np.any(r) and not np.any(x):
+            raise FeederError(
+                f"feeder {network.name!r}: line {table.name[row]}: r_ohm and x_ohm are 0; make it a switch"
+            )
+        y = _two_sided(np.linalg.inv(r + 1j * x), np.eye(len(at)), (half, half))
+        yield _Element(tuple(ends), _per_unit(y, ends, base_kv), np.full(len(ends), rated[row]))
+
+
+def _switches(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Coupler]:
+    table = network.switch
+    rated = table.rating_a or (math.nan,) * len(table)
+    for row, phases in enumerate(table.phases):
+        z = complex(table.r_ohm[row], table.x_ohm[row])
+        for phase in phases if table.state[row] == "closed" else "":
+            i, j = nodes[table.from_bus[row]][phase], nodes[table.to_bus[row]][phase]
+            yield _Coupler((i, GROUND, j, GROUND), z / (base_kv[j] ** 2 * _PER_SIEMENS), -1, rated[row])
+
+
+def _transformers(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Element]:
+    """Transformers by their windings; a delta leaves the zero sequence of its side to the other elements."""
+    table = network.transformer
+    rated = table.rating_kva or table.kva
+    for row, phases in enumerate(table.phases):
+        size, (kv_from, kv_to) = len(phases), (table.kv_ll_from[row], table.kv_ll_to[row])
+        windings = (table.connection_from[row], table.connection_to[row])
+        y = np.eye(size) / transformer_impedance(table, row)
+        through = np.eye(size)
+        if windings == ("delta", "wye_grounded"):
+            turned = np.roll(np.eye(3), -1 if table.shift_deg[row] < 0 else 1, axis=1)
+            through = (np.eye(3) - turned) / math.sqrt(3.0)
+        elif windings == ("delta", "delta"):
+            y = y @ (np.eye(3) - np.ones((3, 3)) / 3.0)
+        y = _two_sided(y, kv_to / kv_from * through, [1j * shunt for shunt in winding_shunts(table, row)])
+        ends = [nodes[bus][phase] for bus in (table.from_bus[row], table.to_bus[row]) for phase in phases]
+        amps = [rated[row] / (size * kv / math.sqrt(3.0)) for kv in (kv_from, kv_to) for _ in phases]
+        yield _Element(tuple(ends), _per_unit(y, ends, base_kv), np.array(amps))
+
+
+def _admittances(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Element]:
+    table = network.admittance
+    rated = table.rating_a or (math.nan,) * len(table)
+    for row, names in enumerate(table.nodes):
+        ends = [nodes[bus][letter] for bus, letter in node_names(names)]
+        upper = np.zeros((len(ends), len(ends)), np.complex128)
+        upper[np.triu_indices(len(ends))] = np.array(table.g_s[row]) + 1j * np.array(table.b_s[row])
+        y = upper + np.triu(upper, 1).T
+        yield _Element(tuple(ends), _per_unit(y, ends, base_kv), np.full(len(ends), rated[row]))
+
+
+def _regulators(
+    network: Network, nodes: Nodes, base_kv: NDArray[np.float64], elements: list[_Element]
+) -> Iterator[_Coupler]:
+    table = network.regulator
+    rated = table.rating_kva_per_phase or table.kva_per_phase
+    for row in range(len(table)):
+        base_ohm = table.kv_ln[row] ** 2 * 1000.0 / table.kva_per_phase[row]
+        z_ohm = complex(table.r_percent[row], table.x_percent[row]) / 100.0 * base_ohm
+        shunt_s = -0.5e-6j * table.antifloat_ppm[row] / base_ohm
+        for at_from, at_to in table.windings(row):
+            f = [nodes[table.from_bus[row]][letter] for letter in at_from]
+            t = [nodes[table.to_bus[row]][letter] for letter in at_to]
+            z = z_ohm / (base_kv[t[0]] ** 2 * _PER_SIEMENS)
+            ends = (*f, *[GROUND] * (2 - len(f)), *t, *[GROUND] * (2 - len(t)))
+            yield _Coupler((ends[0], ends[1], ends[2], ends[3]), z, row, rated[row] / table.kv_ln[row])
+            for node in (*f, *t) if shunt_s else ():
+                one = _per_unit(np.array([[shunt_s]]), (node,), base_kv)
+                elements.append(_Element((node,), one, np.full(1, math.nan)))
+
+
+def _neighbours(
+    elements: Sequence[_Element], couplers: Sequence[_Coupler], n: int
+) -> list[list[tuple[int, int, float]]]:
+    """What each node is joined to: the other node, the element or coupler as a negative number, admittance."""
+    joined: list[list[tuple[int, int, float]]] = [[] for _ in range(n)]
+    for k, coupler in enumerate(couplers):
+        f, f_other, t, t_other = coupler.ends
+        for i, j in ((f, t), (f_other, t_other), (t, t_other)):
+            if GROUND not in (i, j) and i != j:
+                joined[i].append((j, ~k, math.inf))
+                joined[j].append((i, ~k, math.inf))
+    for k, element in enumerate(elements):
+        strength = np.abs(element.y)
+        for i, j in zip(*np.nonzero(np.triu(strength, 1)), strict=True):
+            joined[element.nodes[i]].append((element.nodes[j], k, float(strength[i, j])))
+            joined[element.nodes[j]].append((element.nodes[i], k, float(strength[i, j])))
+    return joined
+
+
+def _fed(elements: Sequence[_Element], couplers: Sequence[_Coupler], n: int) -> list[tuple[int, int, float] | None]:
+    """What feeds each node: the node before it, the element or coupler, and the admittance; None for a node without.
+
+    Nodes are taken from the source on, those that are fewest elements away first. Of several ways to a node the one
+    with the largest admittance counts, so that a phase comes from its own and not by the coupling between phases.
+    """
+    joined = _neighbours(elements, couplers, n)
+    fed: list[tuple[int, int, float] | None] = [(-1, -1, math.inf) if node < 3 else None for node in range(n)]
+    here = [0, 1, 2]
+    while here:
+        found: dict[int, tuple[int, int, float]] = {}
+        for i in here:
+            for j, what, strength in joined[i]:
+                if fed[j] is None and (j not in found or strength > found[j][2]):
+                    found[j] = (i, what, strength)
+        for j, feed in found.items():
+            fed[j] = feed
+        here = list(found)
+    return fed
+
+
+def _feeds(elements: Sequence[_Element], couplers: Sequence[_Coupler], fed: list[Any], n: int) -> dict[str, Any]:
+    rows: list[tuple[int, int, complex]] = []
+    coupler, regulator = np.full(n, -1, np.intp), np.full(n, -1, np.intp)
+    parent, z_pu, rating_a = np.full(n, -1, np.intp), np.zeros(n), np.full(n, math.nan)
+    for node in range(3, n):
+        parent[node], what, strength = fed[node]
+        if what < 0:
+            of = couplers[~what]
+            coupler[node], regulator[node], z_pu[node], rating_a[node] = ~what, of.regulator, abs(of.z), of.rating_a
+            continue
+        element = elements[what]
+        place = element.nodes.index(node)
+        z_pu[node], rating_a[node] = 1.0 / strength, element.rating_a[place]
+        rows += [(node, j, -y) for j, y in zip(element.nodes, element.y[place], strict=True) if y != 0.0]
+    i, j, y = (np.array(column) for column in zip(*rows, strict=True)) if rows else (np.zeros(0, int),) * 3
+    feed = _frozen(csr_matrix((y.astype(np.complex128), (i, j)), (n, n)))
+    return {
+        "feed": feed, "feed_coupler": coupler, "parent": parent, "regulator": regulator, "z_pu": z_pu,
+        "rating_a": rating_a,
+    }  # fmt: skip
