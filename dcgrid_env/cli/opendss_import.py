@@ -29,16 +29,20 @@ class ImportOpenDss(Command):
 
     Writes the feeder as a folder of tables and compares the voltages.
 
-    The command checks the script before it runs. It reports an error for commands that do not define the model, files
-    outside the script's folder, and elements that it cannot represent (docs/opendss.md).
+    The command checks the script before it runs. It omits commands that show or write results. It reports an error
+    for other commands that do not define the model, files outside the root folder, and elements that it cannot
+    represent (docs/opendss.md).
     """
 
     master: tyro.conf.Positional[Path]
-    """Master file. It may redirect to other files in its folder or below."""
+    """Master file. It may redirect to other files in the root folder or below."""
     out: Path
     """Folder for the tables. It must be new or empty."""
     allow: str = ""
     """Types of elements to omit even if this changes the grid, separated by commas, for example capcontrol,fuse."""
+    root: Path | None = None
+    """Folder below which the script may read files, for example that of a whole repository. Default: the folder of
+    the master file."""
     trust: bool = False
     """Run the script without the check, with all its effects on this machine. Use it only for trusted files."""
 
@@ -52,7 +56,7 @@ class ImportOpenDss(Command):
             raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
         check_folder(self.out)
         allow = [kind.strip() for kind in self.allow.split(",") if kind.strip()]
-        imported = read_opendss(self.master, allow=allow, trust=self.trust)
+        imported = read_opendss(self.master, allow=allow, trust=self.trust, root=self.root)
         feeder = ThreePhaseFeeder.from_network(imported.network)
         said = compared(imported, feeder)
         with whole_folder(self.out) as folder:

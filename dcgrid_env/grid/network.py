@@ -2,7 +2,7 @@
 
 Each table is a frozen set of columns of one length, one row per component, and every physical column has its unit in
 its name. Buses are identified by text; whole numbers are converted to text. A phase is 1, 2 or 3 for a, b or c, 4 to 26
-for other conductors, whose letters are d to z, and 0 for the positive sequence, which describes a balanced grid. A
+for other conductors with the letters d to z. It is 0 for the positive sequence, which describes a balanced grid. A
 balanced grid uses source, node, line, load and shunt; a three-phase grid uses source, node and the tables of
 ``three_phase_tables``.
 """

@@ -217,7 +217,7 @@ def _regulators(
 def _neighbours(
     elements: Sequence[_Element], couplers: Sequence[_Coupler], n: int
 ) -> list[list[tuple[int, int, float]]]:
-    """What each node is joined to: the other node, the element or coupler as a negative number, admittance."""
+    """Connections of each node: the other node, the element (a coupler as a negative number), and the admittance."""
     joined: list[list[tuple[int, int, float]]] = [[] for _ in range(n)]
     for k, coupler in enumerate(couplers):
         f, f_other, t, t_other = coupler.ends

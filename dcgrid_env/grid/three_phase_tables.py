@@ -133,9 +133,10 @@ class RegulatorTable(Table):
     rating_kva_per_phase: Sequence[float] = optional_column()
     """Rating of a phase; NaN where it is not known. Without the column it is ``kva_per_phase``."""
     connection: Sequence[str] = optional_column()
-    """``wye`` from the phases to ground, which all are without the column; ``delta`` between two phases; or legs such
-    as ``"ad bd cd"``, where the windings of the to-side end at the conductor d. ``kv_ln`` and ``kva_per_phase`` are
-    those of a winding, and the relay measures the voltage across the winding of its phase."""
+    """``wye`` from the phases to ground, ``delta`` between two phases, or legs such as ``"ad bd cd"``.
+
+    With legs the windings of the to-side end at the conductor d. Without the column all are ``wye``. ``kv_ln`` and
+    ``kva_per_phase`` are those of a winding. The relay measures the voltage across the winding of its phase."""
 
     def windings(self, row: int) -> list[tuple[str, str]]:
         """One or two conductors of the winding at the from-side and at the to-side, of each phase."""
@@ -177,8 +178,10 @@ class PhaseLoadTable(Table):
     bus: Sequence[str] = ()
     connection: Sequence[str] = ()
     model: Sequence[str] = ()
-    """How power goes with voltage: PQ constant, I with its first power, Z with its second, CVR active with the first
-    and reactive with the second, ZIP by the shares of ``zip``, EXP by the ``exponents``."""
+    """How power depends on voltage: PQ constant, I with its first power, Z with its second.
+
+    CVR is active with the first and reactive with the second power, ZIP has the shares of ``zip``, and EXP the
+    ``exponents``."""
     leg_kv: Sequence[float] = ()
     """Rated voltage across a leg."""
     p_kw: Sequence[Legs] = ()

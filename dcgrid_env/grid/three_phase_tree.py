@@ -1,7 +1,7 @@
 """The branches of a three-phase grid as a tree from its source: which table's row feeds each bus, and from where.
 
-A grid is *radial* if one branch brings each bus all of its phases and there is no other element between buses. On other
-grids the tree spans the buses and leaves the other branches out; it serves maps and names, not the power flow.
+A grid is *radial* if one branch brings each bus all of its phases and other elements connect no buses. On other grids
+the tree spans the buses and leaves the other branches out; it serves maps and names, not the power flow.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class RelaySettings(NamedTuple):
     node: Array
     """Sensed node, int."""
     other: Array
-    """Node at the other end of the winding, int; the sensed one again for a winding to ground."""
+    """Node at the other end of the winding, int; ``node`` for a winding to ground."""
     is_between: Array
     """1 for a winding to another node, 0 to ground."""
     volts_per_pu: Array
@@ -90,7 +90,7 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
 
 
 def _other_ends(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
-    """Node at the other end of the sensed winding of each regulator, -1 for ground."""
+    """Node at the other end of the winding that each relay measures, -1 for ground."""
     table, found = feeder.network.regulator, np.full(len(node), -1, np.int64)
     for row, (bus, phase) in enumerate(zip(table.to_bus, table.sensed_phase, strict=True)):
         winding = next(at_to for _, at_to in table.windings(row) if phase in at_to)

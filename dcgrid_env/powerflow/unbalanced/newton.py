@@ -60,7 +60,7 @@ class Places(NamedTuple):
 class Equations:
     """The equations of one power flow and their derivative, sparse, real parts first: V, I, then their imaginary parts.
 
-    With nodal equations the currents of the couplers stand in place of I.
+    With nodal equations I are the currents of the couplers.
 
     Parameters
     ----------

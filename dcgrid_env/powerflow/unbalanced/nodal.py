@@ -222,7 +222,7 @@ def _factors(feeder: ThreePhaseFeeder) -> _Factors:
 
 
 def _order(matrix: csc_matrix, last: np.ndarray) -> np.ndarray:
-    """Order of elimination by least degree: first what is not ``last``, up to ``MOST_NEIGHBOURS``, then all others."""
+    """Order of elimination by least degree: all but ``last`` with up to ``MOST_NEIGHBOURS``, then the others."""
     joined = [set(matrix.indices[a:b].tolist()) - {i} for i, (a, b) in enumerate(pairwise(matrix.indptr))]
     left, order = [True] * len(joined), []
     for take in (~last, np.ones_like(last)):

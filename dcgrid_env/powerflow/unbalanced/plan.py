@@ -66,7 +66,7 @@ class Plan(NamedTuple):
     source: np.ndarray
     """Voltages of the ideal source at 1 p.u., real and imaginary, (3, 2)."""
     has_voltage: np.ndarray
-    """Whether a voltage near 0 is no solution, bool, (n_node,): at all nodes of radial feeders, or where legs draw."""
+    """Whether a voltage near 0 is refused, bool, (n_node,): at all nodes of radial feeders, or where legs draw."""
     ampere: np.ndarray
     """Base current of each node, A, (n_node,)."""
 
@@ -91,7 +91,8 @@ LAW = (
     "power_q",
 )
 """Columns of ``Plan.leg_law``: p.u. a kW and squared p.u. voltage; squared rated voltage over base; the shares of the
-law; the limits; the line below vmin, h = slope + offset / u; and the powers of 1 / u of a leg with exponents."""
+law; the limits; and the line below vmin, h = slope + offset / u. The last two are the powers of 1 / u of a leg with
+exponents."""
 
 
 @cached_on_owner

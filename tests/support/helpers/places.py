@@ -7,6 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[3]
 SHARED_FEEDERS = ROOT.parent / "shared" / "feeders"
 SHARED_THREE_PHASE = ROOT.parent / "shared" / "feeders3"
+SHARED_CIRCUITS = ROOT.parent / "shared" / "circuits"
 SHARED_TRACES = ROOT.parent / "shared" / "traces"
 GPU_RECORDING = SHARED_TRACES / "chen_zhang_2025_gpu_inference.csv"
 

@@ -34,8 +34,10 @@ _UNLIMITED = "if you trust the file, --trust reads it without limits of time and
 _WATCH_S = 0.5
 
 
-def read_opendss(master: str | Path, *, allow: Collection[str] = (), trust: bool = False) -> Imported:
-    """Read a three-phase radial circuit; needs OpenDSSDirect.py, of the extra ``opendss``.
+def read_opendss(
+    master: str | Path, *, allow: Collection[str] = (), trust: bool = False, root: str | Path | None = None
+) -> Imported:
+    """Read a three-phase circuit; needs OpenDSSDirect.py, of the extra ``opendss``.
 
     Parameters
     ----------
@@ -45,7 +47,10 @@ def read_opendss(master: str | Path, *, allow: Collection[str] = (), trust: bool
         Kinds of elements, such as ``"capcontrol"`` or ``"fuse"``, that may be left out although something is lost.
     trust
         Let OpenDSS run the script unchanged, without limits of time and memory. Otherwise the script is checked first.
-        Commands that go beyond a model's definition, or read files outside the master file's folder, are refused.
+        Commands that show or write results are left out. Others that go beyond a model's definition, or read files
+        outside ``root``, are refused.
+    root
+        Folder below which the script may read files, such as that of a whole repository; by default the master file's.
 
     Raises
     ------
@@ -56,7 +61,7 @@ def read_opendss(master: str | Path, *, allow: Collection[str] = (), trust: bool
     """
     # The child finds modules where this process does.
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"
-    asked = json.dumps([str(master), list(allow), trust, os.getpid()])
+    asked = json.dumps([str(master), list(allow), trust, None if root is None else str(root), os.getpid()])
     child = subprocess.Popen(
         [sys.executable, "-c", code],
         stdin=subprocess.PIPE,
@@ -113,7 +118,7 @@ def _tuples(values: object) -> Any:
 
 def main() -> None:
     """Read the circuit that standard input names, and write it, or what is wrong, to standard output."""
-    master, allow, trust, parent = json.load(sys.stdin)
+    master, allow, trust, root, parent = json.load(sys.stdin)
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as out:
         for stream in (1, 2):  # what OpenDSS prints is nobody's
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
@@ -121,12 +126,12 @@ def main() -> None:
         threading.Thread(target=_end_without, args=(parent, longest_s), daemon=True).start()
         if not trust:
             _limit_memory()
-        json.dump(_answer(master, allow, trust), out)
+        json.dump(_answer(master, allow, trust, root), out)
 
 
-def _answer(master: str, allow: list[str], trust: bool) -> dict[str, Any]:
+def _answer(master: str, allow: list[str], trust: bool, root: str | None) -> dict[str, Any]:
     try:
-        found = read_circuit(master, allow=allow, trust=trust)
+        found = read_circuit(master, allow=allow, trust=trust, root=root)
     except FeederError as error:
         said = str(error)
     except MemoryError:

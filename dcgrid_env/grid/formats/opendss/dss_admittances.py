@@ -1,8 +1,8 @@
 """Elements that no other table can hold, as OpenDSS's primitive admittance matrices.
 
-These are centre-tapped and three-winding transformers, open wye and open delta, floating or impedance-grounded stars,
-neutral conductors, shunt and series reactors and capacitors, lines whose phases change or are open, and fault
-resistances.
+These are transformers with a centre tap, with three windings, in open wye and open delta, and with a floating star or a
+neutral impedance. They also are lines with neutral conductors, changing or open phases, reactors, series capacitors and
+fault resistances.
 """
 
 from __future__ import annotations

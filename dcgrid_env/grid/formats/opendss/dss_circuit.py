@@ -5,7 +5,7 @@ OpenDSSDirect.py comes with the extra ``opendss`` and is imported here alone, wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,8 +35,10 @@ class Terminal(NamedTuple):
 class DssCircuit:
     """Circuit in a separate OpenDSS engine; make one with :func:`loaded_circuit`."""
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, skipped: Sequence[tuple[str, str]] = ()) -> None:
         self.engine = engine
+        self.skipped = tuple(skipped)
+        """Commands and options that were left out of the script, each with its file and line."""
 
     @property
     def name(self) -> str:
@@ -160,35 +162,39 @@ class DssCircuit:
         return dict(zip(names, (flat[::2] + 1j * flat[1::2]).tolist(), strict=True))
 
 
-def loaded_circuit(master: Path, trust: bool) -> DssCircuit:
+def loaded_circuit(master: Path, trust: bool, root: Path | None = None) -> DssCircuit:
     """Define the circuit of a script in a separate engine, checked line by line unless it is trusted.
+
+    ``root`` is the folder below which a checked script may read files, the master file's by default.
 
     Raises
     ------
     FeederError
         Where OpenDSSDirect.py is missing, the file is, a command is refused, or OpenDSS refuses one.
     """
-    engine = new_engine()
+    engine, skipped = new_engine(), ()
     if not master.is_file():
         raise FeederError(f"there is no file {master}; give an OpenDSS master file")
     if trust:
         run_command(engine, f'redirect "{master.resolve()}"', str(master))
     else:
-        for line in script_of(engine, master).lines():
+        script = script_of(engine, master, root)
+        for line in script.lines():
             run_command(engine, line.command, line.where)
+        skipped = script.skipped
     if engine.Basic.NumCircuits() != 1:
         raise FeederError(f"{master} defines {engine.Basic.NumCircuits()} circuits; give one with New Circuit.name")
-    return DssCircuit(engine)
+    return DssCircuit(engine, skipped)
 
 
-def script_of(engine: Engine, master: Path) -> Script:
+def script_of(engine: Engine, master: Path, root: Path | None = None) -> Script:
     """The script of a master file, by the names that an engine knows."""
     executive = engine.Executive
     commands = [executive.Command(k + 1) for k in range(executive.NumCommands())]
     options = [executive.Option(k + 1) for k in range(executive.NumOptions())]
     ffi = engine.dss_ffi
     schema = ffi.string(engine.dss_lib.DSS_ExtractSchema(ffi.NULL, False)).decode()
-    return Script(master, commands, options, engine.Basic.Classes(), Counts(schema))
+    return Script(master, commands, options, engine.Basic.Classes(), Counts(schema), root)
 
 
 def run_command(engine: Engine, command: str, where: str) -> None:

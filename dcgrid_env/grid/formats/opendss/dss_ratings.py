@@ -34,10 +34,12 @@ class ScriptRatings:
         The script that it was read from.
     report
         Where it is noted what a rating was taken from.
+    root
+        Folder below which the script may read files.
     """
 
-    def __init__(self, circuit: DssCircuit, master: Path, report: Report) -> None:
-        self._circuit, self._master, self._report = circuit, master, report
+    def __init__(self, circuit: DssCircuit, master: Path, report: Report, root: Path | None = None) -> None:
+        self._circuit, self._master, self._report, self._root = circuit, master, report, root
 
     def of_conductor(self, kind: str, name: str) -> float:
         """Normal ampacity of a line or series reactor, A; its emergency ampacity where that alone is written."""
@@ -79,7 +81,7 @@ class ScriptRatings:
         engine: Any = new_engine()
         marks = " ".join(f"{field}={value}" for field, value in _UNLIKELY.items())
         try:
-            for line in script_of(engine, self._master).lines():
+            for line in script_of(engine, self._master, self._root).lines():
                 first, *rest = words_of(line.command)
                 if first.text != "new" or rest[0].text.partition(".")[0].lower() not in _CONDUCTORS:
                     run_command(engine, line.command, line.where)

@@ -69,14 +69,20 @@ class Imported:
     v_pu: dict[str, complex]
 
 
-def read_circuit(master: str | Path, *, allow: Collection[str] = (), trust: bool = False) -> Imported:
+def read_circuit(
+    master: str | Path, *, allow: Collection[str] = (), trust: bool = False, root: str | Path | None = None
+) -> Imported:
     """Read a circuit in this process, which OpenDSS may end: see ``read_opendss``, which has a child do it."""
     unknown = [kind for kind in allow if kind.lower() not in ALLOWABLE]
     if unknown:
         raise FeederError(f"allow: {unknown[0]!r} is no kind of loss; choose among {', '.join(ALLOWABLE)}")
-    circuit = loaded_circuit(Path(master), trust)
+    folder = None if root is None else Path(root)
+    circuit = loaded_circuit(Path(master), trust, folder)
     converged, report = circuit.solve(), Report()
-    network = _network(circuit, report, ScriptRatings(circuit, Path(master), report), Path(master).name, allow)
+    for command, where in circuit.skipped:
+        report.add("nothing lost", "command", f"{command} ({where})", "it shows or writes results: it is left out")
+    ratings = ScriptRatings(circuit, Path(master), report, folder)
+    network = _network(circuit, report, ratings, Path(master).name, allow)
     return Imported(network, report.findings, _voltages(circuit, network) if converged else {})
 
 
@@ -142,7 +148,7 @@ def _unit_joints(circuit: DssCircuit, letters: Letters, units: dict[str, Unit | 
 
 
 def _series_capacitors(circuit: DssCircuit, report: Report, letters: Letters) -> list[Joint]:
-    """Capacitors that are no banks to be switched: in series, or with a resistance or reactance of their own."""
+    """Capacitors that cannot be switched as a susceptance: in series, or with a resistance or reactance."""
     found = []
     for name in circuit.names("capacitor"):
         if capacitor_legs(circuit, letters, name) is None:
@@ -219,7 +225,7 @@ class _Tables:
         self.regulators += [row] if row else []
 
     def _add_admittance(self, name: str, reason: str, regulation: Regulation | None) -> None:
-        """Take a transformer as an admittance; its tap is fixed unless a regulator can stand behind it."""
+        """Take a transformer as an admittance; its tap is fixed unless a regulator can represent it."""
         report, circuit = self.report, self.circuit
         rating_a = rating_of_fed_side(circuit, self.ratings, name, self.supply.depth)
         if regulation:

@@ -20,11 +20,13 @@ def file_beneath(root: Path, folder: Path, name: str) -> Path:
     """
     plain = name.strip().replace("\\", "/")
     if not plain or plain.startswith("~") or ":" in plain:
-        raise ValueError(f"{name!r} is no path of a file beneath the master file's folder {root}")
+        raise ValueError(f"{name!r} is no path of a file beneath the folder {root}")
     path = _found(folder, plain)
     real = path.resolve()
     if not real.is_relative_to(root):
-        raise ValueError(f"{name!r} is not beneath the master file's folder {root}; put it there")
+        raise ValueError(
+            f"{name!r} is not beneath the folder {root}; put it there, or give a folder with both by --root"
+        )
     if not real.is_file():
         raise ValueError(f"there is no file {name!r} in {folder}")
     if real.stat().st_size > LARGEST_BYTES:

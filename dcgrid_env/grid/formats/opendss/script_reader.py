@@ -37,10 +37,14 @@ class Script:
     ----------
     master
         The file.
+    root
+        Folder below which files may be read; the master file's by default.
     commands, options, classes
         Names that the OpenDSS at hand knows, by which abbreviations are resolved.
     counts
         The properties that are whole numbers.
+    skipped
+        Commands, options and properties that were left out so far, each with its file and line.
     """
 
     master: Path
@@ -48,13 +52,15 @@ class Script:
     options: Sequence[str]
     classes: Sequence[str]
     counts: Counts
+    root: Path | None = None
+    skipped: list[tuple[str, str]] = field(default_factory=list)
     _root: Path = field(init=False)
     _kind: str | None = field(init=False, default=None)
     """Class of the element that ``~`` goes on with."""
     _read: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
-        self._root = self.master.resolve().parent
+        self._root = (self.root or self.master.parent).resolve()
 
     def lines(self) -> Iterator[Line]:
         """Give the commands in order.
@@ -64,7 +70,10 @@ class Script:
         FeederError
             Naming the file, the line, the command and what is wrong with it.
         """
-        yield from self._file(self.master.resolve(), 0)
+        master = self.master.resolve()
+        if not master.is_relative_to(self._root):
+            raise FeederError(f"{self.master} is not beneath the root folder {self._root}; give one that has it")
+        yield from self._file(master, 0)
 
     def _file(self, path: Path, depth: int) -> Iterator[Line]:
         self._read += 1
@@ -79,6 +88,9 @@ class Script:
             if not line or line.startswith(("!", "//")):
                 continue
             where = f"{path}, line {number}"
+            if skipped := self._skipped_command(line):
+                self.skipped.append((skipped, where))
+                continue
             try:
                 name, words = self._command(words_of(line))
                 if name in ("redirect", "compile"):
@@ -86,7 +98,9 @@ class Script:
                     yield from self._file(script, depth + 1)
                     folder = script.parent if name == "compile" else folder
                     continue
-                yield Line(" ".join([name, *map(str, self._checked(name, words, folder))]), where)
+                checked = self._checked(name, words, folder, where)
+                if checked or not words:
+                    yield Line(" ".join([name, *map(str, checked)]), where)
             except FeederError:
                 raise
             except ValueError as error:
@@ -94,6 +108,16 @@ class Script:
                     f"{where}: {line.split()[0][:60]!r} is refused: {error}; if you trust the file, --trust runs it "
                     "as it is"
                 ) from None
+
+    def _skipped_command(self, line: str) -> str:
+        """The command of a line that is left out, or an empty text."""
+        first = line.replace("\t", " ").split(" ")[0]
+        try:
+            name = rules.resolved(first, rules.SKIPPED, self.commands)
+        except ValueError:
+            return ""
+        self._kind = None
+        return name
 
     def _command(self, words: list[Word]) -> tuple[str, list[Word]]:
         """The command that a line gives, written out, and the words behind it."""
@@ -111,12 +135,13 @@ class Script:
             raise ValueError("give one file, in quotes where its name has blanks")
         return words[0].text
 
-    def _checked(self, name: str, words: list[Word], folder: Path) -> list[Word]:
+    def _checked(self, name: str, words: list[Word], folder: Path, where: str) -> list[Word]:
         if name in rules.FILES:
             return [Word("", str(file_beneath(self._root, folder, self._path(words))), '"')]
         if name in rules.OPTIONS:
             self._kind = None
-            return [rules.check_option(word, self.options) for word in words]
+            kept = [word for word in words if not self._is_skipped_option(word, where)]
+            return [rules.check_option(word, self.options) for word in kept]
         if name not in rules.DEFINING:
             self._kind = None
             for word in words:
@@ -129,11 +154,24 @@ class Script:
         elif self._kind is None:
             raise ValueError("it goes on with no New or Edit before it")
         kind = self._kind or ""
+        for word in words:
+            if word.name.lower() == "debugtrace":
+                self.skipped.append(("debugtrace", where))
+        words = [word for word in words if word.name.lower() != "debugtrace"]
         self.counts.check(kind, words)
         leading = next((k for k, word in enumerate(words) if word.name), len(words))
         first = [k < min(leading, rules.HARMLESS_POSITIONS) for k in range(len(words))]
         pairs = zip(words, first, strict=True)
         return [*element, *(self._property(kind, word, is_first, folder) for word, is_first in pairs)]
+
+    def _is_skipped_option(self, word: Word, where: str) -> bool:
+        try:
+            name = rules.resolved(word.name, rules.SKIPPED_OPTIONS, self.options) if word.name else ""
+        except ValueError:
+            return False
+        if name:
+            self.skipped.append((f"set {name}", where))
+        return bool(name)
 
     def _class_of(self, element: list[Word]) -> str:
         if not element or element[0].name.lower() not in ("", "object") or "." not in element[0].text:
