@@ -37,6 +37,7 @@ from dcgrid_env.grid.network import (
     Network,
     NodeTable,
     PhaseLineTable,
+    PhaseLoadTable,
     RegulatorTable,
     ShuntTable,
     SwitchTable,
@@ -79,6 +80,7 @@ _REGULATOR = """
     tap_max tap_step vreg_v band_v pt_ratio ct_primary_a r_ldc_v x_ldc_v delay_s tap_delay_s max_taps_per_move
     antifloat_ppm
 """
+_PHASE_LOAD = "name bus connection model leg_kv p_kw q_kvar vmin_pu vmax_pu vlow_pu zip"
 _NETWORK = """
     name source node line load shunt phase_line switch transformer regulator phase_load capacitor frequency_hz
     source_of_facts
@@ -134,6 +136,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     SwitchTable: Kind("SwitchTable", tuple(_SWITCH.split())),
     TransformerTable: Kind("TransformerTable", tuple(_TRANSFORMER.split())),
     RegulatorTable: Kind("RegulatorTable", tuple(_REGULATOR.split())),
+    PhaseLoadTable: Kind("PhaseLoadTable", tuple(_PHASE_LOAD.split())),
     RegulatorControl: Kind("RegulatorControl", ("timer", "offset_v", "hold_s")),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }

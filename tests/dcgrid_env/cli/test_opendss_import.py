@@ -75,10 +75,10 @@ def test_errors_are_one_line_and_leave_nothing(master, capsys, monkeypatch):
     assert "there is no file" in said(capsys, master.parent / "none.dss", "--out", out)
     assert "'fuses' is no kind of loss" in said(capsys, master, "--out", out, "--allow", "fuses")
     whole = master.read_text()
-    master.write_text(f"{whole}\nExport voltages")
-    assert "'Export' is refused" in said(capsys, master, "--out", out)
-    master.write_text(f"{whole}\nNew Line.loop bus1=650 bus2=680 switch=yes")
-    assert "closes a loop" in said(capsys, master, "--out", out)
+    master.write_text(f"{whole}\nDOScmd ls")
+    assert "'DOScmd' is refused" in said(capsys, master, "--out", out)
+    master.write_text(f"{whole}\nNew Load.twice bus1=671.1.1 phases=1 kv=2.4 kw=9")
+    assert "load twice: its nodes 1.1 give no separate legs" in said(capsys, master, "--out", out)
     master.write_text(whole)
 
     def full(*_):

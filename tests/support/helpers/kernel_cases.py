@@ -23,6 +23,7 @@ from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.traces.serving.hardware import replica
 from dcgrid_env.traces.serving.pool import Pool
 from helpers import three_phase
+from helpers.nodal import as_nodal
 
 WIDTHS = (1, 40, 130)
 """Environments in a batch: alone, in one block, and in blocks on two threads."""
@@ -69,6 +70,14 @@ def without_equipment(feeder):
     return ThreePhaseFeeder.from_network(replace(feeder.network, capacitor=CapacitorTable()))
 
 
+def with_exponents(feeder):
+    """The same feeder with exponents of all loads."""
+    table = feeder.network.phase_load
+    n = len(table)
+    loads = replace(table, model=["EXP"] * n, zip=[()] * n, exponents=[(0.8, 3.0)] * n)
+    return ThreePhaseFeeder.from_network(replace(feeder.network, phase_load=loads))
+
+
 def with_banks(feeder, bus, banks):
     """The same feeder with as many small banks at a bus, of one to three phases and of both connections in turn."""
     kinds = [("wye", (1.0, 0.0, 0.0)), ("wye", (1.0, 1.0, 0.0)), ("delta", (0.0, 1.0, 0.0)), ("wye", (1.0, 1.0, 1.0))]
@@ -112,7 +121,8 @@ def run():
         balanced(feeder)
     ieee13 = load_feeder("ieee13-3ph")
     feeders = [load_feeder("ieee34-3ph"), three_phase.one_phase().feeder, one_bus(ieee13), without_equipment(ieee13)]
-    for feeder in (ieee13, *feeders, with_banks(ieee13, "675", 60)):
+    nodal = [as_nodal(ieee13), as_nodal(with_exponents(without_equipment(ieee13)))]
+    for feeder in (ieee13, *feeders, with_banks(ieee13, "675", 60), *nodal):
         unbalanced(feeder)
     for preset in ("toy6", "ieee13-3ph", "ieee123-3ph-day", "ride-through", "ieee33-weak-ups", "routing", "robust"):
         steps(make_scenario(preset))

@@ -38,7 +38,7 @@ class Unit:
 
     name: str
     phases: str
-    """Of a winding between two phases both of them."""
+    """Phases of its windings; both phases of a winding that connects two."""
     nodes: tuple[int, ...]
     windings: tuple[Winding, Winding]
     kva: float

@@ -77,7 +77,7 @@ Line.w2.normamps=400
 
 
 def test_a_script_that_is_only_run_on_trust_keeps_every_rating_and_says_so(master, tmp_path):
-    refused = "set datapath=" + str(tmp_path)
+    refused = "cd " + str(tmp_path)
     imported = read_circuit(master(CODES + f"New Line.w0 bus1=m bus2=b linecode=plain\n{refused}\n"), trust=True)
     assert rating(imported.network, "w0") == 400.0
     assert any("w0" in row.names and "cannot be told" in row.text for row in imported.findings)

@@ -31,7 +31,10 @@ def test_the_tables_of_a_shipped_feeder_come_back(shipped):
         assert set(theirs) == set(ours)
         for name, field in [(row, column) for row in ours for column in ours[row]]:
             a, b = ours[name][field], theirs[name][field]
-            if isinstance(a, str):
+            if b == "EXP":  # OpenDSS's law, with a jump beyond its limits; the shipped one is continuous there
+                assert a == "CVR"
+                assert theirs[name]["exponents"] == (1.0, 2.0)
+            elif isinstance(a, str):
                 assert a == b, (kind, name, field)
             else:
                 # What charges a line of some feet is 1e-12 of what it conducts.
