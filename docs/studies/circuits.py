@@ -1,7 +1,6 @@
 """Import every OpenDSS circuit in a folder and print a table: ``python -m docs.studies circuits FOLDER``.
 
-A circuit is a script that has a line ``New Circuit``. Scripts that redirect to such a script from other folders are not
-looked for.
+A circuit is a script that has a line ``New Circuit``, or the script ``Master*`` in its folder that redirects to it.
 """
 
 from __future__ import annotations
@@ -49,7 +48,12 @@ def masters(folder: Path) -> Iterator[Path]:
     """Scripts below a folder that define a circuit, by name."""
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() == ".dss" and _CIRCUIT.search(path.read_text(encoding="latin-1")):
-            yield path
+            above = [other for other in path.parent.glob("[Mm]aster*") if path.name.lower() in _text(other)]
+            yield above[0] if above and not path.name.lower().startswith("master") else path
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="latin-1").lower()
 
 
 def row(master: Path, root: Path, allow: list[str]) -> str:
