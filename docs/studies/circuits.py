@@ -26,9 +26,9 @@ HEAD = """| circuit | nodes | solved by | of it admittances | largest difference
 
 @dataclass(frozen=True)
 class Circuits(Command):
-    """Import every OpenDSS circuit in a folder and print a table.
+    """Import every OpenDSS circuit in a folder.
 
-    A row has the largest voltage difference from OpenDSS, or the reason for a refusal.
+    It prints a table. A row has the largest voltage difference from OpenDSS, or the reason for a refusal.
     """
 
     folder: tyro.conf.Positional[Path]
