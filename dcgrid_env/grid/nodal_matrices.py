@@ -91,7 +91,10 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64])
     fed = _fed(elements, couplers, n)
     lost = [f"{bus}.{letter}" for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not fed[node]]
     if lost:
-        raise FeederError(f"feeder {network.name!r}: no element connects the nodes {listed(lost)} to the source")
+        raise FeederError(
+            f"feeder {network.name!r}: no element connects the nodes {listed(lost)} to the source; add one, or turn "
+            "the regulator whose to_bus is on the side of the source"
+        )
     return NodalMatrices(
         y=_sum([(e.nodes, e.y) for e in elements], n),
         source_y=np.linalg.inv(z) if np.any(z) else _refuse_ideal(network),
@@ -224,7 +227,8 @@ def _neighbours(
         for i, j in ((f, t), (f_other, t_other), (t, t_other)):
             if GROUND not in (i, j) and i != j:
                 joined[i].append((j, ~k, math.inf))
-                joined[j].append((i, ~k, math.inf))
+                if coupler.regulator < 0 or i == t:  # a regulator feeds its to-side alone
+                    joined[j].append((i, ~k, math.inf))
     for k, element in enumerate(elements):
         strength = np.abs(element.y)
         for i, j in zip(*np.nonzero(np.triu(strength, 1)), strict=True):

@@ -195,10 +195,8 @@ def _depending(factors: _Factors, drawing: np.ndarray) -> np.ndarray:
     for k in range(len(found)):
         found[k] = found[k] or found[column[start[k] : start[k + 1]]].any()
     start, column = factors.upper.indptr, factors.upper.indices
-    for k in np.flatnonzero(found):  # rising, and what is added is beyond
-        found[column[start[k] : start[k + 1]]] = True
     for k in range(len(found)):
-        if found[k]:
+        if found[k]:  # also by a row before it
             found[column[start[k] : start[k + 1]]] = True
     return found
 

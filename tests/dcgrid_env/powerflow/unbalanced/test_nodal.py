@@ -153,3 +153,11 @@ def test_a_part_without_ground_is_named():
     feeder = ThreePhaseFeeder.from_network(replace(network, node=type(node)(**two), admittance=coupled))
     with pytest.raises(FeederError, match=r"node far\..* has no connection to ground|no unique solution"):
         solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar)
+
+
+def test_a_regulator_that_is_fed_at_its_to_bus_is_named():
+    network = as_nodal(load_feeder("ieee34-3ph")).network
+    table = network.regulator
+    turned = replace(table, from_bus=table.to_bus, to_bus=table.from_bus)
+    with pytest.raises(FeederError, match=r"no element connects the nodes .* or turn the regulator whose to_bus is on"):
+        ThreePhaseFeeder.from_network(replace(network, regulator=turned))
