@@ -29,8 +29,6 @@ from dcgrid_env.powerflow.unbalanced.sweep_kernels import (
 )
 
 PER_KVA = 1.0 / PHASE_BASE_KVA
-TILE = 64
-"""Nodes that are handed over together: their figures fit into the fastest cache."""
 
 
 @compiled(inner=True)
@@ -40,7 +38,7 @@ def workspace(plan, nodal, wide, given):
     Each has as many rows as what is put into it has columns: ``ratio`` one a regulator, and one where there is none;
     ``on`` one a bank. V and J also have the currents of the couplers of ``nodal``, which is None for radial feeders.
     """
-    n, W, scratch = plan.up.shape[0] + 4, len(wide), max(6, 1 + TILE)
+    n, W, scratch = plan.up.shape[0] + 4, len(wide), 6
     if nodal is not None:
         n += nodal.base_ratio.shape[0]
         scratch += 2 * nodal.place.shape[0]
@@ -223,23 +221,20 @@ def store_rows(columns, count, first, plan, nodal, wide, work, sweeps, is_good, 
         feeding_currents(plan, nodal, wide, V, J)
     for b in range(W):
         H[b], H[W + b] = V_SQ_CEILING, V_SQ_FLOOR
-    for begin_at in range(0, n_node, TILE):
-        end = min(begin_at + TILE, n_node)
-        for n in range(begin_at, end):
-            o, t = np.uint64(n) * U2 * W, np.uint64(1 + n - begin_at) * W
-            for b in range(W):
-                v_sq = V[o + b] * V[o + b] + V[o + W + b] * V[o + W + b]
-                if plan.has_voltage[n]:
-                    H[b] = H[b] if H[b] < v_sq else v_sq
-                H[W + b] = H[W + b] if H[W + b] > v_sq else v_sq
-                T[t + b] = np.sqrt(v_sq)
+    for n in range(n_node):
+        o = np.uint64(n) * U2 * W
+        ampere = plan.ampere[n]
+        for b in range(W):
+            v_sq = V[o + b] * V[o + b] + V[o + W + b] * V[o + W + b]
+            if plan.has_voltage[n]:
+                H[b] = H[b] if H[b] < v_sq else v_sq
+            H[W + b] = H[W + b] if H[W + b] > v_sq else v_sq
+            T[W + b] = np.sqrt(v_sq)
         for c in range(count):
             b, row = columns[c], first + columns[c]
-            for n in range(begin_at, end):
-                o, t, ampere = np.uint64(n) * U2 * W + b, np.uint64(1 + n - begin_at) * W + b, plan.ampere[n]
-                v_pu[row, n] = T[t]
-                volts[row, n], volts[row, n_node + n] = V[o], V[o + W]
-                amperes[row, n], amperes[row, n_node + n] = J[o] * ampere, J[o + W] * ampere
+            v_pu[row, n] = T[W + b]
+            volts[row, n], volts[row, n_node + n] = V[o + b], V[o + W + b]
+            amperes[row, n], amperes[row, n_node + n] = J[o + b] * ampere, J[o + W + b] * ampere
     if nodal is not None:
         n_coupler = nodal.base_ratio.shape[0]
         for c in range(count):
