@@ -12,6 +12,7 @@ A winding is from a node to ground or between two nodes. Per unit is that of ``t
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ from scipy.sparse import csr_matrix
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.three_phase_checks import node_names
-from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA, transformer_impedance, winding_shunts
+from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA, symmetric, transformer_impedance, winding_shunts
 from dcgrid_env.grid.topology import FeederError, listed
 
 GROUND = -1
@@ -47,7 +48,10 @@ class NodalMatrices(NamedTuple):
     feed: csr_matrix
     """The current brought to each node by what feeds it, from the voltages of all nodes, (n_node, n_node)."""
     feed_coupler: NDArray[np.intp]
-    """The coupler that feeds each node, -1 for none, (n_node,). The source feeds its own three."""
+    """The coupler that feeds each node, -1 for none, (n_node,). The source feeds its own three. At the conductor where
+    several windings end it is one of theirs."""
+    feed_sign: NDArray[np.float64]
+    """1 where its current comes to the node, -1 where it goes: at the second end of a winding or at f, (n_node,)."""
     parent: NDArray[np.intp]
     """Node that feeds each node, -1 at the source and for nodes that only elements to ground reach, (n_node,)."""
     regulator: NDArray[np.intp]
@@ -97,7 +101,7 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64])
         )
     return NodalMatrices(
         y=_sum([(e.nodes, e.y) for e in elements], n),
-        source_y=np.linalg.inv(z) if np.any(z) else _refuse_ideal(network),
+        source_y=_inverse(network, "source", z),
         coupler_ends=ends,
         coupler_z=np.array([c.z for c in couplers], np.complex128),
         coupler_regulator=np.array([c.regulator for c in couplers], np.intp),
@@ -105,8 +109,16 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64])
     )
 
 
-def _refuse_ideal(network: Network) -> NDArray[np.complex128]:
-    raise FeederError(f"feeder {network.name!r}: source: r_ohm and x_ohm are 0; a feeder that is not radial needs them")
+def _inverse(network: Network, what: str, z: NDArray[Any]) -> NDArray[Any]:
+    """Admittance matrix of an impedance matrix; FeederError for one without an inverse."""
+    with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
+        y = np.linalg.inv(z)
+        if np.isfinite(y).all():
+            return y
+    raise FeederError(
+        f"feeder {network.name!r}: {what}: its impedance is 0 or singular, which a feeder that is not radial "
+        "cannot have; give a small one, or use a switch"
+    )
 
 
 def _sum(parts: Sequence[tuple[Sequence[int], NDArray[np.complex128]]], n: int) -> csr_matrix:
@@ -148,11 +160,8 @@ def _lines(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iter
         r, x, b_us = (np.array(m[row], float)[np.ix_(at, at)] for m in (table.r_ohm, table.x_ohm, table.b_us))
         half = 0.5e-6j * b_us
         ends = [nodes[bus][phase] for bus in (table.from_bus[row], table.to_bus[row]) for phase in phases]
-        if not np.any(r) and not np.any(x):
-            raise FeederError(
-                f"feeder {network.name!r}: line {table.name[row]}: r_ohm and x_ohm are 0; make it a switch"
-            )
-        y = _two_sided(np.linalg.inv(r + 1j * x), np.eye(len(at)), (half, half))
+        y = _inverse(network, f"line {table.name[row]}", r + 1j * x)
+        y = _two_sided(y, np.eye(len(at)), (half, half))
         yield _Element(tuple(ends), _per_unit(y, ends, base_kv), np.full(len(ends), rated[row]))
 
 
@@ -173,7 +182,7 @@ def _transformers(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) 
     for row, phases in enumerate(table.phases):
         size, (kv_from, kv_to) = len(phases), (table.kv_ll_from[row], table.kv_ll_to[row])
         windings = (table.connection_from[row], table.connection_to[row])
-        y = np.eye(size) / transformer_impedance(table, row)
+        y = _inverse(network, f"transformer {table.name[row]}", np.eye(size) * transformer_impedance(table, row))
         through = np.eye(size)
         if windings == ("delta", "wye_grounded"):
             turned = np.roll(np.eye(3), -1 if table.shift_deg[row] < 0 else 1, axis=1)
@@ -191,10 +200,8 @@ def _admittances(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -
     rated = table.rating_a or (math.nan,) * len(table)
     for row, names in enumerate(table.nodes):
         ends = [nodes[bus][letter] for bus, letter in node_names(names)]
-        upper = np.zeros((len(ends), len(ends)), np.complex128)
-        upper[np.triu_indices(len(ends))] = np.array(table.g_s[row]) + 1j * np.array(table.b_s[row])
-        y = upper + np.triu(upper, 1).T
-        yield _Element(tuple(ends), _per_unit(y, ends, base_kv), np.full(len(ends), rated[row]))
+        y = _per_unit(symmetric(table.g_s[row], table.b_s[row]), ends, base_kv)
+        yield _Element(tuple(ends), y, np.full(len(ends), rated[row]))
 
 
 def _regulators(
@@ -261,12 +268,13 @@ def _fed(elements: Sequence[_Element], couplers: Sequence[_Coupler], n: int) -> 
 def _feeds(elements: Sequence[_Element], couplers: Sequence[_Coupler], fed: list[Any], n: int) -> dict[str, Any]:
     rows: list[tuple[int, int, complex]] = []
     coupler, regulator = np.full(n, -1, np.intp), np.full(n, -1, np.intp)
-    parent, z_pu, rating_a = np.full(n, -1, np.intp), np.zeros(n), np.full(n, math.nan)
+    parent, z_pu, rating_a, sign = np.full(n, -1, np.intp), np.zeros(n), np.full(n, math.nan), np.ones(n)
     for node in range(3, n):
         parent[node], what, strength = fed[node]
         if what < 0:
             of = couplers[~what]
             coupler[node], regulator[node], z_pu[node], rating_a[node] = ~what, of.regulator, abs(of.z), of.rating_a
+            sign[node] = 1.0 if of.ends[2] == node else -1.0
             continue
         element = elements[what]
         place = element.nodes.index(node)
@@ -275,6 +283,6 @@ def _feeds(elements: Sequence[_Element], couplers: Sequence[_Coupler], fed: list
     i, j, y = (np.array(column) for column in zip(*rows, strict=True)) if rows else (np.zeros(0, int),) * 3
     feed = _frozen(csr_matrix((y.astype(np.complex128), (i, j)), (n, n)))
     return {
-        "feed": feed, "feed_coupler": coupler, "parent": parent, "regulator": regulator, "z_pu": z_pu,
-        "rating_a": rating_a,
+        "feed": feed, "feed_coupler": coupler, "feed_sign": sign, "parent": parent, "regulator": regulator,
+        "z_pu": z_pu, "rating_a": rating_a,
     }  # fmt: skip

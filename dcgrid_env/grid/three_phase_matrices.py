@@ -12,6 +12,7 @@ docs/decisions/0010-three-phase.md has the derivation.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -104,6 +105,14 @@ def _transformer(network: Network, branch: Branch, bases: tuple[float, float]) -
     elif windings == ("delta", "delta"):  # line-to-line voltages alone go through; the zero sequence is set to zero
         turned = through = _ZERO_SEQUENCE_FREE
     return scale * turned, z_ohm * through, winding_shunts(table, row), -1
+
+
+def symmetric(g: Sequence[float], b: Sequence[float]) -> NDArray[np.complex128]:
+    """The symmetric matrix G + jB from the upper triangles of both, row by row."""
+    size = (math.isqrt(8 * len(g) + 1) - 1) // 2
+    upper = np.zeros((size, size), np.complex128)
+    upper[np.triu_indices(size)] = np.array(g) + 1j * np.array(b)
+    return upper + np.triu(upper, 1).T
 
 
 def transformer_impedance(table: TransformerTable, row: int) -> complex:

@@ -4,9 +4,8 @@
 
 V is the voltage of the winding of the sensed phase at the regulator's to-bus, to ground or to another node, and I the
 current through that phase. R and X are the settings of the line-drop compensator in volts, and CT is the primary rating
-of its current transformer in A
-(W. H. Kersting, "Distribution System Modeling and Analysis", chapter 7). Half the band is at least half a tap: with a
-narrower band the regulator would switch back and forth without end.
+of its current transformer in A (W. H. Kersting, "Distribution System Modeling and Analysis", chapter 7). Half the band
+is at least half a tap: with a narrower band the regulator would switch back and forth without end.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class RelaySettings(NamedTuple):
     node: Array
     """Sensed node, int."""
     other: Array
-    """Node at the other end of the winding, int; ``node`` for a winding to ground."""
+    """Node at the other end of the winding, int; ``node`` if that end is grounded."""
     is_between: Array
     """1 for a winding to another node, 0 to ground."""
     volts_per_pu: Array
@@ -90,7 +89,7 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
 
 
 def _other_ends(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
-    """Node at the other end of the winding that each relay measures, -1 for ground."""
+    """Node at the other end of the winding that each relay measures, -1 if it is grounded."""
     table, found = feeder.network.regulator, np.full(len(node), -1, np.int64)
     for row, (bus, phase) in enumerate(zip(table.to_bus, table.sensed_phase, strict=True)):
         winding = next(at_to for _, at_to in table.windings(row) if phase in at_to)

@@ -34,7 +34,7 @@ def derivatives(
     feeder, given
         Arguments of ``solve_batch``.
     solved
-        Its ``restart``, of which the voltages count, and its currents, real parts first, shape (..., 2 n_node).
+        Its ``restart`` and its currents, real parts first, shape (..., 2 n_node).
     weights
         Those of v_pu (..., n_node), of ``solved`` and, in a sequence, of loss, source p and source q (...); None is 0.
     converged
@@ -52,7 +52,7 @@ def derivatives(
     shape, n = converged.shape, feeder.n_node
     n_row = converged.size
     rows = tuple(_rows(a, n_row, None if k == 2 else a.shape[-1]) for k, a in enumerate(given))
-    solved = (_rows(solved[0][..., : 2 * n], n_row, 2 * n), _rows(solved[1], n_row, 2 * n))
+    solved = (_rows(solved[0], n_row, 2 * feeder.n_unknown), _rows(solved[1], n_row, 2 * n))
     of_row = np.zeros((3, n_row)) if any(w is not None for w in weights[3]) else np.empty((3, 0))
     for k, weight in enumerate(weights[3]):
         if weight is not None:

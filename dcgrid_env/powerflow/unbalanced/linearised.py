@@ -48,7 +48,7 @@ def linearise(
 ) -> Linearised:
     """Linearise one power flow, by the compiled derivative for the weight of each node.
 
-    The nodal equations of a feeder that is not radial are factored where it stands instead.
+    For a feeder that is not radial, it factors the nodal equations at the solution instead.
 
     Parameters
     ----------

@@ -34,12 +34,12 @@ def derivative(
     feeder, inputs
         Inputs of the power flow, without leading dimensions.
     volts, amperes
-        Its solution, p.u. and A, real parts first, (2 n_node,).
+        Its ``restart`` and its currents, p.u. and A, real parts first, (2 n_unknown,) and (2 n_node,).
     weights
         Those of v_pu (n_node,), of ``volts`` and ``amperes``, and of loss, source p and source q (3,).
     """
     plan, n, (_, _, _, ratio, _) = plan_of(feeder), feeder.n_node, inputs
-    v, i = volts[:n] + 1j * volts[n:], (amperes[:n] + 1j * amperes[n:]) / plan.ampere
+    v, i = volts[:n] + 1j * volts[n : 2 * n], (amperes[:n] + 1j * amperes[n:]) / plan.ampere
     of_magnitude, of_volts, of_amperes, (of_loss, of_p, of_q) = *weights[:3], weights[3] * PHASE_BASE_KVA
     to_v = of_magnitude * v / np.abs(v) + of_volts[:n] + 1j * of_volts[n:]
     to_i = (of_amperes[:n] + 1j * of_amperes[n:]) * plan.ampere
@@ -52,7 +52,7 @@ def derivative(
         np.add.at(to_i, place.row, 2.0 * of_loss * ohms * i[place.column])
         others, of_source = i, to_i[:3]
     else:
-        others, of_source = coupler_currents(feeder, i), to_i[:3]
+        others, of_source = _coupler_currents(feeder, volts), to_i[:3]
         to_v, to_i = _to_unknowns(feeder, v, others, ratio, to_v, to_i, of_loss)
     in_cores, cores = np.zeros(n + 1, np.complex128), plan.core_ends.astype(np.intp)
     lost = 2.0 * of_loss * plan.core_g * (grounded[cores[:, 0]] - grounded[cores[:, 1]])
@@ -114,13 +114,10 @@ def _by_ratios(
     return found
 
 
-def coupler_currents(feeder: ThreePhaseFeeder, i: Array) -> Array:
-    """Currents of the couplers from those that are brought to the nodes, p.u."""
-    nodal = feeder.nodal
-    fed = np.flatnonzero(nodal.feed_coupler >= 0)
-    found = np.zeros(len(nodal.coupler_z), np.complex128)
-    found[nodal.feed_coupler[fed]] = np.where(nodal.coupler_ends[nodal.feed_coupler[fed], 2] == fed, 1.0, -1.0) * i[fed]
-    return found
+def _coupler_currents(feeder: ThreePhaseFeeder, restart: Array) -> Array:
+    """Currents of the couplers in what a power flow starts from, p.u."""
+    first, n = 2 * feeder.n_node, feeder.n_unknown - feeder.n_node
+    return restart[first : first + n] + 1j * restart[first + n :]
 
 
 def _to_unknowns(
@@ -129,11 +126,10 @@ def _to_unknowns(
     """Weights of voltages and of couplers' currents, from those of voltages, of feeding currents and of the loss."""
     nodal, tap = feeder.nodal, coupler_ratios(feeder, ratio)
     fed = np.flatnonzero(nodal.feed_coupler >= 0)
-    signs = np.where(nodal.coupler_ends[nodal.feed_coupler[fed], 2] == fed, 1.0, -1.0)
     to_v = to_v + nodal.feed.conj().T @ to_i + 2.0 * of_loss * (nodal.y.real @ v)
     to_v[:3] -= np.conj(nodal.source_y).T @ to_i[:3]
     to_couplers = 2.0 * of_loss * nodal.coupler_z.real * tap**2 * currents
-    np.add.at(to_couplers, nodal.feed_coupler[fed], signs * to_i[fed])
+    np.add.at(to_couplers, nodal.feed_coupler[fed], nodal.feed_sign[fed] * to_i[fed])
     return to_v, to_couplers
 
 
@@ -147,7 +143,7 @@ def voltage_slopes(
     """
     n, plan, (_, _, _, ratio, _) = feeder.n_node, plan_of(feeder), inputs
     v = solution.v_re_pu + 1j * solution.v_im_pu
-    others = coupler_currents(feeder, (solution.i_re_a + 1j * solution.i_im_a) / plan.ampere)
+    others = _coupler_currents(feeder, solution.restart)
     equations = Equations(feeder, *inputs)
     factors = splu(equations.evaluate(np.concatenate((v.real, others.real, v.imag, others.imag)), 1.0)[1])
     per_v, grounded = v / np.maximum(np.abs(v) ** 2, TINY) / PHASE_BASE_KVA, np.append(v, 0.0)

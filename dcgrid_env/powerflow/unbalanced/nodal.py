@@ -84,7 +84,7 @@ class Nodal(NamedTuple):
     feed_coupler: np.ndarray
     """Coupler that feeds each node, int, (n_node,); -1 for none."""
     feed_sign: np.ndarray
-    """1 where it feeds the node as the first of its winding t, -1 as the second or at f, (n_node,)."""
+    """1 where its current comes to the node and -1 where it goes, (n_node,)."""
     loss_start: np.ndarray
     loss_column: np.ndarray
     loss: np.ndarray
@@ -122,11 +122,12 @@ def nodal_of(feeder: ThreePhaseFeeder, devices: np.ndarray | None = None) -> Nod
     if devices is None or devices.sum() > MOST_SHARE * len(devices):
         devices = np.ones(feeder.n_node, bool)
     kept, key = _kept(feeder), devices.tobytes()
-    if key not in kept:
+    found = kept.get(key)
+    if found is None:
         if len(kept) >= MOST_KEPT:
             kept.clear()
-        kept[key] = _laid_out(feeder, _factors(feeder), devices)
-    return kept[key]
+        found = kept[key] = _laid_out(feeder, _factors(feeder), devices)
+    return found
 
 
 @cached_on_owner
@@ -147,9 +148,6 @@ def _laid_out(feeder: ThreePhaseFeeder, factors: _Factors, devices: np.ndarray) 
         matrix.eliminate_zeros()
     diagonal: Any = factors.upper.diagonal()
     pivot = 1.0 / diagonal
-    sign = np.ones(n)
-    fed = np.flatnonzero(m.feed_coupler >= 0)
-    sign[fed] = np.where(m.coupler_ends[m.feed_coupler[fed], 2] == fed, 1.0, -1.0)
     loss = m.y.real.copy()  # which shares its indices with m.y
     loss.eliminate_zeros()
     return Nodal(
@@ -171,7 +169,7 @@ def _laid_out(feeder: ThreePhaseFeeder, factors: _Factors, devices: np.ndarray) 
         base_ratio=coupler_ratios(feeder, feeder.tap_ratio(feeder.base_tap)),
         **_entries("feed", m.feed),
         feed_coupler=m.feed_coupler.astype(np.int64),
-        feed_sign=sign,
+        feed_sign=m.feed_sign,
         **(_entries("loss", loss) | {"loss": np.ascontiguousarray(loss.data)}),
     )
 

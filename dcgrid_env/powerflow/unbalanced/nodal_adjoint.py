@@ -6,32 +6,28 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
-from dcgrid_env.powerflow.unbalanced.sweep_kernels import U1, U2, U3
-
-U4 = np.uint64(4)
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import U1, U2, U3, U4
 
 
 @compiled(inner=True)
-def nodal_weights(first, count, plan, nodal, wide, weights, converged, V, J, ratio, loss, G, K):
+def nodal_weights(first, count, plan, nodal, wide, solved, weights, converged, V, ratio, loss, G, K):
     """Add to G the weights of feeding currents, of the loss and of the source's power, all by the unknowns.
 
     It also puts the currents of the couplers into V, and the weight of the source's current into the first three
-    nodes of K. J holds the feeding currents.
+    nodes of K.
     """
     g_amperes, g_row = weights[2], weights[3]
     W, n_node = np.uint64(len(wide)), np.uint64(plan.up.shape[0])
     n_coupler = np.uint64(nodal.base_ratio.shape[0])
     for k in range(K.shape[0]):
         K[k] = 0.0
-    for k in range((n_node + U4) * U2 * W, np.uint64(V.shape[0])):
-        V[k] = 0.0
-    for i in range(n_node):
-        if nodal.feed_coupler[i] >= 0:
-            c, by = (n_node + U4 + np.uint64(nodal.feed_coupler[i])) * U2 * W, nodal.feed_sign[i]
-            for b in range(U2 * W):
-                V[c + b] = by * J[i * U2 * W + b]
     for c in range(len(wide)):
         row, b = first + min(c, count - 1), np.uint64(c)
+        for k in range(n_coupler):
+            o = (n_node + U4 + k) * U2 * W + b
+            is_good = converged[row]
+            V[o] = solved[0][row, n_node * U2 + k] if is_good else 0.0
+            V[o + W] = solved[0][row, n_node * U2 + n_coupler + k] if is_good else 0.0
         if not converged[row]:
             continue
         for i in range(n_node):

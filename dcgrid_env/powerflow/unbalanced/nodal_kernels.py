@@ -9,9 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
-from dcgrid_env.powerflow.unbalanced.sweep_kernels import U1, U2, U3
-
-U4 = np.uint64(4)
+from dcgrid_env.powerflow.unbalanced.sweep_kernels import U1, U2, U3, U4
 
 
 @compiled(inner=True)

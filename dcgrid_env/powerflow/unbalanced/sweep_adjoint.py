@@ -91,7 +91,7 @@ def _settle(plan, nodal, wide, count, least, N, off_on, ratio, G, Y, X, T, off, 
 def sweep_adjoint_rows(plan, nodal, wide, given, solved, weights, converged, least, settled, out):
     """Fill ``out`` with derivatives of sum(weights * figures), in blocks of rows of width ``wide``.
 
-    ``given`` is the argument of ``sweep_rows``; ``solved`` holds volts in p.u. and currents in A (row, 2 node).
+    ``given`` is the argument of ``sweep_rows``; ``solved`` holds ``restart`` and currents in A (row, 2 node).
     ``weights`` holds those of v_pu (row, node), of volts and currents (row, 2 node) and of loss, source p and q
     (3, row); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (row, leg), source_pu (row,),
     ratio (row, regulator) and state (row, bank). A row without a solution has no derivative and gets 0.
@@ -117,7 +117,7 @@ def sweep_adjoint_rows(plan, nodal, wide, given, solved, weights, converged, lea
             off_on[k] = -on[k]
         has_currents = load_weights(first, count, plan, wide, solved, weights, V, J, G, loss)
         if nodal is not None:
-            nodal_weights(first, count, plan, nodal, wide, weights, converged, V, J, ratio, loss, G, K)
+            nodal_weights(first, count, plan, nodal, wide, solved, weights, converged, V, ratio, loss, G, K)
         clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, loss)
         leg_derivatives(plan, wide, V, P, Q, DP, DQ, N)
         if nodal is None and has_currents:  # what they weigh goes down the tree once, and from there through the legs

@@ -52,10 +52,3 @@ def joint_of(name: str, kind: str, nodes: tuple[Node, ...], y: np.ndarray, ratin
     }  # fmt: skip
     ends = tuple(dict.fromkeys(bus for bus, _ in nodes))
     return Joint("admittance", f"{kind}.{name}", ends, "", True, values, nodes)
-
-
-def matrix_of_joint(joint: Joint) -> np.ndarray:
-    """The matrix of a row, S."""
-    upper = np.zeros((len(joint.nodes), len(joint.nodes)), np.complex128)
-    upper[np.triu_indices(len(joint.nodes))] = np.array(joint.values["g_s"]) + 1j * np.array(joint.values["b_s"])
-    return upper + np.triu(upper, 1).T

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.grid.formats.import_report import Report
-from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint, joint_of, matrix_of_joint
+from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint, joint_of
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit, Winding
 from dcgrid_env.grid.formats.opendss.joints import Joint, Letters
+from dcgrid_env.grid.three_phase_matrices import symmetric
 
 _SAME = 1e-9  # relative
 _WHOLE = 1e-6  # of a tap
@@ -153,7 +154,7 @@ def regulated_admittance(
     kva, kv = circuit.figures("kvas")[0], float(taps.kV()) * (math.sqrt(3.0) if size == 1 else 1.0)
     tap = float(taps.Tap())
     to = Winding(end.bus, "wye_grounded", kv, tap, float(taps.MinTap()), float(taps.MaxTap()), int(taps.NumTaps()))
-    y = matrix_of_joint(joint)
+    y = symmetric(joint.values["g_s"], joint.values["b_s"])
     scale = np.array([tap if node in at else 1.0 for node in joint.nodes])
     y = y * np.outer(scale, scale)
     inner = {(end.bus, letters[node]) for node in neutral if node}

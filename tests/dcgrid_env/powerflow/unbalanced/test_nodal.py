@@ -9,7 +9,7 @@ import torch
 from dcgrid_env import FeederError, ThreePhaseFeeder, load_feeder
 from dcgrid_env.grid.network import AdmittanceTable
 from dcgrid_env.powerflow import PowerFlowError, branch_flows, solve_unbalanced
-from dcgrid_env.powerflow.unbalanced import array_form
+from dcgrid_env.powerflow.unbalanced import adjoint_batch, array_form
 from dcgrid_env.powerflow.unbalanced.linearised import linearise
 from dcgrid_env.powerflow.unbalanced.nodal import nodal_of
 from helpers.nodal import as_nodal
@@ -125,6 +125,32 @@ def test_a_loop_is_solved_and_conserves_power():
         array_form.sweep_arrays(meshed, (), None, 1e-9, 10)
 
 
+def test_a_regulator_within_a_loop_has_its_derivative(solved, random_inputs, monkeypatch):
+    """It feeds no node alone, so its current follows from no other."""
+    feeder = load_feeder("ieee13-3ph")
+    table = feeder.network.regulator
+    row = {field: values[0] for field, values in vars(table).items() if values}
+    row |= {"name": "tie", "bank": "tie", "from_bus": "675", "to_bus": "680", "phases": "abc", "x_percent": 6.0}
+    more = {field: (*values, row[field]) for field, values in vars(table).items() if values}
+    meshed = ThreePhaseFeeder.from_network(replace(feeder.network, regulator=type(table)(**more)))
+    assert meshed.n_regulator - 1 not in meshed.node_regulator
+    inputs = random_inputs(meshed, 2, 12)
+    ratio = torch.tensor(meshed.tap_ratio(np.full((2, meshed.n_regulator), 2.0)), requires_grad=True)
+    for method in ("sweeps", "newton"):
+        if method == "newton":
+            monkeypatch.setattr(adjoint_batch, "sweep_adjoint_rows", lambda *given: given[8].fill(False) or 0)
+        given = type(inputs)(*(torch.tensor(a) for a in inputs))._replace(ratio=ratio)
+        s = solved(meshed, given, tolerance_pu=1e-11)
+        (found,) = torch.autograd.grad(s.loss_kw.sum() + s.v_pu.sum(), ratio)
+        moved = []
+        for step in (1e-5, -1e-5):
+            other = ratio.detach().numpy().copy()
+            other[:, -1] += step
+            t = solved(meshed, inputs._replace(ratio=other), tolerance_pu=1e-11)
+            moved.append(t.loss_kw + t.v_pu.sum(-1))
+        np.testing.assert_allclose(found[:, -1], (moved[0] - moved[1]) / 2e-5, rtol=1e-5)
+
+
 def _drawn_kw(feeder, solution):
     """Power that the loads draw at a solution, by their law."""
     legs = feeder.load_legs
@@ -134,6 +160,17 @@ def _drawn_kw(feeder, solution):
     assert (u > legs.limit_pu[1]).all()
     within = np.minimum(u, legs.limit_pu[2])
     return (legs.p_kw * (z + i / within + c / within**2) * u**2).sum()
+
+
+@pytest.mark.parametrize(("kind", "columns"), [
+    ("transformer", {"r_percent": (0.0, 0.0), "x_percent": (0.0, 0.0)}),
+    ("source", {"r_ohm": [((0.0,) * 3,) * 3], "x_ohm": [((0.0,) * 3,) * 3]}),
+])  # fmt: skip
+def test_an_impedance_of_zero_is_named(kind, columns):
+    network = as_nodal(load_feeder("ieee13-3ph")).network
+    changed = replace(network, **{kind: replace(getattr(network, kind), **columns)})
+    with pytest.raises(FeederError, match=rf"{kind}.*: its impedance is 0 or singular"):
+        ThreePhaseFeeder.from_network(changed)
 
 
 def test_a_part_without_ground_is_named():
