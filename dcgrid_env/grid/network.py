@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dcgrid_env.grid.table import BusId, Table, bus_numbers, bus_text, buses_as_text, optional_column
 from dcgrid_env.grid.three_phase_tables import (
     AdmittanceTable,
+    CapacitorControlTable,
     CapacitorTable,
     CoreTable,
     Matrix,
@@ -32,6 +33,7 @@ from dcgrid_env.grid.three_phase_tables import (
 __all__ = [
     "AdmittanceTable",
     "BusId",
+    "CapacitorControlTable",
     "CapacitorTable",
     "CoreTable",
     "LineTable",
@@ -141,6 +143,7 @@ class Network:
     regulator: RegulatorTable = field(default_factory=RegulatorTable)
     phase_load: PhaseLoadTable = field(default_factory=PhaseLoadTable)
     capacitor: CapacitorTable = field(default_factory=CapacitorTable)
+    capacitor_control: CapacitorControlTable = field(default_factory=CapacitorControlTable)
     core: CoreTable = field(default_factory=CoreTable)
     admittance: AdmittanceTable = field(default_factory=AdmittanceTable)
     frequency_hz: float = 60.0

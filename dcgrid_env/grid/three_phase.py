@@ -12,6 +12,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import fields_alone
+from dcgrid_env.grid.capacitor_meters import Meter, meter_of
 from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.nodal_matrices import NodalMatrices, nodal_matrices
@@ -58,7 +59,7 @@ class ThreePhaseFeeder(PhaseNodes):
         """
         check_three_phase(network)
         feeder = cls(network)
-        _ = feeder.branches if feeder.is_radial else feeder.nodal
+        _ = feeder.branches if feeder.is_radial else feeder.nodal, feeder.capacitor_meters
         return feeder
 
     def to_network(self) -> Network:
@@ -188,6 +189,11 @@ class ThreePhaseFeeder(PhaseNodes):
     def capacitor_legs(self) -> Legs:
         """The legs of the capacitors, each of a row of their table."""
         return _frozen(capacitor_legs(self.network, self._nodes_by_phase, self._bases))
+
+    @cached_property
+    def capacitor_meters(self) -> tuple[Meter | None, ...]:
+        """Where each row of the capacitors' controls measures current; None for one that measures voltage alone."""
+        return tuple(meter_of(self, row) for row in range(len(self.network.capacitor_control)))
 
     @cached_property
     def core_legs(self) -> Legs:

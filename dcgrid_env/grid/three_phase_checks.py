@@ -9,12 +9,22 @@ from typing import Any
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.network_checks import check_numbers
-from dcgrid_env.grid.three_phase_tables import CONNECTIONS, LETTERS, LOAD_MODELS, RATINGS, WINDINGS, Matrix
+from dcgrid_env.grid.three_phase_tables import (
+    CONNECTIONS,
+    CONTROL_MEASURES,
+    LETTERS,
+    LOAD_MODELS,
+    RATINGS,
+    STATISTICS,
+    WINDINGS,
+    Matrix,
+)
 from dcgrid_env.grid.topology import FeederError
 
 PHASES = ("a", "b", "c", "ab", "ac", "bc", "abc")
 SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
 TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core", "admittance")
+TABLES += ("capacitor_control",)
 _SAME_BASE = 1e-9  # relative
 _FAR = 10.0
 """A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""
@@ -42,6 +52,7 @@ def check_three_phase(network: Network) -> None:
     _check_regulators(network, buses)
     _check_loads(network, buses)
     _check_capacitors(network, buses)
+    _check_capacitor_controls(network, buses)
     _check_cores(network, buses)
     _check_admittances(network, buses)
 
@@ -51,7 +62,7 @@ def _refuse(network: Network, component: str, field: str, value: object, remedy:
 
 
 def _words(kind: str) -> str:
-    return {"phase_line": "line", "phase_load": "load"}.get(kind, kind)
+    return {"phase_line": "line", "phase_load": "load", "capacitor_control": "capacitor control"}.get(kind, kind)
 
 
 def _numbers(network: Network, kind: str, fields: Sequence[str], **rules: bool) -> None:
@@ -153,6 +164,9 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "model": LOAD_MODELS,
     "state": ("on", "off"),
     "sensed_phase": ("a", "b", "c"),
+    "measures": CONTROL_MEASURES,
+    "legs_of": STATISTICS,
+    "phases_of": STATISTICS,
 }
 
 
@@ -201,6 +215,8 @@ def _check_regulators(network: Network, buses: dict[str, tuple[str, float]]) -> 
     not_negative = ["r_percent", "x_percent", "antifloat_ppm", "vreg_v", "band_v", "delay_s", "tap_delay_s"]
     _numbers(network, "regulator", [*not_negative, "max_taps_per_move"], non_negative=True)
     _numbers(network, "regulator", ["r_ldc_v", "x_ldc_v", "tap", "tap_neutral", "tap_min", "tap_max"])
+    if network.regulator.z_ldc_v:
+        _numbers(network, "regulator", ["z_ldc_v"], non_negative=True)
     table = network.regulator
     for k, one in enumerate(table.name):
         what, lowest, highest = f"regulator {one}", table.tap_min[k], table.tap_max[k]
@@ -223,8 +239,17 @@ def _check_regulators(network: Network, buses: dict[str, tuple[str, float]]) -> 
         there = buses[table.to_bus[k]][0]
         if not set("".join(at_to for _, at_to in windings)) <= set(there):
             raise _refuse(network, what, "connection", table.connection[k], f"its to_bus has phases {there}")
-        if table.sensed_phase[k] not in table.phases[k]:
-            raise _refuse(network, what, "sensed_phase", table.sensed_phase[k], f"its phases are {table.phases[k]}")
+        sensed = table.relay_bus(k)
+        at_winding = sensed == table.to_bus[k]
+        if sensed not in buses:
+            raise _refuse(network, what, "sensed_bus", sensed, "no such bus; add it to the nodes, or leave it empty")
+        sensed_phases = table.phases[k] if at_winding else buses[sensed][0]
+        if table.sensed_phase[k] not in sensed_phases:
+            raise _refuse(network, what, "sensed_phase", table.sensed_phase[k], f"its phases are {sensed_phases}")
+        compensation = (table.r_ldc_v[k], table.x_ldc_v[k], table.z_ldc_v[k] if table.z_ldc_v else 0.0)
+        if (any(compensation) and not at_winding) or (any(compensation[:2]) and compensation[2]):
+            remedy = "with sensed_bus all are 0" if not at_winding else "with z_ldc_v the others are 0"
+            raise _refuse(network, what, "r_ldc_v, x_ldc_v, z_ldc_v", compensation, remedy)
 
 
 def _near(kv: float, base_kv_ln: float) -> bool:
@@ -299,6 +324,38 @@ def _check_loads(network: Network, buses: dict[str, tuple[str, float]]) -> None:
 def _check_capacitors(network: Network, buses: dict[str, tuple[str, float]]) -> None:
     _numbers(network, "capacitor", ["leg_kv"], positive=True)
     _check_legs(network, "capacitor", ["kvar"], buses)
+
+
+def _check_capacitor_controls(network: Network, buses: dict[str, tuple[str, float]]) -> None:
+    table, banks, controlled = network.capacitor_control, network.capacitor.name, set()
+    _numbers(network, "capacitor_control", ["on_at", "off_at"])
+    _numbers(network, "capacitor_control", ["pt_ratio", "ct_ratio"], positive=True)
+    _numbers(network, "capacitor_control", ["delay_on_s", "delay_off_s", "dead_time_s"], non_negative=True)
+    for field in ("low_v", "high_v", "least_kvar"):
+        if getattr(table, field):
+            _numbers(network, "capacitor_control", [field], may_be_nan=True)
+    for k, one in enumerate(table.name):
+        what, bank = f"capacitor control {one}", table.capacitor[k]
+        low = table.measures[k] in ("voltage", "power_factor")
+        if bank not in banks or bank in controlled:
+            remedy = "it has a control already" if bank in banks else f"there are {', '.join(banks) or 'none'}"
+            raise _refuse(network, what, "capacitor", bank, remedy)
+        controlled.add(bank)
+        after = table.after[k] if table.after else ""
+        if after and (after not in banks or after == bank):
+            raise _refuse(network, what, "after", after, f"give another of {', '.join(banks)}, or leave it empty")
+        if not (table.on_at[k] < table.off_at[k] if low else table.on_at[k] > table.off_at[k]):
+            remedy = f"for {table.measures[k]} it must be {'less' if low else 'more'} than off_at, {table.off_at[k]:g}"
+            raise _refuse(network, what, "on_at", table.on_at[k], remedy)
+        legs = table.legs[k].split() if isinstance(table.legs[k], str) else []
+        there = buses.get(table.bus[k], ("", 1.0))[0]
+        if not legs or any(len(set(leg)) not in (1, 2) or not set(leg) <= set(there) for leg in legs):
+            remedy = f"give phases or pairs of phases of bus {table.bus[k]}, which has {there or 'none'}"
+            raise _refuse(network, what, "legs", table.legs[k], remedy)
+        for field in ("from_bus", "to_bus") if table.measures[k] != "voltage" else ():
+            bus = getattr(table, field)[k]
+            if bus not in buses or not set(table.phases[k]) <= set(buses[bus][0]):
+                raise _refuse(network, what, field, bus, f"give a bus with the phases {table.phases[k]}")
 
 
 def _check_cores(network: Network, buses: dict[str, tuple[str, float]]) -> None:

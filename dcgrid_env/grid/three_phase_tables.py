@@ -137,6 +137,11 @@ class RegulatorTable(Table):
 
     With legs the windings of the to-side end at the conductor d. Without the column all are ``wye``. ``kv_ln`` and
     ``kva_per_phase`` are those of a winding. The relay measures the voltage across the winding of its phase."""
+    sensed_bus: Sequence[str] = optional_column()
+    """Bus where the relay measures the voltage of ``sensed_phase`` to ground, without line-drop compensation; empty
+    for its own winding. ``pt_ratio`` is then that of the bus."""
+    z_ldc_v: Sequence[float] = optional_column()
+    """Compensation by the magnitude of the current alone, subtracted from the magnitude of the voltage; 0 for none."""
 
     def windings(self, row: int) -> list[tuple[str, str]]:
         """One or two conductors of the winding at the from-side and at the to-side, of each phase."""
@@ -144,6 +149,10 @@ class RegulatorTable(Table):
         if connection == "wye":
             return [(phase, phase) for phase in phases]
         return [(phases, phases)] if connection == "delta" else [(leg[0], leg) for leg in connection.split()]
+
+    def relay_bus(self, row: int) -> str:
+        """Bus where the relay measures the voltage."""
+        return (self.sensed_bus[row] if self.sensed_bus else "") or self.to_bus[row]
 
     def is_wye(self, row: int) -> bool:
         """Whether all windings end at ground."""
@@ -211,6 +220,56 @@ class CapacitorTable(Table):
     """Injection at ``leg_kv``."""
     state: Sequence[str] = ()
     """``on`` or ``off`` in the base case."""
+
+
+@dataclass(frozen=True)
+class CapacitorControlTable(Table):
+    """One row for each capacitor bank whose built-in control has individual settings.
+
+    ``voltage`` and ``power_factor`` switch on below ``on_at`` and off above ``off_at``, ``current`` and ``kvar`` on
+    above ``on_at`` and off below ``off_at``. Current and power are those that flow at ``from_bus`` towards ``to_bus``.
+    """
+
+    name: Sequence[str] = ()
+    capacitor: Sequence[str] = ()
+    """Name of the bank."""
+    measures: Sequence[str] = ()
+    bus: Sequence[str] = ()
+    """Bus where voltages are measured."""
+    legs: Sequence[str] = ()
+    """Where: phases to ground, as in ``"a b c"``, or pairs of phases, as in ``"ab"``."""
+    legs_of: Sequence[str] = ()
+    """The ``mean``, ``max`` or ``min`` of these voltages counts."""
+    from_bus: Sequence[str] = ()
+    """Bus of the current transformers; empty if only voltage is measured."""
+    to_bus: Sequence[str] = ()
+    """Bus at the other end of the line; empty if only voltage is measured."""
+    phases: Sequence[str] = ()
+    """Phases of the current or power; powers of several are added."""
+    phases_of: Sequence[str] = ()
+    """The ``mean``, ``max`` or ``min`` of these currents counts."""
+    on_at: Sequence[float] = ()
+    """Secondary V, secondary A or kvar. A power factor is from 0 to 1, or, leading, 2 less it."""
+    off_at: Sequence[float] = ()
+    pt_ratio: Sequence[float] = ()
+    ct_ratio: Sequence[float] = ()
+    delay_on_s: Sequence[float] = ()
+    """Time for which the threshold is passed before the bank switches on."""
+    delay_off_s: Sequence[float] = ()
+    dead_time_s: Sequence[float] = ()
+    """Least time from a switching off to the beginning of the delay before the next switching on."""
+    low_v: Sequence[float] = optional_column()
+    """Secondary voltage below which the bank switches on in any case; NaN for none."""
+    high_v: Sequence[float] = optional_column()
+    """Secondary voltage above which the bank switches off in any case; NaN for none."""
+    least_kvar: Sequence[float] = optional_column()
+    """Reactive power below which the power factor does not switch the bank on; NaN for none."""
+    after: Sequence[str] = optional_column()
+    """Bank of the same place that is on before this one switches on, and until this one is off; or empty."""
+
+
+CONTROL_MEASURES = ("voltage", "current", "kvar", "power_factor")
+STATISTICS = ("mean", "max", "min")
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class Circuits(Command):
     folder: tyro.conf.Positional[Path]
     """Folder of circuits. Scripts may read all files below it."""
     allow: str = ""
-    """Types of elements to omit even if this changes the grid, separated by commas, for example capcontrol."""
+    """Types of elements to omit even if this changes the grid, separated by commas, for example fuse."""
 
     def run(self) -> None:
         """Print the table, a row for each circuit as it is done."""

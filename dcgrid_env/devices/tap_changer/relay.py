@@ -2,10 +2,11 @@
 
     relay volts = |V / PT - (R + jX) I / CT|        out of band where off from ``vreg_v`` by more than half the band
 
-V is the voltage of the winding of the sensed phase at the regulator's to-bus, to ground or to another node, and I the
-current through that phase. R and X are the settings of the line-drop compensator in volts, and CT is the primary rating
-of its current transformer in A (W. H. Kersting, "Distribution System Modeling and Analysis", chapter 7). Half the band
-is at least half a tap: with a narrower band the regulator would switch back and forth without end.
+V is the voltage of the winding of the sensed phase at the regulator's to-bus, to ground or to another node, or that of
+another bus, and I the current through that phase. R and X are the settings of the line-drop compensator in volts. CT is
+the primary rating of its current transformer in A (W. H. Kersting, "Distribution System Modeling and Analysis",
+chapter 7). Compensation by magnitudes has |V / PT| - Z |I| / CT instead. Half the band is at least half a tap: with a
+narrower band the regulator would switch back and forth without end.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ class RelaySettings(NamedTuple):
     """Relay volts a primary ampere of the line-drop compensator, in phase with the current."""
     x_ohm: Array
     """Those ahead of it by 90 degrees."""
+    z_ohm: Array
+    """Those of the compensation by magnitudes."""
     target_v: Array
     half_band_v: Array
     delay_s: Array
@@ -64,7 +67,7 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
     """The settings of a feeder's regulators, NumPy arrays."""
     table = feeder.network.regulator
     node = np.array(
-        [feeder.nodes_of(bus, phase)[0] for bus, phase in zip(table.to_bus, table.sensed_phase, strict=True)], np.int64
+        [feeder.nodes_of(table.relay_bus(row), phase)[0] for row, phase in enumerate(table.sensed_phase)], np.int64
     )
     pt, ct, step = (np.array(column, np.float64) for column in (table.pt_ratio, table.ct_primary_a, table.tap_step))
     other = _other_ends(feeder, node)
@@ -78,6 +81,7 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
         volts_per_pu=feeder.base_kv_ln[feeder.node_bus[node]] * 1000.0 / pt,
         r_ohm=np.array(table.r_ldc_v) / ct,
         x_ohm=np.array(table.x_ldc_v) / ct,
+        z_ohm=np.array(table.z_ldc_v or np.zeros(len(table))) / ct,
         target_v=np.array(table.vreg_v, np.float64),
         half_band_v=0.5 * np.maximum(np.array(table.band_v, np.float64), step * nominal_v),
         delay_s=np.array(table.delay_s, np.float64),
@@ -92,8 +96,8 @@ def _other_ends(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
     """Node at the other end of the winding that each relay measures, -1 if it is grounded."""
     table, found = feeder.network.regulator, np.full(len(node), -1, np.int64)
     for row, (bus, phase) in enumerate(zip(table.to_bus, table.sensed_phase, strict=True)):
-        winding = next(at_to for _, at_to in table.windings(row) if phase in at_to)
-        if len(winding) > 1:
+        winding = next((at_to for _, at_to in table.windings(row) if phase in at_to), "")
+        if len(winding) > 1 and table.relay_bus(row) == bus:
             found[row] = feeder.nodes_of(bus, winding.replace(phase, ""))[0]
     return found
 
@@ -137,7 +141,7 @@ def _relay_volts(settings: RelaySettings, v_re_pu: Array, v_im_pu: Array, i_re_a
     )
     re = v_re * settings.volts_per_pu - settings.r_ohm * i_re + settings.x_ohm * i_im
     im = v_im * settings.volts_per_pu - settings.r_ohm * i_im - settings.x_ohm * i_re
-    return namespace(re).hypot(re, im)
+    return namespace(re).hypot(re, im) - settings.z_ohm * namespace(re).hypot(i_re, i_im)
 
 
 def direction(settings: RelaySettings, relay_v: Array, tap: Array) -> Array:

@@ -21,7 +21,7 @@ def relay_volts(settings, v_re_pu, v_im_pu, i_re_a, i_im_a):
             v_im = v_im_pu[row, node] - settings.is_between[r] * v_im_pu[row, settings.other[r]]
             re = v_re * gain - settings.r_ohm[r] * i_re + settings.x_ohm[r] * i_im
             im = v_im * gain - settings.r_ohm[r] * i_im - settings.x_ohm[r] * i_re
-            out[row, r] = math.hypot(re, im)
+            out[row, r] = math.hypot(re, im) - settings.z_ohm[r] * math.hypot(i_re, i_im)
     return out
 
 

@@ -17,15 +17,15 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, all_true, as_like, min_last, namespace, put_rows, sum_last, take_last
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
-from dcgrid_env.devices.capacitor_bank.capacitor_control import (
+from dcgrid_env.devices.capacitor_bank.bank_measurements import bank_settings
+from dcgrid_env.devices.capacitor_bank.bank_switching import (
     Thresholds,
     bank_delays,
-    bank_settings,
     initial_banks,
     measured_banks,
     next_switchings,
 )
+from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.regulator_state import MOST_EVENTS, SAME_TIME_S, initial_regulators
@@ -73,7 +73,7 @@ class _SetPoints(NamedTuple):
 
     band: RelayBand
     thresholds: Thresholds | None
-    """None where those of the scenario apply."""
+    """None where those of the settings apply."""
 
 
 Solve = Callable[[Equipment, Array, Array], ThreePhaseSolution]
@@ -193,8 +193,7 @@ def _next_event(
     (regulators, banks), of_banks = equipment, plan.banks
     due_s, delay_s = 0.0 * left_s + np.inf, None
     if of_banks.acts:
-        settings = scenario.grid_control.capacitor_settings
-        delay_s = bank_delays(settings, banks, of_banks.controlled, set_points.thresholds)
+        delay_s = bank_delays(of_banks.settings, banks, of_banks.controlled, set_points.thresholds)
         due_s = min_last(delay_s)
     settings, controlled = plan.regulators.settings, plan.regulators.controlled
     regulators, passed_s = next_taps(settings, regulators, set_points.band, left_s, due_s, plan.integrating, controlled)
@@ -255,10 +254,10 @@ def _set_points(
     band = _band(scenario, plan.regulators, regulators.tap, devices, offset_v)
     if of_banks.setters is None:
         return _SetPoints(band, None)
-    state, control = devices[of_banks.setters], scenario.grid_control.capacitor_settings
-    on_below_pu = _of_pieces(of_banks, 0.0 * banks.on + control.on_below_pu, state.centre_pu - state.half_width_pu)
-    off_above_pu = _of_pieces(of_banks, 0.0 * banks.on + control.off_above_pu, state.centre_pu + state.half_width_pu)
-    return _SetPoints(band, Thresholds(on_below_pu, off_above_pu))
+    state, at_rest = devices[of_banks.setters], of_banks.settings
+    on_at = _of_pieces(of_banks, 0.0 * banks.on + at_rest.on_at, state.centre_pu - state.half_width_pu)
+    off_at = _of_pieces(of_banks, 0.0 * banks.on + at_rest.off_at, state.centre_pu + state.half_width_pu)
+    return _SetPoints(band, Thresholds(on_at, off_at))
 
 
 def _band(
@@ -328,11 +327,13 @@ def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> 
     feeder, like = _feeder(scenario), xp.zeros(0, dtype=dtype, device=device)
     kinds = [kind.kind for kind in scenario.devices]
     groups: list[_Group] = []
-    for settings, deciders, kind, kind_of_setters in (
-        (scenario_relays(scenario), regulator_deciders, TapChangers, RegulatorSetPoints),
-        (bank_settings(feeder), capacitor_deciders, CapacitorBanks, ThresholdSetPoints),
+    control = scenario.grid_control
+    of_regulators, of_banks = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
+    banks = bank_settings(feeder, control.capacitor_settings, [by == "controlled" for by in of_banks])
+    for settings, decides, kind, kind_of_setters in (
+        (scenario_relays(scenario), of_regulators, TapChangers, RegulatorSetPoints),
+        (banks, of_banks, CapacitorBanks, ThresholdSetPoints),
     ):
-        decides = deciders(scenario.grid_control, feeder)
         controlled = np.array([decider in ("controlled", "setpoint") for decider in decides], np.float64)
         position, setters = (kinds.index(of.kind) if of.kind in kinds else None for of in (kind, kind_of_setters))
         pick, setter = np.arange(len(decides)), np.arange(len(decides))

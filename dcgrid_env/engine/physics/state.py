@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace
-from dcgrid_env.devices.capacitor_bank.capacitor_control import BankState
+from dcgrid_env.devices.capacitor_bank.bank_switching import BankState
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.tap_changer.regulator_state import RegulatorState
 from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView

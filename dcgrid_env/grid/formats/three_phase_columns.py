@@ -10,6 +10,7 @@ from typing import Any
 
 from dcgrid_env.grid.network import (
     AdmittanceTable,
+    CapacitorControlTable,
     CapacitorTable,
     CoreTable,
     PhaseLineTable,
@@ -22,8 +23,10 @@ from dcgrid_env.grid.three_phase_tables import FALLBACKS
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TEXTS = ("name", "bank", "bus", "from_bus", "to_bus", "phases", "state", "connection", "connection_from")
-_TEXTS += ("connection_to", "model", "sensed_phase", "kind", "nodes")
-_UNKNOWN = ("length_m", *FALLBACKS)
+_TEXTS += ("connection_to", "model", "sensed_phase", "kind", "nodes", "capacitor", "measures", "legs", "legs_of")
+_TEXTS += ("phases_of", "after", "sensed_bus")
+_MAY_BE_NAN = ("low_v", "high_v", "least_kvar")
+_UNKNOWN = ("length_m", *_MAY_BE_NAN, *FALLBACKS)
 _WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move")
 
 
@@ -34,8 +37,10 @@ def says_nothing(column: str, columns: Mapping[str, Sequence[Any]]) -> bool:
     """
     if column == "connection" and "pt_ratio" in columns:
         return all(value == "wye" for value in columns[column])
-    if column == "exponents":
+    if column in ("exponents", "after", "sensed_bus", "z_ldc_v"):
         return not any(columns[column])
+    if column in _MAY_BE_NAN:
+        return all(map(math.isnan, columns[column]))
     if column not in FALLBACKS:
         return False
     values, instead = columns[column], FALLBACKS[column]
@@ -67,7 +72,7 @@ class Column:
     @property
     def may_be_empty(self) -> bool:
         """Whether a cell may be empty: a phase that does not exist, an unknown length, a model without shares."""
-        return self.shape in ("matrix", "zip") or self.field in _UNKNOWN
+        return self.shape in ("matrix", "zip") or self.field in _UNKNOWN or self.if_missing == ""
 
     @property
     def may_be_missing(self) -> bool:
@@ -120,6 +125,9 @@ _SPECIAL = {
     ("core", "q_kvar"): Column("q_kvar", ("kvar_1", "kvar_2", "kvar_3"), "legs"),
     ("capacitor", "kvar"): Column("kvar", ("kvar_a", "kvar_b", "kvar_c"), "legs"),
     ("regulator", "connection"): Column("connection", ("connection",), if_missing="wye"),
+    ("regulator", "sensed_bus"): Column("sensed_bus", ("sensed_bus",), if_missing=""),
+    ("regulator", "z_ldc_v"): Column("z_ldc_v", ("z_ldc_v",), if_missing="0"),
+    **{("capacitor_control", name): Column(name, (name,), if_missing="") for name in ("from_bus", "to_bus", "after")},
     ("admittance", "g_s"): Column("g_s", ("g_s",), "list"),
     ("admittance", "b_s"): Column("b_s", ("b_s",), "list"),
 }
@@ -137,6 +145,7 @@ FILES = {
     "regulator": _file("regulators.csv", "regulator", RegulatorTable),
     "phase_load": _file("loads.csv", "phase_load", PhaseLoadTable),
     "capacitor": _file("capacitors.csv", "capacitor", CapacitorTable),
+    "capacitor_control": _file("capacitor_controls.csv", "capacitor_control", CapacitorControlTable),
     "core": _file("cores.csv", "core", CoreTable),
     "admittance": _file("admittances.csv", "admittance", AdmittanceTable),
 }

@@ -2,10 +2,10 @@
 
 ``feeder.toml``: name, frequency_hz, source_of_facts, and the table ``source``: bus, base_kv_ll, v_pu, angle_deg and the
 3x3 matrices r_ohm and x_ohm. ``buses.csv``, ``lines.csv``, ``switches.csv``, ``transformers.csv``, ``regulators.csv``,
-``loads.csv``, ``capacitors.csv``, ``cores.csv`` and ``admittances.csv``: a column for each of
-``grid.three_phase_tables``, whose units they have; matrices as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as
+``loads.csv``, ``capacitors.csv``, ``capacitor_controls.csv``, ``cores.csv`` and ``admittances.csv``: a column for each
+of ``grid.three_phase_tables``, whose units they have; matrices as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as
 kw_1, kvar_1, .. or kvar_a, .. . Matrices of admittances.csv are one cell, figures separated by blanks. All files but
-buses.csv and feeder.toml may be missing; the last two are written where there are such rows.
+buses.csv and feeder.toml may be missing; the last three are written where there are such rows.
 Unused keys and columns are refused by name. The exceptions are the results of a reference solution in published
 folders (``RESULTS``).
 """
@@ -66,7 +66,7 @@ def write_folder(network: Network, folder: Path) -> None:
     texts = {"buses.csv": _csv(["bus", "phases", "base_kv_ln", "x", "y"], _bus_rows(network.node))}
     for kind, file in FILES.items():
         table = getattr(network, kind)
-        if kind in ("core", "admittance") and not len(table):  # published folders have none
+        if kind in ("core", "admittance", "capacitor_control") and not len(table):  # published folders have none
             continue
         columns = [(column, getattr(table, column.field)) for column in file.columns]
         unused = {column.field for column in file.columns if says_nothing(column.field, vars(table))}
@@ -74,7 +74,8 @@ def write_folder(network: Network, folder: Path) -> None:
             unused.add("zip")
         columns = [(column, values) for column, values in columns if column.field not in unused]
         rows = ([cell for column, values in columns for cell in column.cells(values[k])] for k in range(len(table)))
-        texts[file.name] = _csv([name for column, _ in columns for name in column.names], rows)
+        may_be_empty = [column.may_be_empty for column, _ in columns for _ in column.names]
+        texts[file.name] = _csv([name for column, _ in columns for name in column.names], rows, may_be_empty)
     for name, text in texts.items():
         write_text(folder / name, text)
     source = network.source
@@ -163,7 +164,7 @@ def _read_cells(path: Path, line: int, row: dict[str, str], column: Column) -> A
         if column.shape == "list":
             cells += [_number(path, line, name, word, None) for word in text.split()]
         elif column.is_text:
-            if not text:
+            if not text and not column.may_be_empty:
                 raise FeederError(f"{path}, line {line}: {name} is empty")
             cells.append(text)
         elif not column.is_whole:
@@ -204,13 +205,14 @@ def _number(path: Path, line: int, column: str, text: str, if_empty: float | Non
     return value
 
 
-def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]], may_be_empty: Sequence[bool] = ()) -> str:
     written = io.StringIO()
     writer = csv.writer(written, lineterminator="\n")
     writer.writerow(header)
     for row in rows:
-        for cell in row:
-            if isinstance(cell, str) and (cell != cell.strip() or len(cell.splitlines()) != 1):
+        for cell, may_be in zip(row, may_be_empty or [False] * len(header), strict=True):
+            lines = cell.splitlines() or [cell] * may_be if isinstance(cell, str) else [cell]
+            if isinstance(cell, str) and (cell != cell.strip() or len(lines) != 1):
                 raise FeederError(f"{cell!r} cannot be written; leave out spaces at its ends and line ends")
         writer.writerow([cell if isinstance(cell, str) else _figure(cell) for cell in row])
     return written.getvalue()

@@ -142,9 +142,12 @@ def capacitor_legs(circuit: DssCircuit, letters: Letters, name: str) -> list[str
     return None if any(circuit.figures("r") + circuit.figures("xl")) else legs
 
 
-def read_capacitors(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters) -> list[Row]:
-    """Rows of the capacitors that have supply, one for each step of a bank."""
-    rows = []
+def read_capacitors(
+    circuit: DssCircuit, report: Report, supply: Supply, letters: Letters
+) -> tuple[list[Row], dict[str, list[list[str]]]]:
+    """Rows of the capacitors that have supply, one for each step of a bank, and their names by bank and step."""
+    rows: list[Row] = []
+    names: dict[str, list[list[str]]] = {}
     for name in circuit.names("capacitor"):
         legs = capacitor_legs(circuit, letters, name)
         if legs is None:
@@ -155,18 +158,21 @@ def read_capacitors(circuit: DssCircuit, report: Report, supply: Supply, letters
             continue
         delta = circuit.text("conn").lower() in ("delta", "ll")
         kv = circuit.figure("kv") / (math.sqrt(3.0) if size > 1 and not delta else 1.0)
-        rows += _capacitor_rows(circuit, name, bus, legs, kv)
+        of_steps = _capacitor_rows(circuit, name, bus, legs, kv)
+        names[name.lower()] = [[row["name"] for row in of_step] for of_step in of_steps]
+        rows += [row for of_step in of_steps for row in of_step]
         report.add("taken", "capacitor", name, "in capacitors.csv")
-    return rows
+    return rows, names
 
 
-def _capacitor_rows(circuit: DssCircuit, name: str, bus: str, legs: list[str], kv: float) -> list[Row]:
+def _capacitor_rows(circuit: DssCircuit, name: str, bus: str, legs: list[str], kv: float) -> list[list[Row]]:
     steps, states = circuit.figures("kvar"), circuit.figures("states")
-    rows = []
+    rows: list[list[Row]] = []
     for k, kvar in enumerate(steps):
         of_step = name if len(steps) == 1 else f"{name}_{k + 1}"
+        rows.append([])
         for connection, each in by_connection(legs, rounded(kvar / len(legs))).items():
             on = k < len(states) and bool(states[k])
-            rows.append({"name": of_step, "bus": bus, "connection": connection, "leg_kv": rounded(kv), "kvar": each,
+            rows[-1].append({"name": of_step, "bus": bus, "connection": connection, "leg_kv": rounded(kv), "kvar": each,
                          "state": "on" if on else "off"})  # fmt: skip
     return rows

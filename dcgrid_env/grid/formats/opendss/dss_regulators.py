@@ -20,7 +20,7 @@ from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint, jo
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit, Winding
-from dcgrid_env.grid.formats.opendss.joints import Joint, Letters
+from dcgrid_env.grid.formats.opendss.joints import Joint, Letters, Supply
 from dcgrid_env.grid.three_phase_matrices import symmetric
 
 _SAME = 1e-9  # relative
@@ -40,7 +40,7 @@ class Regulation:
     values: dict[str, Any]
 
 
-def read_regulations(circuit: DssCircuit, report: Report) -> dict[str, Regulation]:
+def read_regulations(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters) -> dict[str, Regulation]:
     """The control of each transformer that has one, by the transformer's name."""
     found: dict[str, Regulation] = {}
     disabled = circuit.disabled("regcontrol")
@@ -54,11 +54,13 @@ def read_regulations(circuit: DssCircuit, report: Report) -> dict[str, Regulatio
         if unit in found:
             report.add("lost", "regcontrol", name, "a second control of one transformer is left out")
             continue
-        found[unit] = _regulation(circuit, report, name, unit)
+        found[unit] = _regulation(circuit, report, supply, letters, name, unit)
     return found
 
 
-def _regulation(circuit: DssCircuit, report: Report, name: str, unit: str) -> Regulation:
+def _regulation(
+    circuit: DssCircuit, report: Report, supply: Supply, letters: Letters, name: str, unit: str
+) -> Regulation:
     for field, text in (
         ("reversible", "its control of reversed power is left out"),
         ("inversetime", "its delay that falls with the deviation is constant here"),
@@ -67,10 +69,8 @@ def _regulation(circuit: DssCircuit, report: Report, name: str, unit: str) -> Re
             report.add("lost", "regcontrol", name, text)
     if circuit.figure("vlimit") > 0:
         report.add("lost", "regcontrol", name, "its limit of voltage is left out")
-    if circuit.figure("ldc_z") != 0:
-        report.add("lost", "regcontrol", name, "its compensation by the current's magnitude is left out")
     winding, sensed = int(circuit.figure("winding")), circuit.text("ptphase").lower()
-    remote = circuit.text("bus").lower()
+    remote, remote_pt = circuit.text("bus").lower(), circuit.figure("remoteptratio")
     tapped = int(circuit.figure("tapwinding") or winding)
     if tapped != winding:
         report.add("lost", "regcontrol", name, "it senses the winding that it taps here, not the other")
@@ -82,10 +82,18 @@ def _regulation(circuit: DssCircuit, report: Report, name: str, unit: str) -> Re
     }  # fmt: skip
     row: dict[str, Any] = {column: circuit.figure(field) for column, field in values.items()}
     row["max_taps_per_move"] = int(circuit.figure("maxtapchange"))
-    circuit.activate("transformer", unit)
-    if remote and remote != circuit.terminals()[winding - 1].bus:
-        report.add("lost", "regcontrol", name, "it senses its own terminal here, not another bus")
-    return Regulation(name, unit, tapped, max(int(sensed) - 1, 0) if sensed.isdigit() else 0, row)
+    row["sensed_bus"], row["z_ldc_v"] = "", circuit.figure("ldc_z")
+    if row["z_ldc_v"]:
+        row |= {"r_ldc_v": 0.0, "x_ldc_v": 0.0}
+    number = max(int(sensed) - 1, 0) if sensed.isdigit() else 0
+    bus, *nodes = remote.split(".")
+    phase = letters.of([int(nodes[0] if nodes and nodes[0].isdigit() else 1)] if remote else [])
+    if phase and phase <= "c" and phase in supply.phases.get(bus, ""):
+        row |= {"pt_ratio": remote_pt, "r_ldc_v": 0.0, "x_ldc_v": 0.0, "z_ldc_v": 0.0}
+        row |= {"sensed_bus": bus, "sensed_phase": phase}
+    elif remote:
+        report.add("lost", "regcontrol", name, f"it senses its own terminal here, as {remote} is no phase with supply")
+    return Regulation(name, unit, tapped, number, row)
 
 
 def is_regulator(unit: Unit) -> bool:

@@ -12,14 +12,13 @@ from dcgrid_env.grid.formats.opendss.dss_lines import matrix_of
 from dcgrid_env.grid.network import SourceTable
 from dcgrid_env.grid.topology import FeederError
 
-_READ = ("vsource", "line", "reactor", "fault", "transformer", "regcontrol", "load", "capacitor")
+_READ = ("vsource", "line", "reactor", "fault", "transformer", "regcontrol", "load", "capacitor", "capcontrol")
 _NO_LOSS = {
     "monitor": "it measures alone",
     "energymeter": "it measures alone",
     "sensor": "it measures alone",
 }
 LOSSES = {
-    "capcontrol": "its capacitor stays as it stands",
     "swtcontrol": "its switch stays as it stands",
     "fuse": "it never blows",
     "recloser": "it never opens",
@@ -37,7 +36,7 @@ LOSSES = {
     "espvlcontrol": "what it controls is left alone",
 }
 """Classes of elements that can be left out, and what is lost with each."""
-ALLOWABLE = (*LOSSES, "regcontrol", "load", "isolated")
+ALLOWABLE = (*LOSSES, "capcontrol", "regcontrol", "load", "isolated")
 """Kinds of loss that can be allowed."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint
+from dcgrid_env.grid.formats.opendss.dss_capacitor_controls import read_capacitor_controls
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
 from dcgrid_env.grid.formats.opendss.dss_lines import read_lines, report_admittance
 from dcgrid_env.grid.formats.opendss.dss_loads import Row, capacitor_legs, core_rows, read_capacitors, read_loads
@@ -35,6 +36,7 @@ from dcgrid_env.grid.formats.opendss.joints import Joint, Letters, Supply, suppl
 from dcgrid_env.grid.formats.three_phase_columns import says_nothing
 from dcgrid_env.grid.network import (
     AdmittanceTable,
+    CapacitorControlTable,
     CapacitorTable,
     CoreTable,
     Network,
@@ -115,7 +117,8 @@ def _network(
     for regulation in tables.regulations.values():
         report.add("lost", "regcontrol", regulation.name, "its transformer is not in the tables")
     loads = read_loads(circuit, report, supply, letters)
-    capacitors = read_capacitors(circuit, report, supply, letters)
+    capacitors, steps = read_capacitors(circuit, report, supply, letters)
+    capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, steps)
     transformers = merged(tables.transformers, report)
     report_the_rest(circuit, report)
     report.refuse_unless(circuit.name, allow)
@@ -129,6 +132,7 @@ def _network(
         regulator=_table(RegulatorTable, tables.regulators),
         phase_load=_table(PhaseLoadTable, loads),
         capacitor=_table(CapacitorTable, capacitors),
+        capacitor_control=_table(CapacitorControlTable, capacitor_controls),
         core=_table(CoreTable, tables.cores),
         admittance=_table(AdmittanceTable, _admittance_rows([*lines, *tables.admittances])),
         frequency_hz=float(circuit.engine.Solution.Frequency()),
@@ -179,7 +183,7 @@ class _Tables:
     ) -> None:
         self.circuit, self.letters, self.ratings = circuit, letters, ratings
         self.report, self.supply = report, supply
-        self.regulations = read_regulations(circuit, report)
+        self.regulations = read_regulations(circuit, report, supply, letters)
         self.transformers: list[Joint] = []
         self.admittances: list[Joint] = []
         self.regulators: list[Row] = []

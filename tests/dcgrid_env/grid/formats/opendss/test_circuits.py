@@ -33,7 +33,7 @@ LARGE = {
 def test_a_published_circuit_agrees_with_opendss(path):
     if not SHARED_CIRCUITS.is_dir():
         pytest.skip("the public circuits of ../shared are not there")
-    found = read_circuit(SHARED_CIRCUITS / path, root=SHARED_CIRCUITS, allow=["capcontrol"])
-    assert {row.kind for row in found.findings if row.fate == "lost"} <= {"capcontrol"}
+    found = read_circuit(SHARED_CIRCUITS / path, root=SHARED_CIRCUITS)
+    assert not [row for row in found.findings if row.fate == "lost"]
     assert not ThreePhaseFeeder.from_network(found.network).is_radial or "ckt7" in path or "M1" in path
     assert apart_pu(found) < (SMALL | LARGE)[path]

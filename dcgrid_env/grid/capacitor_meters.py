@@ -1,0 +1,93 @@
+"""Where the controls of capacitor banks measure current: at one end of a branch, from the figures of the power flow."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray
+from dcgrid_env.grid.topology import FeederError
+
+if TYPE_CHECKING:
+    from dcgrid_env.grid.three_phase import ThreePhaseFeeder
+
+
+class Meter(NamedTuple):
+    """Current I = sign x (current that its branch brings to a node) + j charging V, for each measured phase (n,)."""
+
+    node: IntArray
+    """Node at the end of the branch."""
+    fed_node: IntArray
+    """Node that the branch brings the current to: at the one end or the other."""
+    sign: FloatArray
+    """1 where the current leaves ``node`` for the fed one, -1 where ``node`` is the fed one."""
+    charging_node: IntArray
+    """Nodes of the line's phases at this end, (n, 3)."""
+    charging_a_per_pu: FloatArray
+    """Charging of this end's half of the line by a voltage of 1 p.u. there, (n, 3)."""
+
+
+def meter_of(feeder: ThreePhaseFeeder, row: int) -> Meter | None:
+    """The meter of a row of the capacitors' controls; None if it measures voltage alone.
+
+    Raises
+    ------
+    FeederError
+        If no branch joins its buses, or if it is at the end that feeds a transformer or regulator.
+    """
+    network, table = feeder.network, feeder.network.capacitor_control
+    if table.measures[row] == "voltage":
+        return None
+    here, there = table.from_bus[row], table.to_bus[row]
+    nodes, fed_nodes, signs = [], [], []
+    for phase in table.phases[row]:
+        at, other = feeder.nodes_of(here, phase)[0], feeder.nodes_of(there, phase)[0]
+        leaves = feeder.node_parent[other] == at
+        charged = _line_rows(network, here, there, phase)
+        if not (charged if leaves else feeder.node_parent[at] == other):
+            raise FeederError(
+                f"feeder {feeder.name!r}: capacitor control {table.name[row]}: from_bus, to_bus are "
+                f"{(here, there)!r}; give the ends of a line or switch of phase {phase}, or the secondary of a "
+                "transformer and its primary"
+            )
+        nodes.append(at)
+        fed_nodes.append(other if leaves else at)
+        signs.append(1.0 if leaves else -1.0)
+    return _with_charging(feeder, here, there, table.phases[row], nodes, fed_nodes, signs)
+
+
+def _line_rows(network: Network, here: str, there: str, phase: str) -> list[tuple[str, int]]:
+    """Rows of the lines and closed switches between two buses that have a phase."""
+    found = []
+    for kind in ("phase_line", "switch"):
+        table = getattr(network, kind)
+        for row, ends in enumerate(zip(table.from_bus, table.to_bus, strict=True)):
+            is_open = kind == "switch" and table.state[row] == "open"
+            if set(ends) == {here, there} and phase in table.phases[row] and not is_open:
+                found.append((kind, row))
+    return found
+
+
+def _with_charging(
+    feeder: ThreePhaseFeeder,
+    here: str,
+    there: str,
+    phases: str,
+    nodes: list[int],
+    fed_nodes: list[int],
+    signs: list[float],
+) -> Meter:
+    network, base_v = feeder.network, 1000.0 * feeder.base_kv_ln[feeder.index(here)]
+    places = np.array(nodes, np.intp)[:, None].repeat(3, axis=1)
+    charging = np.zeros((len(nodes), 3))
+    for k, phase in enumerate(phases):
+        for kind, row in _line_rows(network, here, there, phase):
+            if kind == "phase_line":
+                for column, other in enumerate("abc"):
+                    if other in network.phase_line.phases[row]:
+                        b_us = network.phase_line.b_us[row]["abc".index(phase)][column]
+                        places[k, column] = feeder.nodes_of(here, other)[0]
+                        charging[k, column] += 0.5e-6 * b_us * base_v
+    return Meter(np.array(nodes, np.intp), np.array(fed_nodes, np.intp), np.array(signs), places, charging)
