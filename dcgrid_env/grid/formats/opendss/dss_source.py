@@ -8,11 +8,23 @@ import numpy as np
 
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
+from dcgrid_env.grid.formats.opendss.dss_generation import KINDS as GENERATION
 from dcgrid_env.grid.formats.opendss.dss_lines import matrix_of
 from dcgrid_env.grid.network import SourceTable
 from dcgrid_env.grid.topology import FeederError
 
-_READ = ("vsource", "line", "reactor", "fault", "transformer", "regcontrol", "load", "capacitor", "capcontrol")
+_READ = (
+    "vsource",
+    "line",
+    "reactor",
+    "fault",
+    "transformer",
+    "regcontrol",
+    "load",
+    "capacitor",
+    "capcontrol",
+    *GENERATION,
+)
 _NO_LOSS = {
     "monitor": "it measures alone",
     "energymeter": "it measures alone",
@@ -23,9 +35,6 @@ LOSSES = {
     "fuse": "it never blows",
     "recloser": "it never opens",
     "relay": "it never opens",
-    "generator": "what it injects is left out",
-    "pvsystem": "what it injects is left out",
-    "storage": "what it injects is left out",
     "isource": "what it injects is left out",
     "vccs": "what it injects is left out",
     "indmach012": "what it draws is left out",

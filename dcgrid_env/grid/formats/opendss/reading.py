@@ -13,6 +13,7 @@ from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint
 from dcgrid_env.grid.formats.opendss.dss_capacitor_controls import read_capacitor_controls
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
+from dcgrid_env.grid.formats.opendss.dss_generation import read_generation
 from dcgrid_env.grid.formats.opendss.dss_lines import read_lines, report_admittance
 from dcgrid_env.grid.formats.opendss.dss_loads import Row, capacitor_legs, core_rows, read_capacitors, read_loads
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
@@ -116,7 +117,8 @@ def _network(
         tables.add(name, unit, tables.regulations.pop(name.lower(), None))
     for regulation in tables.regulations.values():
         report.add("lost", "regcontrol", regulation.name, "its transformer is not in the tables")
-    loads = read_loads(circuit, report, supply, letters)
+    generation = read_generation(circuit, report, supply, letters)
+    loads = [*read_loads(circuit, report, supply, letters), *generation]
     capacitors, steps = read_capacitors(circuit, report, supply, letters)
     capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, steps)
     transformers = merged(tables.transformers, report)

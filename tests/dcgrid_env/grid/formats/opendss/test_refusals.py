@@ -31,9 +31,7 @@ LOST = {
     "New Relay.f monitoredobj=line.l1": "relay",
     "New SwtControl.f switchedobj=line.l1 switchedterm=1": "swtcontrol",
     "New Capacitor.c bus1=n kv=12.47 kvar=90\nNew CapControl.f capacitor=c element=line.l1 type=time": "capcontrol",
-    "New Generator.f bus1=n kv=12.47 kw=100 pf=1": "generator",
-    "New PVSystem.f bus1=n kv=12.47 kva=100 pmpp=100 irradiance=1": "pvsystem",
-    "New Storage.f bus1=n kv=12.47 kwrated=10": "storage",
+    "New ISource.f bus1=n amps=20": "isource",
     "New Load.f bus1=n kv=12.47 kw=9 model=8 zipv=[1 0 0 1 0 0 0.5]": "load",
     "New Line.f bus1=far bus2=away linecode=c3": "isolated",
     f"{REGULATOR} winding=2 reversible=yes": "regcontrol",
@@ -52,16 +50,16 @@ def test_what_would_be_lost_must_be_allowed(master, more):
     ThreePhaseFeeder.from_network(found.network)
 
 
-def test_a_generator_that_is_left_out_shows_in_the_voltages(master):
-    found = read_circuit(master("New Generator.g bus1=n kv=12.47 kw=900 pf=1"), allow=["generator"])
+def test_a_source_of_current_that_is_left_out_shows_in_the_voltages(master):
+    found = read_circuit(master("New ISource.g bus1=n amps=50"), allow=["isource"])
     assert apart_pu(found) > 1e-4
 
 
 def test_several_kinds_are_asked_for_at_once(master):
-    more = "New Fuse.f monitoredobj=line.l1\nNew PVSystem.p bus1=n kv=12.47"
-    with pytest.raises(FeederError, match=r"--allow fuse,pvsystem accepts"):
+    more = "New Fuse.f monitoredobj=line.l1\nNew ISource.p bus1=n amps=5"
+    with pytest.raises(FeederError, match=r"--allow fuse,isource accepts"):
         read_circuit(master(more), allow=["fuse"])
-    with pytest.raises(FeederError, match="'fuses' is no kind of loss; choose among .*capcontrol"):
+    with pytest.raises(FeederError, match=r"'fuses' is no kind of loss; choose among .*capcontrol"):
         read_circuit(master(more), allow=["fuses"])
 
 
