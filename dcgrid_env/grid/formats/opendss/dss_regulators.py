@@ -61,12 +61,11 @@ def read_regulations(circuit: DssCircuit, report: Report, supply: Supply, letter
 def _regulation(
     circuit: DssCircuit, report: Report, supply: Supply, letters: Letters, name: str, unit: str
 ) -> Regulation:
-    for field, text in (
-        ("reversible", "its control of reversed power is left out"),
-        ("inversetime", "its delay that falls with the deviation is constant here"),
-    ):
-        if circuit.yes(field):
-            report.add("lost", "regcontrol", name, text)
+    if circuit.yes("inversetime"):
+        report.add("lost", "regcontrol", name, "its delay that falls with the deviation is constant here")
+    if circuit.yes("cogen"):
+        report.add("lost", "regcontrol", name, "its control of cogeneration is left out")
+    reverses, threshold_kw = circuit.yes("reversible"), circuit.figure("revthreshold")
     if circuit.figure("vlimit") > 0:
         report.add("lost", "regcontrol", name, "its limit of voltage is left out")
     winding, sensed = int(circuit.figure("winding")), circuit.text("ptphase").lower()
@@ -83,8 +82,15 @@ def _regulation(
     row: dict[str, Any] = {column: circuit.figure(field) for column, field in values.items()}
     row["max_taps_per_move"] = int(circuit.figure("maxtapchange"))
     row["sensed_bus"], row["z_ldc_v"] = "", circuit.figure("ldc_z")
+    circuit.activate("transformer", unit)
     if row["z_ldc_v"]:
         row |= {"r_ldc_v": 0.0, "x_ldc_v": 0.0}
+    if reverses:
+        end = np.asarray(circuit.engine.CktElement.Powers(), np.float64)[::2].reshape(len(circuit.terminals()), -1)
+        forward = -float(end[winding - 1].sum()) >= -threshold_kw
+        text = "its control of reversed power is left out"
+        now = f"{text}: power flows forward now" if forward else text
+        report.add("nothing lost" if forward else "lost", "regcontrol", name, now)
     number = max(int(sensed) - 1, 0) if sensed.isdigit() else 0
     bus, *nodes = remote.split(".")
     phase = letters.of([int(nodes[0] if nodes and nodes[0].isdigit() else 1)] if remote else [])

@@ -34,7 +34,9 @@ LOST = {
     "New ISource.f bus1=n amps=20": "isource",
     "New Load.f bus1=n kv=12.47 kw=9 model=8 zipv=[1 0 0 1 0 0 0.5]": "load",
     "New Line.f bus1=far bus2=away linecode=c3": "isolated",
-    f"{REGULATOR} winding=2 reversible=yes": "regcontrol",
+    f"{REGULATOR} winding=2 reversible=yes\nNew Generator.r bus1=r.1 phases=1 kv=7.2 kw=200 pf=1": "regcontrol",
+    f"{REGULATOR} winding=2 inversetime=yes": "regcontrol",
+    f"{REGULATOR} winding=2 cogen=yes": "regcontrol",
     f"{REGULATOR} winding=1": "regcontrol",
 }
 

@@ -11,6 +11,7 @@ from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings, rela
 from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from dcgrid_env.powerflow import Control, solve_unbalanced
+from helpers.opendss_imports import fates
 
 opendss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
 
@@ -89,3 +90,8 @@ def test_relays_that_cannot_be(master, column, message):
 def test_a_bus_without_supply_is_named(master):
     with pytest.raises(FeederError, match=r"it senses its own terminal here, as e\.9 is no phase with supply"):
         read_circuit(master(f"{CIRCUIT}New RegControl.k {AT} vreg=121 bus=e.9\n"))
+
+
+def test_a_reversible_control_is_the_same_while_power_flows_forward(master):
+    found = read_circuit(master(f"{CIRCUIT}New RegControl.k {AT} vreg=121 reversible=yes revneutral=yes\n"))
+    assert ("regcontrol", "k", "nothing lost") in fates(found)
