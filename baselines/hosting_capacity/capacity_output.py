@@ -10,7 +10,7 @@ from typing import Any
 
 from dcgrid_env import rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, Capacities
+from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, UNCONTROLLED, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
@@ -18,11 +18,15 @@ COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
 _SHOWN = 12
 """Maximum number of branches or buses that a note names; results.json contains all."""
 _NUMBERS = ("capacity_mw", "delay_mean_s", "delay_p95_s", "unserved_pct", "outside_pct", "margin")
+_NUMBERS += ("most_windows_mw", "half_windows_mw")
+NO_ANSWER = "no answer"
+"""Controller of the CSV's rows of buses that are not candidates, whose limit is the reason and whose size is empty."""
+_CONFIDENCE = 0.95
 _LISTS = ("smaller_fails_mw", "larger_carries_mw")
 
 
 def capacity_csv(found: Capacities) -> str:
-    """Return all results, those of the snapshot first."""
+    """Return all results, those of the snapshot first, and the reasons for buses without an answer."""
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -30,16 +34,23 @@ def capacity_csv(found: Capacities) -> str:
         row = dataclasses.asdict(capacity)
         row |= {name: repr(row[name]) for name in _NUMBERS} | {"at_most": str(row["at_most"]).lower()}
         writer.writerow(row | {name: ";".join(map(repr, row[name])) for name in _LISTS})
+    for bus, reason in found.study.left_out().items():
+        writer.writerow({"controller": NO_ANSWER, "bus": bus, "limit": reason})
     return text.getvalue()
 
 
 def read_capacity_csv(text: str) -> list[BusCapacity]:
-    """Read the CSV of ``capacity_csv``; raise ValueError for any other text, naming the row and the column."""
+    """Read the results in the CSV of ``capacity_csv``.
+
+    Raises ValueError for any other text, naming the row and the column.
+    """
     reader = csv.DictReader(io.StringIO(text))
     if tuple(reader.fieldnames or ()) != COLUMNS:
         raise ValueError(f"capacity.csv: its columns are {reader.fieldnames}; they must be {', '.join(COLUMNS)}")
     found = []
     for number, row in enumerate(reader, 2):
+        if row["controller"] == NO_ANSWER:
+            continue
         values: dict[str, Any] = dict(row)
         for name in COLUMNS:
             try:
@@ -63,14 +74,15 @@ def capacity_table(found: Capacities) -> Table:
     title = f"{study.scenario.feeder.name}: largest data centre at a bus, MW, within {limits} ({window})"
     header = ["bus", SNAPSHOT]
     for name in found.controllers:
-        header += [name, "delay mean s", "p95 s", "unserved %"]
+        header += [name, "95 % of windows", "limit", "delay mean s", "p95 s", "unserved %"]
     rows = []
     for i, bus in enumerate(found.buses):
         row = [bus, _mw(found.snapshot[i])]
         for name in found.controllers:
             capacity = found.by_controller[name][i]
             row += [
-                _mw(capacity), f"{capacity.delay_mean_s:.2f}", f"{capacity.delay_p95_s:.0f}",
+                _mw(capacity), f"{capacity.most_windows_mw:.3g}", capacity.limit or "none found",
+                f"{capacity.delay_mean_s:.2f}", f"{capacity.delay_p95_s:.0f}",
                 f"{capacity.unserved_pct:.1f}",
             ]  # fmt: skip
         rows.append(tuple(row))
@@ -109,6 +121,23 @@ def _all(found: Capacities) -> Iterator[BusCapacity]:
         yield from found.by_controller[name]
 
 
+def _unseen_pct(samples: int) -> float:
+    """Upper bound on the share of windows that break limits if none of so many does, % (Clopper and Pearson, 1934)."""
+    return 100.0 * (1.0 - (1.0 - _CONFIDENCE) ** (1.0 / samples))
+
+
+def _lowered(found: Capacities) -> Iterator[str]:
+    """A warning for each controller that lowers the capacity of buses against no control."""
+    if UNCONTROLLED not in found.by_controller:
+        return
+    alone = found.by_controller[UNCONTROLLED]
+    for name in found.controllers:
+        pairs = zip(alone, found.by_controller[name], strict=True)
+        buses = [before.bus for before, after in pairs if after.capacity_mw < before.capacity_mw]
+        if buses:
+            yield f"{name} lowers the capacity of {len(buses)} buses against no control: {_first_of(buses)}."
+
+
 def _first_of(names: Sequence[str]) -> str:
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"{', '.join(names[:_SHOWN])}{more}"
@@ -128,6 +157,11 @@ def _notes(found: Capacities) -> Iterator[str]:
         f"the largest still fits. Limits count from {study.settle_s:g} s into a window on, and may be "
         f"broken in {study.allowed_pct:g} % of the seconds."
     )
+    yield (
+        f'"95 % of windows" is the size that as many of the windows alone would carry. If no window of {study.samples} '
+        f"breaks a limit, less than {_unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence."
+    )
+    yield from _lowered(found)
     begin_s, end_s = study.full_load_s
     yield f"In every window all sites are asked for their rating from {begin_s:g} to {end_s:g} s."
     yield f"R{str(rating_coverage(study.scenario.feeder))[1:]}."

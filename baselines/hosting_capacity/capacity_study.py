@@ -73,6 +73,13 @@ class Study:
     """Limits of the voltage at every bus, p.u.; those of ANSI C84.1, range A, for service voltages."""
     loading_max_pct: float = 100.0
     """Limit of a branch's current as a share of its rating, where a rating is known, %."""
+    voltage_step_max_pct: float | None = None
+    """Limit of the change of any voltage from one step to the next, % of nominal voltage; None for no limit. Every
+    window has a step of the sites to their full rating and back."""
+    taps_max_per_hour: float | None = None
+    """Limit of the taps of each regulator in a window, per hour; None for no limit."""
+    loss_max_kw: float | None = None
+    """Limit of the mean loss of a window, kW; None for no limit."""
     allowed_pct: float = 0.0
     """Allowed share of the sampled seconds with some bus or branch outside its limits, %."""
     tolerance_mw: float | None = None
@@ -101,9 +108,18 @@ class Study:
         self._require("loading_max_pct", _finite(self.loading_max_pct) and self.loading_max_pct > 0.0, "give > 0 %")
         allowed = _finite(self.allowed_pct) and 0.0 <= self.allowed_pct < 100.0
         self._require("allowed_pct", allowed, "give a share from 0 to less than 100 %")
-        for name in ("tolerance_mw", "max_mw"):
+        for name, what in (
+            ("tolerance_mw", "a size > 0 MW"),
+            ("max_mw", "a size > 0 MW"),
+            ("voltage_step_max_pct", "a change > 0 %"),
+            ("taps_max_per_hour", "a number > 0"),
+            ("loss_max_kw", "a loss > 0 kW"),
+        ):
             value = getattr(self, name)
-            self._require(name, value is None or (_finite(value) and value > 0.0), "give a size > 0 MW")
+            self._require(name, value is None or (_finite(value) and value > 0.0), f"give {what}, or None")
+        regulators = getattr(self.scenario.feeder, "n_regulator", 0)
+        taps_fit = self.taps_max_per_hour is None or regulators > 0
+        self._require("taps_max_per_hour", taps_fit, "the feeder has no regulators; give None")
         self._require("tolerance_mw", self.step_mw <= self.largest_mw, f"give at most {self.largest_mw:g} MW")
         self._require("tolerance_mw", self.largest_mw / self.step_mw < 1e6, "give fewer than a million sizes")
 

@@ -53,6 +53,8 @@ def study_controller(spec: str, scenario: Scenario, tuned: Path | None) -> tuple
         )
 
 
+UNCONTROLLED = "none"
+"""Name of the controller that does nothing."""
 SNAPSHOT = "snapshot"
 """Name of the capacity of one power flow in place of a controller's name."""
 _SLOW = ("mpc",)

@@ -14,12 +14,18 @@ from dcgrid_env.baselines.hosting_capacity.bus_search import BusSearch, Request
 from dcgrid_env.baselines.hosting_capacity.trial import (
     COLLAPSED,
     LIMITS,
+    LOSS,
     OVERLOAD,
+    TAPS,
+    UNLIMITED,
     Trial,
     run_trial,
     trials,
 )
 from dcgrid_env.grid import AnyFeeder
+
+_FEW = 0.05
+"""Share of the windows in which ``most_windows_mw`` may break limits."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,11 @@ class BusCapacity:
     """Share of the sampled seconds with a broken limit at that size, %."""
     margin: float
     """Least margin to a limit at that size, see ``Trial.margin``."""
+    most_windows_mw: float
+    """Size that stays within the limits in 95 % of the windows, MW."""
+    half_windows_mw: float
+    """Size that stays within the limits in half of the windows, MW. Both are interpolated between the margins of each
+    window at no site and at the capacity, and at most the largest size that was tried."""
     smaller_fails_mw: tuple[float, ...]
     """Smaller sizes of the coarse scan that break limits, MW; if there are any, not every size below the capacity is
     feasible."""
@@ -114,7 +125,7 @@ def search_buses(
     for bus, search, overload in zip(buses, searches, before, strict=True):
         beyond = empty if fails else search.beyond
         limit = "" if beyond is None else _limit(study.scenario, beyond)
-        found.append(_capacity(site, name, bus, search, limit if fails or not overload else overload))
+        found.append(_capacity(site, name, bus, search, limit if fails or not overload else overload, empty))
     return found
 
 
@@ -133,12 +144,24 @@ def _branch_to(feeder: AnyFeeder, node: int) -> str:
     return f"{feeder.branch_names[feeder.node_bus[node] - 1]}{phase}"
 
 
-def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: str) -> BusCapacity:
+def _window_capacities_mw(site: AddedSite, empty: Trial, search: BusSearch) -> np.ndarray:
+    """The largest site that each window alone would carry, MW, (sample,), not less than the capacity of all."""
+    capacity_mw, largest_mw = site.mw(search.size), site.mw(site.study.top)
+    if not search.size:
+        return np.zeros(len(empty.outside))
+    fall = empty.margins - search.at_size.margins
+    falls = (fall > 1e-9) & (empty.margins < UNLIMITED)
+    shares = np.where(falls, np.maximum(empty.margins, 0.0) / np.where(falls, fall, 1.0), np.inf).min(axis=1)
+    return np.clip(shares * capacity_mw, capacity_mw, largest_mw)
+
+
+def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: str, empty: Trial) -> BusCapacity:
     study, trial = site.study, search.at_size
     feeder = study.scenario.feeder
     delays = fcfs_delays(trial.arrived_kw.T, trial.served_kw.T, study.scenario.dt_s)
     counted = study.samples * (study.horizon - study.settled)
     sited = search.size > 0
+    of_windows = _window_capacities_mw(site, empty, search)
     return BusCapacity(
         controller=name,
         bus=feeder.bus_ids[bus],
@@ -150,6 +173,8 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
         unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
         outside_pct=100.0 * float(trial.outside.sum()) / counted,
         margin=trial.margin,
+        most_windows_mw=float(np.quantile(of_windows, _FEW)),
+        half_windows_mw=float(np.median(of_windows)),
         smaller_fails_mw=tuple(map(site.mw, search.smaller_fails)),
         larger_carries_mw=tuple(map(site.mw, search.larger_carries)),
     )
@@ -163,4 +188,8 @@ def _limit(scenario: Scenario, beyond: Trial) -> str:
         return "no power-flow solution"
     if kind == OVERLOAD:
         return f"overload of {_branch_to(feeder, node)}"
+    if kind == TAPS:
+        return f"taps of regulator {feeder.network.regulator.name[node]}"
+    if kind == LOSS:
+        return LIMITS[kind]
     return f"{LIMITS[kind]} at {'bus' if isinstance(feeder, Feeder) else 'node'} {feeder.node_ids[node]}"

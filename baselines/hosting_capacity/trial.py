@@ -21,8 +21,8 @@ UNLIMITED = 1e6
 _ROUNDING = 1e-9
 _VALUES = 4_000_000
 """Maximum number of voltages of a batch that are stored at a time; larger batches run in parts."""
-LIMITS = ("undervoltage", "overvoltage", "overload")
-OVERLOAD = LIMITS.index("overload")
+LIMITS = ("undervoltage", "overvoltage", "overload", "voltage step", "taps", "loss")
+OVERLOAD, STEP, TAPS, LOSS = range(2, len(LIMITS))
 
 
 class Trial(NamedTuple):
@@ -30,11 +30,12 @@ class Trial(NamedTuple):
 
     margins: np.ndarray
     """Least margin to each of ``LIMITS`` over the seconds that count, negative beyond the limit, (row, limit). A
-    voltage margin is a share of half the width of the voltage limits, a current margin a share of the current limit.
-    All are ``COLLAPSED`` without a power-flow solution."""
+    voltage margin is a share of half the width of the voltage limits, the others are shares of their limit. Taps and
+    loss are those of the whole window. All are ``COLLAPSED`` without a power-flow solution, and ``UNLIMITED`` for
+    limits that the study does not have."""
     nodes: np.ndarray
-    """Location of each margin as a position in ``node_ids``, of an overload the node that the branch feeds,
-    (row, limit)."""
+    """Location of each margin as a position in ``node_ids``, of an overload the node that the branch feeds, of taps
+    the row of the regulator, (row, limit)."""
     outside: np.ndarray
     """Number of steps that count in which some limit was broken, int, (row,)."""
     arrived_kw: np.ndarray
@@ -108,28 +109,41 @@ def _run(
     margins, nodes = np.full((n_env, len(LIMITS)), UNLIMITED), np.zeros((n_env, len(LIMITS)), np.int64)
     outside, goes_on = np.zeros(n_env, np.int64), np.ones(n_env, bool)
     arrived, served = (np.zeros((n_env, study.horizon)) for _ in range(2))
+    loss_kw, taps, before = np.zeros(n_env), np.zeros((n_env, 1)), None
     for k in range(study.horizon):
         now = next(steps)
         arrived[:, k], served[:, k] = now.state.arrived_kw[:, site.slot], now.state.served_kw[:, site.slot]
         if k >= study.settled:
-            here, where = _distances(site, now)
+            here, where = _distances(site, now, before)
+            loss_kw = loss_kw + now.loss_kw
+            if study.taps_max_per_hour is not None:
+                taps = taps + now.state.three_phase.equipment.regulators.moved
             outside += (here < -_ROUNDING).any(axis=1)
             nearer = here < margins
             margins, nodes = np.where(nearer, here, margins), np.where(nearer, where, nodes)
+        before = now.state.v_pu
         lost = goes_on & ~np.asarray(now.converged)
         if lost.any():
             goes_on &= ~lost
             if not goes_on.any():
                 break
     steps.close()
+    counted = study.horizon - study.settled
+    if study.taps_max_per_hour is not None:
+        hours = counted * scenario.dt_s / 3600.0
+        margins[:, TAPS] = 1.0 - taps.max(axis=1) / (study.taps_max_per_hour * hours)
+        nodes[:, TAPS] = taps.argmax(axis=1)
+    if study.loss_max_kw is not None:
+        margins[:, LOSS] = 1.0 - loss_kw / (study.loss_max_kw * counted)
+    outside[(margins[:, [TAPS, LOSS]] < -_ROUNDING).any(axis=1)] = counted
     # What follows a power flow without a solution is another episode, and does not count.
     margins[~goes_on] = COLLAPSED
-    outside[~goes_on] = study.horizon - study.settled
+    outside[~goes_on] = counted
     return Trial(margins, nodes, outside, arrived, served)
 
 
-def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Each trial's distance to each limit now, and where, (row, limit) each."""
+def _distances(site: AddedSite, now: Any, before: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Each trial's distance to each limit now, and where, (row, limit) each; ``before`` are the voltages before."""
     study, nodes = site.study, site.study.scenario.feeder.load_slice
     v = now.state.v_pu[:, nodes]
     row, half = np.arange(len(v)), 0.5 * (study.v_max_pu - study.v_min_pu)
@@ -141,4 +155,11 @@ def _distances(site: AddedSite, now: Any) -> tuple[np.ndarray, np.ndarray]:
         loading = np.where(site.exempt, 0.0, now.state.loading)
         branch = loading.argmax(axis=1)
         loaded = 1.0 - loading[row, branch] / (study.loading_max_pct / 100.0)
-    return np.stack((below, above, loaded), axis=1), np.stack((lowest + first, highest + first, branch), axis=1)
+    none, nowhere = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
+    stepped, at_step = none, nowhere
+    if study.voltage_step_max_pct is not None and before is not None:
+        change = np.abs(v - before[:, nodes])
+        at_step = change.argmax(axis=1)
+        stepped, at_step = 1.0 - change[row, at_step] / (study.voltage_step_max_pct / 100.0), at_step + first
+    where = (lowest + first, highest + first, branch, at_step, nowhere, nowhere)
+    return np.stack((below, above, loaded, stepped, none, none), axis=1), np.stack(where, axis=1)

@@ -68,6 +68,12 @@ class Capacity(OverWorkers):
     """Lowest and highest voltage, p.u., separated by a comma."""
     loading_max_pct: float = 100.0
     """Largest branch current, % of its rating. Branches without a rating are not checked."""
+    voltage_step_max_pct: float | None = None
+    """Largest change of any voltage within a step, % of nominal voltage, for example 3. Default: no limit."""
+    taps_max_per_hour: float | None = None
+    """Largest number of taps of a regulator per hour. Default: no limit."""
+    loss_max_kw: float | None = None
+    """Largest mean loss of a window, kW. Default: no limit."""
     allowed_pct: float = 0.0
     """Share of the seconds in which a limit may be violated, %."""
     tolerance_mw: float | None = None
@@ -129,6 +135,9 @@ def _study(cfg: Capacity) -> Study:
         v_min_pu=low,
         v_max_pu=high,
         loading_max_pct=cfg.loading_max_pct,
+        voltage_step_max_pct=cfg.voltage_step_max_pct,
+        taps_max_per_hour=cfg.taps_max_per_hour,
+        loss_max_kw=cfg.loss_max_kw,
         allowed_pct=cfg.allowed_pct,
         tolerance_mw=cfg.tolerance_mw,
         max_mw=cfg.max_mw,

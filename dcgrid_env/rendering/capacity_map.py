@@ -26,6 +26,8 @@ NOT_ASKED = "#E6E6E6"
 _WIDE_RANGE = 8.0
 """Ratio of the largest to the least size from which the scale is logarithmic."""
 _PANEL_IN = (6.4, 4.8)
+_MOST_LABELS = 40
+"""Number of candidates up to which the size of each is written at its bus."""
 
 
 class CapacityMap(FeederMap):
@@ -64,6 +66,20 @@ class CapacityMap(FeederMap):
         look = {"edgecolors": INK, "linewidths": 0.6, "zorder": 4}
         self.dots = ax.scatter(xy[1:, 0], xy[1:, 1], s=1.6 * self._bus_area, c=colours[1:], **look)
         self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=[INK], **look)
+        asked = np.flatnonzero(~np.isnan(mw))
+        for bus in asked if len(asked) <= _MOST_LABELS else ():
+            text = f"{mw[bus]:.3g}"
+            ax.annotate(
+                text,
+                xy[bus],
+                (0, -6),
+                textcoords="offset points",
+                fontsize=7,
+                color=INK,
+                ha="center",
+                va="top",
+                zorder=5,
+            )
 
     def _size_buses(self) -> None:
         self._ring_areas = np.full(self.feeder.n_bus, 2.2 * self._bus_area)

@@ -22,6 +22,7 @@ def capacity(controller, bus, mw, **fields):
     values = {
         "at_most": False, "limit": "undervoltage at bus 18", "delay_mean_s": 0.1234567890123, "delay_p95_s": 2.0,
         "unserved_pct": 0.5, "outside_pct": 0.0, "margin": 0.01, "smaller_fails_mw": (), "larger_carries_mw": (),
+        "most_windows_mw": mw, "half_windows_mw": 2.0 * mw,
     }  # fmt: skip
     return BusCapacity(controller=controller, bus=bus, capacity_mw=mw, **(values | fields))
 

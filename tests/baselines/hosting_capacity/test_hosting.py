@@ -1,5 +1,6 @@
 """What buses carry, against cases worked by hand and against what must hold of any answer."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -75,6 +76,62 @@ def test_two_buses_carry_what_the_rating_of_their_branch_says():
         two_buses([current_a]), load="peak", tolerance_mw=0.001, max_mw=10.0, v_min_pu=0.9, loading_max_pct=120.0
     )
     assert more > 1.15 * mw
+
+
+def voltage_at(site_mw):
+    """The larger root of V2^4 + (2 r P - V0^2) V2^2 + (z P)^2 = 0."""
+    r, x, p = R_OHM / KV**2, X_OHM / KV**2, site_mw + LOAD_KW / 1000.0
+    half = 0.5 - r * p
+    return math.sqrt(half + math.sqrt(half * half - (r * r + x * x) * p * p))
+
+
+@pytest.mark.parametrize("step_pct", [1.0, 3.0])
+def test_a_step_of_the_site_changes_the_voltage_as_the_equation_says(step_pct):
+    """Outside of the middle third of the window the trace asks for nothing."""
+    idle = PowerTrace([0.0, 99990.0, 100000.0], [0.0, 0.0, 1.0], "idle", compute_kw=[0.0, 0.0, 1.0])
+    scenario = two_buses().replace(trace=(idle,), split="train")
+    found, [[mw]] = carried(
+        scenario, load="peak", tolerance_mw=0.001, max_mw=10.0, v_min_pu=0.5, voltage_step_max_pct=step_pct
+    )
+    assert found.by_controller["none"][0].limit == "voltage step at bus b"
+    steps = [100.0 * (voltage_at(0.0) - voltage_at(size)) for size in (mw, mw + 0.001)]
+    assert steps[0] <= step_pct + 1e-6 < steps[1] + 2e-3
+
+
+def test_losses_limit_by_their_mean_over_the_window():
+    limit_kw = 30.0
+    found, [[mw]] = carried(
+        two_buses(), load="peak", tolerance_mw=0.001, max_mw=10.0, v_min_pu=0.5, loss_max_kw=limit_kw
+    )
+    assert found.by_controller["none"][0].limit == "loss"
+    losses = [1000.0 * R_OHM / KV**2 * ((size + LOAD_KW / 1000.0) / voltage_at(size)) ** 2 for size in (mw, mw + 0.001)]
+    assert losses[0] <= limit_kw < losses[1]
+
+
+def test_taps_limit_by_the_regulator_that_makes_the_most():
+    scenario = make_scenario("ieee13-3ph", split="test")
+    wide = {"max_mw": 2.0, "tolerance_mw": 0.05, "v_min_pu": 0.8, "v_max_pu": 1.2, "loading_max_pct": 1000.0}
+    study = Study(
+        scenario=scenario, others=False, buses=("671",), samples=2, window_s=300.0, settle_s=60.0,
+        taps_max_per_hour=20.0, **wide,
+    )  # fmt: skip
+    (free,) = hosting_capacity(dataclasses.replace(study, taps_max_per_hour=None), ["none"]).by_controller["none"]
+    (found,) = hosting_capacity(study, ["none"]).by_controller["none"]
+    assert found.capacity_mw < free.capacity_mw
+    assert found.limit.startswith("taps of regulator reg")
+
+
+def test_a_limit_of_taps_needs_regulators():
+    with pytest.raises(ValueError, match="the feeder has no regulators; give None"):
+        Study(scenario=two_buses(), taps_max_per_hour=3.0)
+
+
+def test_windows_alone_carry_at_least_what_all_carry():
+    scenario = on(load_feeder("ieee33"), source_voltage_pu=1.05)
+    study = Study(scenario=scenario, others=False, buses=("6", "18"), samples=8)
+    for found in hosting_capacity(study, ["none"]).by_controller["none"]:
+        assert 0.0 < found.capacity_mw <= found.most_windows_mw <= found.half_windows_mw
+        assert found.half_windows_mw > 1.1 * found.capacity_mw
 
 
 CIRCUIT = """
