@@ -18,11 +18,8 @@ from dcgrid_env.core.files import write_figure, write_json, write_text
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from dcgrid_env import Scenario
     from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-    from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
 
 Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 
@@ -89,6 +86,7 @@ class Capacity(OverWorkers):
 
     def run(self) -> None:
         """Search, print and write; raise ValueError before writing if a setting is invalid."""
+        from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv, capacity_table, record
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
         from dcgrid_env.baselines.tuning.tuned import require_tuned
@@ -108,7 +106,7 @@ class Capacity(OverWorkers):
         console.print(table.rich(console.width))
         for note in table.notes:
             console.print(note)
-        figure = draw(found)  # before anything is written
+        figure = capacity_maps(found)  # before anything is written
         write_text(self.out / "capacity.csv", capacity_csv(found))
         write_json(self.out / "results.json", {"meta": meta(), **record(found)})
         write_figure(self.out / "capacity.png", figure, dpi=130)
@@ -163,19 +161,3 @@ def _limits(text: str) -> tuple[float, float]:
             f"limits: must be the lowest and the highest voltage, such as 0.95,1.05, got {text!r}"
         ) from None
     return low, high
-
-
-def draw(found: Capacities) -> Figure:
-    """Draw one map per controller, all with the same colour scale."""
-    import numpy as np
-
-    from dcgrid_env.rendering.capacity_map import capacity_figure
-
-    feeder = found.study.scenario.feeder
-    maps = {}
-    for name in found.controllers:
-        mw = np.full(feeder.n_bus, np.nan)
-        mw[[feeder.index(bus) for bus in found.buses]] = [c.capacity_mw for c in found.by_controller[name]]
-        maps[name] = mw
-    limits = f"{found.study.v_min_pu:g} to {found.study.v_max_pu:g} p.u."
-    return capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}")

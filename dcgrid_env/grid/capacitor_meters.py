@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dcgrid_env.grid.network import Network
-from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray
+from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes
 from dcgrid_env.grid.topology import FeederError
-
-if TYPE_CHECKING:
-    from dcgrid_env.grid.three_phase import ThreePhaseFeeder
 
 
 class Meter(NamedTuple):
@@ -29,8 +26,10 @@ class Meter(NamedTuple):
     """Charging of this end's half of the line by a voltage of 1 p.u. there, (n, 3)."""
 
 
-def meter_of(feeder: ThreePhaseFeeder, row: int) -> Meter | None:
+def meter_of(feeder: PhaseNodes, node_parent: IntArray, row: int) -> Meter | None:
     """The meter of a row of the capacitors' controls; None if it measures voltage alone.
+
+    ``node_parent`` is the node that feeds each node, (n_node,).
 
     Raises
     ------
@@ -44,9 +43,9 @@ def meter_of(feeder: ThreePhaseFeeder, row: int) -> Meter | None:
     nodes, fed_nodes, signs = [], [], []
     for phase in table.phases[row]:
         at, other = feeder.nodes_of(here, phase)[0], feeder.nodes_of(there, phase)[0]
-        leaves = feeder.node_parent[other] == at
+        leaves = node_parent[other] == at
         charged = _line_rows(network, here, there, phase)
-        if not (charged if leaves else feeder.node_parent[at] == other):
+        if not (charged if leaves else node_parent[at] == other):
             raise FeederError(
                 f"feeder {feeder.name!r}: capacitor control {table.name[row]}: from_bus, to_bus are "
                 f"{(here, there)!r}; give the ends of a line or switch of phase {phase}, or the secondary of a "
@@ -71,7 +70,7 @@ def _line_rows(network: Network, here: str, there: str, phase: str) -> list[tupl
 
 
 def _with_charging(
-    feeder: ThreePhaseFeeder,
+    feeder: PhaseNodes,
     here: str,
     there: str,
     phases: str,

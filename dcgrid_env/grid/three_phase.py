@@ -193,7 +193,7 @@ class ThreePhaseFeeder(PhaseNodes):
     @cached_property
     def capacitor_meters(self) -> tuple[Meter | None, ...]:
         """Where each row of the capacitors' controls measures current; None for one that measures voltage alone."""
-        return tuple(meter_of(self, row) for row in range(len(self.network.capacitor_control)))
+        return tuple(meter_of(self, self.node_parent, row) for row in range(len(self.network.capacitor_control)))
 
     @cached_property
     def core_legs(self) -> Legs:

@@ -9,17 +9,29 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dcgrid_env.rendering.banded_figure import long_figure
     from dcgrid_env.rendering.bus_positions import positions
+    from dcgrid_env.rendering.capacity_map import capacity_figure
     from dcgrid_env.rendering.envelope import Envelope
     from dcgrid_env.rendering.feeder_map import INK, draw_feeder
     from dcgrid_env.rendering.replay_page import Replay, replay
     from dcgrid_env.rendering.side_by_side import run_figure
 
-__all__ = ["INK", "Envelope", "Replay", "draw_feeder", "long_figure", "positions", "replay", "run_figure"]
+__all__ = [
+    "INK",
+    "Envelope",
+    "Replay",
+    "capacity_figure",
+    "draw_feeder",
+    "long_figure",
+    "positions",
+    "replay",
+    "run_figure",
+]
 
 _MODULES = {
     "Envelope": "envelope",
     "INK": "feeder_map",
     "Replay": "replay_page",
+    "capacity_figure": "capacity_map",
     "draw_feeder": "feeder_map",
     "long_figure": "banded_figure",
     "positions": "bus_positions",

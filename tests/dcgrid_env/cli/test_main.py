@@ -100,7 +100,7 @@ def test_fields_are_listed_with_what_each_is(capsys, monkeypatch):
 def test_the_commands_are_in_their_groups():
     assert {title: list(commands) for title, commands in COMMANDS.sections.items()} == {
         "Get started": ["run", "list", "replay"],
-        "Your feeder": ["import", "check", "capacity", "export"],
+        "Your feeder": ["import", "check", "capacity", "study", "export"],
         "Train and evaluate": [
             "train",
             "evaluate",

@@ -1,0 +1,40 @@
+"""What rules for large loads ask for, what a study of a distribution feeder says about it, and what it does not.
+
+The rules are those of May 2026 as secondary sources report them. Each line must be checked against the final text.
+"""
+
+from __future__ import annotations
+
+from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+
+_HEADER = ("subject", "what sources state", "in this report", "to be checked")
+NERC = Table(
+    "After NERC's Level 3 alert on computational loads (4 May 2026, responses due 3 August 2026)",
+    _HEADER,
+    (
+        ("scope", "computational loads of 20 MW and more at 60 kV and above, with more than 1 MW of IT load",
+         "rating and voltage of the connection", "whether the site is within the scope"),
+        ("modelling data", "planners list data, settings and parameters and distribute them to owners",
+         "rating, clock range, converter rating, ride-through curve, in the inputs", "the planner's list"),
+        ("studies", "stability and protection studies, with the model PERC1 or an equivalent",
+         "steady state and seconds on the feeder; neither stability nor protection", "both studies"),
+        ("ride-through", "corrective actions against loss of load in normally cleared faults",
+         "load lost and voltages after recorded sags", "protection settings, faults of the planner"),
+        ("commissioning", "a process before energisation", "nothing", "the owner's process"),
+        ("instrumentation", "dynamic fault recorders", "nothing", "recorder at the connection"),
+        ("operations", "direct communication between operators and the load", "nothing", "agreement of operation"),
+    ),
+    ("Sources: epgsolutions.services (20 and 24 May 2026), morganlewis.com (May 2026).",),
+)  # fmt: skip
+ERCOT = Table(
+    "After ERCOT's NOGRR 282 and NPRR 1308 on large electronic loads",
+    _HEADER,
+    (
+        ("scope", "sites of 75 MW and more with at least half of the demand from power electronics",
+         "rating of the site", "whether the site is within the scope; exemptions to 14 November 2025"),
+        ("voltage ride-through", "new section 2.14 of the Nodal Operating Guides",
+         "the curve ercot-2026 can be chosen in ride_through.curve", "values of the final text"),
+        ("frequency ride-through", "new section 2.6.4", "nothing: the model has no frequency", "settings of the UPS"),
+    ),
+    ("Source: epeconsulting.com, Preparing for NOGRR 282 (2026). It was a proposal then.",),
+)  # fmt: skip

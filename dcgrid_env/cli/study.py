@@ -1,0 +1,137 @@
+"""The command ``dcgrid study``."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
+from dcgrid_env.cli.progress import progress_bar
+from dcgrid_env.cli.settings import check_folder
+from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.files import write_json, write_text
+
+if TYPE_CHECKING:
+    from dcgrid_env import Scenario
+    from dcgrid_env.baselines.connection_study.sections import Job
+    from dcgrid_env.baselines.connection_study.study_request import StudyRequest
+
+
+@dataclass(frozen=True)
+class ConnectionStudy(OverWorkers):
+    """Answer a connection request with one report.
+
+    Reads the request from a TOML file. Writes one HTML page without external resources, which a browser also prints.
+
+    The report has the base case, the capacity of the buses, the worst window, a day, ride-through, ramps and flicker,
+    the sensitivity to assumptions, what was not checked, and all inputs with their hashes (docs/connection-study.md).
+    """
+
+    file: tyro.conf.Positional[Path]
+    """Study file (.toml) with bus, mw, feeder or scenario, and settings."""
+    out: Path = Path("results/study")
+    """Folder for report.html, report.json and capacity.csv. Created if missing."""
+
+    def run(self) -> None:
+        """Compute all sections, then write; raise ValueError before anything is written if a setting is invalid."""
+        from dcgrid_env.baselines.connection_study.report import answers, page, plain, sections_of
+        from dcgrid_env.baselines.connection_study.sections import BUILDERS
+        from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv
+        from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+
+        place = self.place
+        request = read_request(self.file)
+        job = make_job(request, self.file)
+        check_folder(self.out)
+        console = plain_console()
+        found = None
+        with progress_bar(console) as progress:
+            if "capacity" not in request.leave_out:
+                total = len(job.study.candidates()) * len(request.controllers)
+                task = progress.add_task("capacity", total=total)
+                found = hosting_capacity(
+                    job.study, request.controllers, place, None, lambda _, n: progress.advance(task, n)
+                )
+            task = progress.add_task("sections", total=len(BUILDERS) - len(set(BUILDERS) & set(request.leave_out)))
+            sections = sections_of(job, found, lambda: progress.advance(task))
+        written = page(job, found, sections, self.file)
+        for text in answers(job, found):
+            say(console, text)
+        if found is not None:
+            write_text(self.out / "capacity.csv", capacity_csv(found))
+        write_json(self.out / "report.json", plain(job, found, sections))
+        write_text(self.out / "report.html", written)
+        say(console, f"wrote {self.out / 'report.html'} and {self.out / 'report.json'}")
+
+
+def read_request(path: Path) -> StudyRequest:
+    """Read a study's file; raise ValueError naming the file, the field and the value for an invalid one."""
+    from dcgrid_env.baselines.connection_study.study_request import StudyRequest
+    from dcgrid_env.core.checked import FieldError, from_mapping
+
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (FileNotFoundError, IsADirectoryError):
+        raise ValueError(f"file: there is no study file {path}; write one (docs/connection-study.md)") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: {error}") from None
+    try:
+        return from_mapping(StudyRequest, given)
+    except FieldError as error:
+        raise ValueError(f"{path}: {error.said(error.name)}") from None
+
+
+def make_job(request: StudyRequest, path: Path) -> Job:
+    """Make the study of a request; raise ValueError for an unknown bus, feeder, scenario or field."""
+    from dcgrid_env.baselines.connection_study.sections import Job
+    from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+
+    scenario = _scenario(request, path)
+    if request.bus not in scenario.feeder.bus_ids[1:]:
+        raise ValueError(
+            f"{path}: bus is {request.bus!r}; give a bus of feeder {scenario.feeder.name!r} other than the substation"
+        )
+    settings = dict(request.capacity)
+    buses = settings.pop("buses", None)
+    if buses == "all":
+        buses = scenario.feeder.bus_ids[1:]
+    if buses is not None:
+        buses = tuple(dict.fromkeys((*map(str, buses), request.bus)))
+    unknown = set(settings) - {"samples", "load", "window_s", "settle_s", "v_min_pu", "v_max_pu", "loading_max_pct",
+                               "allowed_pct", "tolerance_mw", "max_mw", "voltage_step_max_pct", "taps_max_per_hour",
+                               "loss_max_kw"}  # fmt: skip
+    if unknown:
+        raise ValueError(f"{path}: capacity has no field {min(unknown)!r}; see docs/connection-study.md")
+    study = Study(scenario=scenario, others=request.scenario is not None, buses=buses, **settings)
+    if buses is None and scenario.feeder.index(request.bus) not in study.candidates():
+        names = tuple(scenario.feeder.bus_ids[i] for i in study.candidates())
+        study = Study(scenario=scenario, others=study.others, buses=(*names, request.bus), **settings)
+    return Job(request, study)
+
+
+def _scenario(request: StudyRequest, path: Path) -> Scenario:
+    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+    overrides = tuple(f"{name}={json.dumps(value)}" for name, value in _flat(request.set))
+    if request.feeder is None:
+        return ScenarioSpec(str(request.scenario), overrides).make("test")
+    folder = path.parent / request.feeder
+    feeder = str(folder) if folder.is_dir() else request.feeder
+    return scenario_on_feeder(Asked(feeder, request.scenario, None, None), overrides, "test", {})
+
+
+def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    """The fields of nested tables by their path."""
+    found: list[tuple[str, Any]] = []
+    for name, value in table.items():
+        if isinstance(value, dict):
+            found += _flat(value, f"{before}{name}.")
+        else:
+            found.append((before + name, value))
+    return found

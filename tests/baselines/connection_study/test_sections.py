@@ -1,0 +1,91 @@
+"""The figures of a report against power flows and studies of their own."""
+
+import numpy as np
+import pytest
+
+from dcgrid_env import load_feeder
+from dcgrid_env.baselines.connection_study import sections
+from dcgrid_env.baselines.connection_study.report import answers, page, plain, sections_of
+from dcgrid_env.baselines.connection_study.sections import Job
+from dcgrid_env.baselines.connection_study.study_request import StudyRequest
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+from dcgrid_env.powerflow import distflow
+from dcgrid_env.scenario.on_feeder import scenario_on
+
+
+@pytest.fixture(scope="module")
+def job():
+    feeder = load_feeder("ieee33")
+    request = StudyRequest(
+        feeder="ieee33", bus="12", mw=0.5, title="A <b> & c", leave_out=("day", "fluctuation", "ride-through")
+    )
+    scenario = scenario_on(feeder, "1 x 500 kW at 12", "none").replace(source_voltage_pu=1.04, split="test")
+    study = Study(scenario=scenario, others=False, buses=("12", "18"), samples=2, window_s=10.0, settle_s=4.0)
+    return Job(request, study)
+
+
+def test_the_base_case_is_the_power_flow_at_nominal_load(job):
+    feeder = load_feeder("ieee33")
+    section = sections.base_case(job)
+    solved = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar - feeder.capacitor_kvar, 1.04)
+    rows = {row[0]: row[1:] for row in section.tables[0].rows}
+    assert rows["lowest voltage"] == (f"{solved.v_pu.min():.4f} p.u.", feeder.bus_ids[int(solved.v_pu.argmin())])
+    assert float(rows["losses"][0].split()[0]) == pytest.approx(float(solved.loss_kw), rel=1e-4)
+    assert section.pictures[0][1].startswith(b"\x89PNG")
+
+
+def test_the_worst_window_is_the_one_with_the_least_margin(job):
+    section = sections.worst_window(job)
+    (table,) = section.tables
+    assert table.header == ("metric", "unit", "none", "droop")
+    lowest = next(row for row in table.rows if row[0] == "lowest voltage")
+    assert float(lowest[2]) < 0.95 + 0.02
+    assert "Of 2 windows, number" in section.paragraphs[0]
+
+
+def test_sensitivities_go_the_way_that_they_must(job):
+    (table,) = sections.sensitivity(job).tables
+    mw = {name: float(size.removeprefix(">=")) for name, size, _ in table.rows}
+    assert mw["source voltage -1 %"] < mw["as assumed"] < mw["source voltage +1 %"]
+    assert mw["lowest allowed voltage 0.96 p.u."] < mw["as assumed"] < mw["lowest allowed voltage 0.94 p.u."]
+    (only,) = hosting_capacity(job.study, ["none"]).snapshot[:1]
+    assert mw["as assumed"] == only.capacity_mw
+
+
+def test_the_report_is_whole_escaped_and_says_what_was_left_out(job, tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text("x = 1\n")
+    found, counted = hosting_capacity(job.study, ["none", "droop"]), []
+    made = sections_of(job, found, lambda: counted.append(1))
+    assert [s.name for s in made] == [
+        "base-case", "capacity", "worst-window", "sensitivity", "not-checked", "checklists",
+    ]  # fmt: skip
+    assert len(counted) == 3
+    text = page(job, found, made, file)
+    assert "A &lt;b&gt; &amp; c" in text
+    assert "A <b>" not in text
+    assert "http" not in text.replace("http-equiv", "")
+    assert "Sections left out on request: day, fluctuation, ride-through." in text
+    by_name = {c.bus: c for c in found.by_controller["none"]}
+    fits = "fits" if by_name["12"].capacity_mw >= 0.5 else "does not fit"
+    assert answers(job, found)[0].startswith(f"Under none, 0.5 MW at bus 12 {fits}: the bus carries")
+    record = plain(job, found, made)
+    assert set(record["sections"]) == {s.name for s in made}
+    assert record["answers"] == answers(job, found)
+
+
+def test_a_day_and_fluctuation_of_a_small_site(job):
+    small = Job(
+        StudyRequest(feeder="ieee33", bus="12", mw=0.2, controllers=("none",), limits={"ramp_kw_per_s": 20.0}),
+        job.study,
+    )
+    (day,) = sections.day(small).tables
+    loss = next(row for row in day.rows if row[0] == "mean loss")
+    assert float(loss[3]) > float(loss[2])
+    (table,) = sections.fluctuation(small).tables
+    assert [row[0] for row in table.rows] == ["none", "limit"]
+    assert table.rows[-1][1:] == ("20", "3", "1")
+    assert np.isfinite([float(cell) for cell in table.rows[0][1:]]).all()
+    (sags,) = sections.ride_through(small).tables
+    assert any("trip" in row[0] for row in sags.rows)

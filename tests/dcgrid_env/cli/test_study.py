@@ -1,0 +1,72 @@
+"""``dcgrid study``: one report from one file, and one line for what is wrong in it."""
+
+import json
+
+import pytest
+
+from dcgrid_env.cli.main import main
+
+FILE = """
+title = "A site"
+feeder = "ieee33"
+bus = "12"
+mw = 0.2
+controllers = ["none"]
+leave_out = ["day", "fluctuation", "ride-through", "sensitivity"]
+
+[set]
+source_voltage_pu = 1.05
+
+[capacity]
+buses = ["18"]
+samples = 2
+window_s = 10.0
+settle_s = 4.0
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+def test_it_prints_the_answer_and_writes_the_report(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text(FILE)
+    main(["study", "s.toml", "--out", "out", "--workers", "1"])
+    printed = capsys.readouterr().out
+    assert "Under none, 0.2 MW at bus 12 fits: the bus carries" in printed
+    record = json.loads((tmp_path / "out/report.json").read_text())
+    assert record["capacity"]["study"]["buses"] == ["18", "12"]
+    assert record["answers"][0] in printed
+    text = (tmp_path / "out/report.html").read_text()
+    assert text.startswith("<!doctype html>")
+    assert (tmp_path / "out/capacity.csv").read_text().startswith("controller,bus")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('bus = "12"', 'bus = "1"', "bus is '1'; give a bus of feeder 'ieee33' other than the substation"),
+        ('feeder = "ieee33"', 'feeder = "nowhere"', "nowhere"),
+        ("mw = 0.2", "mw = -1.0", "mw is -1.0; give a finite number"),
+        ("mw = 0.2", "size = 3", "StudyRequest field 'size'"),
+        ("samples = 2", "sample = 2", "capacity has no field 'sample'"),
+        ("samples = 2", "samples = 0", "samples is 0"),
+        ('title = "A site"', "title = ", "s.toml"),
+    ],
+)
+def test_one_line_for_what_is_wrong_and_nothing_written(tmp_path, capsys, old, new, message):
+    (tmp_path / "s.toml").write_text(FILE.replace(old, new))
+    with pytest.raises(SystemExit):
+        main(["study", "s.toml", "--out", "out", "--workers", "1"])
+    said = capsys.readouterr().err.strip()
+    assert message in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_missing_file_is_named(capsys):
+    with pytest.raises(SystemExit):
+        main(["study", "none.toml"])
+    assert "there is no study file none.toml" in capsys.readouterr().err
