@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dcgrid_env import rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, UNCONTROLLED, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
+from dcgrid_env.baselines.hosting_capacity.sites_together import Together
 
 COLUMNS = tuple(field.name for field in dataclasses.fields(BusCapacity))
 """Columns of the CSV, with one row for each controller and bus; sizes in a cell are separated by semicolons."""
@@ -30,10 +31,7 @@ def capacity_csv(found: Capacities) -> str:
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
-    for capacity in _all(found):
-        row = dataclasses.asdict(capacity)
-        row |= {name: repr(row[name]) for name in _NUMBERS} | {"at_most": str(row["at_most"]).lower()}
-        writer.writerow(row | {name: ";".join(map(repr, row[name])) for name in _LISTS})
+    writer.writerows(map(_cells, _all(found)))
     for bus, reason in found.study.left_out().items():
         writer.writerow({"controller": NO_ANSWER, "bus": bus, "limit": reason})
     return text.getvalue()
@@ -89,6 +87,40 @@ def capacity_table(found: Capacities) -> Table:
     return Table(title, tuple(header), tuple(rows), tuple(_notes(found)))
 
 
+def outages_table(found: Capacities, by_outage: Mapping[str, Capacities]) -> Table:
+    """Make a table with the least capacity of each bus over single outages, and the outage that it has then."""
+    header, rows = ["bus"], [[bus] for bus in found.buses]
+    for name in found.controllers:
+        header += [name, "with an outage", "outage"]
+        for i, row in enumerate(rows):
+            least = min(by_outage, key=lambda outage: by_outage[outage].by_controller[name][i].capacity_mw)
+            row += [_mw(found.by_controller[name][i]), _mw(by_outage[least].by_controller[name][i]), least]
+    title = f"{found.study.scenario.feeder.name}: capacity with one element out of service, MW"
+    return Table(title, tuple(header), tuple(map(tuple, rows)), (f"Outages: {', '.join(by_outage)}.",))
+
+
+def outages_csv(by_outage: Mapping[str, Capacities]) -> str:
+    """Return all results with outages: the columns of ``capacity_csv`` and the outage."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, ("outage", *COLUMNS), lineterminator="\n")
+    writer.writeheader()
+    for outage, found in by_outage.items():
+        writer.writerows({"outage": outage} | _cells(capacity) for capacity in _all(found))
+    return text.getvalue()
+
+
+def together_table(found: Sequence[Together]) -> Table:
+    """Make a table of sites at once: a row for each bus, and their sum."""
+    first = found[0]
+    rows = [
+        (bus, *(cell for one in found for cell in (f"{one.mw[i]:g}", one.limits[i] or "none found")))
+        for i, bus in enumerate(first.buses)
+    ]
+    rows.append(("sum", *(cell for one in found for cell in (f"{one.sum_mw:g}", ""))))
+    header = ("bus", *(cell for one in found for cell in (one.controller, "limit")))
+    return Table(f"Sites at once, rule {first.rule}, MW", header, tuple(rows))
+
+
 def record(found: Capacities) -> dict[str, Any]:
     """Return the study and its results as JSON values."""
     study, ratings = found.study, rating_coverage(found.study.scenario.feeder)
@@ -136,6 +168,13 @@ def _lowered(found: Capacities) -> Iterator[str]:
         buses = [before.bus for before, after in pairs if after.capacity_mw < before.capacity_mw]
         if buses:
             yield f"{name} lowers the capacity of {len(buses)} buses against no control: {_first_of(buses)}."
+
+
+def _cells(capacity: BusCapacity) -> dict[str, str]:
+    """A result as the cells of a row."""
+    row = dataclasses.asdict(capacity)
+    row |= {name: repr(row[name]) for name in _NUMBERS} | {"at_most": str(row["at_most"]).lower()}
+    return row | {name: ";".join(map(repr, row[name])) for name in _LISTS}
 
 
 def _first_of(names: Sequence[str]) -> str:

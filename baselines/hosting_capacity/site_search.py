@@ -124,7 +124,7 @@ def search_buses(
     found = []
     for bus, search, overload in zip(buses, searches, before, strict=True):
         beyond = empty if fails else search.beyond
-        limit = "" if beyond is None else _limit(study.scenario, beyond)
+        limit = "" if beyond is None else limit_of(study.scenario, beyond)
         found.append(_capacity(site, name, bus, search, limit if fails or not overload else overload, empty))
     return found
 
@@ -180,7 +180,7 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
     )
 
 
-def _limit(scenario: Scenario, beyond: Trial) -> str:
+def limit_of(scenario: Scenario, beyond: Trial) -> str:
     """Find the limit that a size breaks most, and its location."""
     row, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
     node, feeder = int(beyond.nodes[row, kind]), scenario.feeder

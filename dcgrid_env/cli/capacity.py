@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,6 +20,7 @@ from dcgrid_env.core.versions import meta
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
     from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+    from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
 
 Controllers = Annotated[str, tyro.conf.arg(aliases=("--controller",))]
 
@@ -71,6 +72,12 @@ class Capacity(OverWorkers):
     """Largest number of taps of a regulator per hour. Default: no limit."""
     loss_max_kw: float | None = None
     """Largest mean loss of a window, kW. Default: no limit."""
+    outages: str = ""
+    """Also find the capacity with one element out of service, for each of a list, separated by commas: all, or for
+    example 'capacitor c83, regulator reg4, open sw4 + close sw7'."""
+    together: Literal["equal", "sum"] | None = None
+    """Also find the sizes that sites at all --buses can have at once: equal shares as far as possible, or the largest
+    sum. Requires at least two buses."""
     allowed_pct: float = 0.0
     """Share of the seconds in which a limit may be violated, %."""
     tolerance_mw: float | None = None
@@ -87,8 +94,17 @@ class Capacity(OverWorkers):
     def run(self) -> None:
         """Search, print and write; raise ValueError before writing if a setting is invalid."""
         from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
-        from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv, capacity_table, record
-        from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+        from dcgrid_env.baselines.hosting_capacity.capacity_output import (
+            capacity_csv,
+            capacity_table,
+            outages_csv,
+            outages_table,
+            record,
+            together_table,
+        )
+        from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity, study_controller
+        from dcgrid_env.baselines.hosting_capacity.outages import outages_asked
+        from dcgrid_env.baselines.hosting_capacity.sites_together import sites_together
         from dcgrid_env.baselines.tuning.tuned import require_tuned
 
         place, names = self.place, split_names(self.controllers)
@@ -96,21 +112,46 @@ class Capacity(OverWorkers):
             raise ValueError(f"controllers: must name at least one controller (dcgrid list), got {self.controllers!r}")
         require_tuned(self.tuned)
         study = _study(self)
+        outages = outages_asked(study.scenario, split_names(self.outages))
+        if self.together is not None and (self.buses is None or len(study.candidates()) < 2):
+            raise ValueError(f"together: needs at least two buses in --buses, got {self.buses!r}")
         check_folder(self.out)
         console = plain_console()
         with progress_bar(console) as progress:
-            total = len(study.candidates())
+            total = len(study.candidates()) * (1 + len(outages))
             tasks = {name: progress.add_task(name, total=total) for name in names}
-            found = hosting_capacity(study, names, place, self.tuned, lambda name, n: progress.advance(tasks[name], n))
-        table = capacity_table(found)
-        console.print(table.rich(console.width))
-        for note in table.notes:
-            console.print(note)
+
+            def capacities(of: Study) -> Capacities:
+                return hosting_capacity(of, names, place, self.tuned, lambda name, n: progress.advance(tasks[name], n))
+
+            found = capacities(study)
+            by_outage = {name: capacities(replace(study, scenario=changed)) for name, changed in outages.items()}
+            at_once = []
+            if self.together is not None:
+                task = progress.add_task("together", total=None)
+                for name in names:
+                    controller, _ = study_controller(name, study.scenario, self.tuned)
+                    at_once.append(
+                        sites_together(study, controller, name, self.together, lambda: progress.advance(task))
+                    )
+        tables = [capacity_table(found)]
+        tables += [outages_table(found, by_outage)] if by_outage else []
+        tables += [together_table(at_once)] if at_once else []
+        for table in tables:
+            console.print(table.rich(console.width))
+            for note in table.notes:
+                console.print(note)
         figure = capacity_maps(found)  # before anything is written
         write_text(self.out / "capacity.csv", capacity_csv(found))
-        write_json(self.out / "results.json", {"meta": meta(), **record(found)})
+        written = ["capacity.csv", "results.json", "capacity.png"]
+        if by_outage:
+            write_text(self.out / "outages.csv", outages_csv(by_outage))
+            written.insert(1, "outages.csv")
+        more = {"together": [asdict(one) for one in at_once]} if at_once else {}
+        write_json(self.out / "results.json", {"meta": meta(), **record(found), **more})
         write_figure(self.out / "capacity.png", figure, dpi=130)
-        say(console, f"wrote {self.out / 'capacity.csv'}, {self.out / 'results.json'} and {self.out / 'capacity.png'}")
+        paths = [str(self.out / name) for name in written]
+        say(console, f"wrote {', '.join(paths[:-1])} and {paths[-1]}")
 
 
 def _study(cfg: Capacity) -> Study:

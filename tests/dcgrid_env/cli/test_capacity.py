@@ -73,3 +73,33 @@ def test_what_cannot_be_is_one_line_and_nothing_is_written(arguments, said, caps
     assert said in error
     assert len(error.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_outages_and_sites_together_are_printed_and_written(capsys, tmp_path):
+    wide = ("--limits", "0.93,1.08", "--max-mw", "1", "--tolerance-mw", "0.1", "--controllers", "none")
+    more = ("--outages", "capacitor c83, regulator reg4", "--together", "equal")
+    run("--feeder", "ieee123-3ph", "--buses", "66,76", *wide, *more)
+    printed = capsys.readouterr().out
+    assert "capacity with one element out of service" in printed
+    assert "Sites at once, rule equal" in printed
+    rows = (tmp_path / "out/outages.csv").read_text().splitlines()
+    assert rows[0].startswith("outage,controller,bus,capacity_mw")
+    assert {row.split(",")[0] for row in rows[1:]} == {"capacitor c83", "regulator reg4"}
+    record = json.loads((tmp_path / "out/results.json").read_text())
+    alone = {c["bus"]: c["capacity_mw"] for c in record["capacities"] if c["controller"] == "none"}
+    (at_once,) = record["together"]
+    assert all(mw <= alone[bus] for bus, mw in zip(at_once["buses"], at_once["mw"], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--together", "sum"), "together: needs at least two buses in --buses, got None"),
+        (("--outages", "capacitor x"), "the balanced feeder 'ieee33' has no elements"),
+    ],
+)
+def test_outages_and_sites_that_cannot_be_asked(capsys, tmp_path, more, message):
+    with pytest.raises(SystemExit):
+        run(*IEEE33, *more)
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

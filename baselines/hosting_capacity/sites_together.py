@@ -1,0 +1,173 @@
+"""Several data centres at once: which sizes they can have together.
+
+``equal`` raises all sizes together until a limit is reached, then those that can still grow, and so on: no site can
+grow without one that is smaller or equal shrinking (max-min fairness). ``sum`` gives one site after the other all that
+is left, in every order of up to four sites, and takes the order with the largest sum. With more sites the order is that
+of their capacities alone. The sum is then a lower value of what is possible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import permutations
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from dcgrid_env import Scenario
+from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.site_search import limit_of
+from dcgrid_env.baselines.hosting_capacity.trial import Trial, run_trial
+
+Rule = Literal["equal", "sum"]
+MOST_ORDERS = 4
+"""Number of sites up to which every order is tried."""
+_NOTHING_KW = 1e-3
+
+
+@dataclass(frozen=True)
+class Together:
+    """Sizes of several sites that fit at once."""
+
+    rule: str
+    controller: str
+    buses: tuple[str, ...]
+    mw: tuple[float, ...]
+    """Size at each bus, MW."""
+    limits: tuple[str, ...]
+    """Limit that is broken where this site alone is a step larger; empty for the largest size that is tried."""
+
+    @property
+    def sum_mw(self) -> float:
+        """All sites together, MW."""
+        return float(f"{sum(self.mw):.10g}")
+
+
+def sites_together(
+    study: Study, controller: Controller, name: str, rule: Rule, on_trial: Callable[[], None] | None = None
+) -> Together:
+    """Find sizes that the study's buses can have at once.
+
+    Parameters
+    ----------
+    study
+        Its ``buses`` are those of the sites.
+    controller, name
+        What drives the agents, and its name.
+    rule
+        ``equal`` or ``sum``, see above.
+    on_trial
+        Called after each set of windows, for progress.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two buses, another rule, or limits that are broken without any site.
+    """
+    if rule not in get_args(Rule):
+        raise ValueError(f"together: must be one of {', '.join(get_args(Rule))}, got {rule!r}")
+    if study.buses is None or len(set(study.buses)) < 2:
+        raise ValueError("together: needs at least two buses; name them with buses")
+    sites = _Sites(study)
+
+    def trial(sizes: tuple[int, ...]) -> Trial:
+        rows = np.arange(study.samples)
+        found = run_trial(sites, controller, sizes, np.zeros_like(rows), rows, name)  # pyright: ignore
+        if on_trial is not None:
+            on_trial()
+        return found
+
+    trial = lru_cache(maxsize=None)(trial)
+
+    def fits(sizes: Sequence[int]) -> bool:
+        return int(trial(tuple(sizes)).outside.sum()) <= study.allowed_seconds
+
+    n = len(sites.buses)
+    if not fits((0,) * n):
+        raise ValueError(f"together: limits are broken without any site: {limit_of(study.scenario, trial((0,) * n))}")
+    sizes = _equal(fits, n, study.top) if rule == "equal" else _most(fits, n, study.top)
+    limits = []
+    for i in range(n):
+        larger = tuple(size + (k == i) for k, size in enumerate(sizes))
+        limits.append("" if sizes[i] == study.top else limit_of(study.scenario, trial(larger)))
+    mw = tuple(float(f"{size * study.step_mw:.10g}") for size in sizes)
+    return Together(rule, name, tuple(study.scenario.feeder.bus_ids[bus] for bus in sites.buses), mw, tuple(limits))
+
+
+def _equal(fits: Callable[[Sequence[int]], bool], n: int, top: int) -> tuple[int, ...]:
+    sizes, growing = [0] * n, list(range(n))
+    while growing:  # all that still grow have one size
+        level, base, among = sizes[growing[0]], tuple(sizes), frozenset(growing)
+        raised = _largest(lambda size, base=base, among=among: fits(_raised(base, among, size)), level, top)
+        sizes, left = _raised(sizes, among, raised), []
+        for i in growing:  # one by one, at least one of them fails
+            larger = _raised(sizes, {i}, raised + 1)
+            if raised < top and fits(larger):
+                sizes = larger
+                left.append(i)
+        growing = left
+    return tuple(sizes)
+
+
+def _most(fits: Callable[[Sequence[int]], bool], n: int, top: int) -> tuple[int, ...]:
+    alone = [_largest(lambda size, i=i: fits(_raised((0,) * n, {i}, size)), 0, top) for i in range(n)]
+    orders = permutations(range(n)) if n <= MOST_ORDERS else [tuple(sorted(range(n), key=lambda i: -alone[i]))]
+    best: tuple[int, ...] = (0,) * n
+    for order in orders:
+        sizes: list[int] = [0] * n
+        for i in order:
+            size = _largest(lambda size, base=tuple(sizes), i=i: fits(_raised(base, {i}, size)), 0, alone[i])
+            sizes = _raised(sizes, {i}, size)
+        best = max(best, tuple(sizes), key=sum)
+    return best
+
+
+def _raised(sizes: Sequence[int], among: Any, size: int) -> list[int]:
+    return [size if i in among else old for i, old in enumerate(sizes)]
+
+
+def _largest(fits: Callable[[int], bool], low: int, top: int) -> int:
+    """The largest size from ``low`` on that fits, by bisection; ``low`` fits."""
+    high = top + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if fits(middle):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+class _Sites:
+    """The sites of a study at fixed buses, in the place of ``AddedSite``: a size is one for each of them."""
+
+    def __init__(self, study: Study):
+        self.study = study
+        self.buses = study.candidates()
+        self.exempt = np.zeros(study.scenario.feeder.n_node, bool)
+        self.slot = study.scenario.datacenters.count if study.others else 0
+        self.scenario = lru_cache(maxsize=4)(self._scenario)
+
+    def reset_arguments(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
+        """Seeds and reset options of the samples; the buses are those of the scenario."""
+        return samples.tolist(), {"begin_h": self.study.hours[samples]} if self.study.load == "day" else {}
+
+    def _scenario(self, sizes: tuple[int, ...]) -> Scenario:
+        study, base = self.study, self.study.scenario
+        there = tuple(base.datacenters.buses or ()) if study.others else ()
+        ratings = base.datacenters.parameters.p_rated_kw.tolist() if study.others else []
+        kw = [1000.0 * size * study.step_mw if size else _NOTHING_KW for size in sizes]
+        changed: dict[str, Any] = {
+            "horizon": study.horizon,
+            "background.start_hour": "random" if study.load == "day" else None,
+            "workload.full_load_s": study.full_load_s,
+            "n_datacenters": len(there) + len(kw),
+            "datacenters.buses": (*map(str, there), *(base.feeder.bus_ids[bus] for bus in self.buses)),
+            "datacenters.p_rated_kw": (*ratings, *kw),
+        }
+        if not study.others:
+            changed |= {"inverters.buses": (), "inverters.s_rated_kva": 0.0}
+        return base.replace(**changed)

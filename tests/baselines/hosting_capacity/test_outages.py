@@ -1,0 +1,83 @@
+"""Feeders with an element out of service: what changes in their tables, and in what they carry."""
+
+import dataclasses
+
+import pytest
+
+from dcgrid_env import make_scenario
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+from dcgrid_env.baselines.hosting_capacity.outages import outage_names, outages_asked, with_outage
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return make_scenario("ieee123-3ph", split="test")
+
+
+def test_single_outages_are_those_of_banks(scenario):
+    network = scenario.feeder.network
+    names = outage_names(scenario)
+    assert names == (
+        *(f"capacitor {name}" for name in network.capacitor.name),
+        *(f"regulator {bank}" for bank in dict.fromkeys(network.regulator.bank)),
+    )
+    assert tuple(outages_asked(scenario, ["all", names[0]])) == names
+    assert outage_names(make_scenario("ieee33", split="test")) == ()
+
+
+def test_tables_change_in_the_rows_of_the_element_alone(scenario):
+    network = scenario.feeder.network
+    off = with_outage(scenario, f"capacitor {network.capacitor.name[0]}").feeder.network
+    assert off.capacitor.state == ("off", *network.capacitor.state[1:])
+    bank = network.regulator.bank[-1]
+    lost = with_outage(scenario, f"regulator {bank}").feeder.network.regulator
+    for row, of in enumerate(network.regulator.bank):
+        kept = of != bank
+        assert (lost.max_taps_per_move[row] == network.regulator.max_taps_per_move[row]) is kept
+        assert lost.tap[row] == (network.regulator.tap[row] if kept else 0)
+
+
+def test_a_tie_takes_over_behind_an_open_switch(scenario):
+    table = scenario.feeder.network.switch
+    ties = [name for name, state in zip(table.name, table.state, strict=True) if state == "open"]
+    closed = [name for name, state in zip(table.name, table.state, strict=True) if state == "closed"]
+    moved = 0
+    for name in closed:
+        with pytest.raises(ValueError, match=f"'open {name}' leaves a feeder that cannot be solved"):
+            with_outage(scenario, f"open {name}")
+    for tie in ties:
+        for name in closed:
+            try:
+                other = with_outage(scenario, f"open {name} + close {tie}")
+            except ValueError:
+                continue
+            assert other.feeder.is_radial
+            moved += 1
+    assert moved
+
+
+def test_without_a_capacitor_less_fits_at_low_voltage(scenario):
+    study = Study(
+        scenario=scenario, others=False, buses=("66",), samples=1, window_s=10.0, settle_s=4.0, load="peak",
+        v_min_pu=0.93, v_max_pu=1.08, max_mw=2.0, tolerance_mw=0.02,
+    )  # fmt: skip
+    whole = hosting_capacity(study, ["none"]).by_controller["none"][0].capacity_mw
+    lost = with_outage(scenario, f"capacitor {scenario.feeder.network.capacitor.name[0]}")
+    without = hosting_capacity(dataclasses.replace(study, scenario=lost), ["none"]).by_controller["none"][0].capacity_mw
+    assert without <= whole
+
+
+@pytest.mark.parametrize(
+    ("outage", "message"),
+    [
+        ("capacitor x", "has no capacitor 'x', got 'capacitor x'; there are"),
+        ("fuse x", "must be capacitor, regulator, open or close with a name, got 'fuse x'"),
+        ("close", "has no switch '', got 'close'"),
+    ],
+)
+def test_outages_that_cannot_be(scenario, outage, message):
+    with pytest.raises(ValueError, match=message):
+        with_outage(scenario, outage)
+    with pytest.raises(ValueError, match="balanced feeder 'ieee33' has no elements"):
+        with_outage(make_scenario("ieee33", split="test"), outage)
