@@ -39,7 +39,7 @@ class ImportOpenDss(Command):
     out: Path
     """Folder for the tables. It must be new or empty."""
     allow: str = ""
-    """Types of elements to omit even if this changes the grid, separated by commas, for example capcontrol,fuse."""
+    """Types of elements to omit even if this changes the grid, separated by commas, for example generator,vccs."""
     root: Path | None = None
     """Folder below which the script may read files, for example that of a whole repository. Default: the folder of
     the master file."""

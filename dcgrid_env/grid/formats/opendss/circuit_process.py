@@ -44,7 +44,7 @@ def read_opendss(
     master
         File that defines the circuit, by itself or by what it redirects to.
     allow
-        Kinds of elements, such as ``"capcontrol"`` or ``"fuse"``, that may be left out although something is lost.
+        Kinds of elements, such as ``"capcontrol"`` or ``"generator"``, that may be left out although something is lost.
     trust
         Let OpenDSS run the script unchanged, without limits of time and memory. Otherwise the script is checked first.
         Commands that show or write results are left out. Others that go beyond a model's definition, or read files

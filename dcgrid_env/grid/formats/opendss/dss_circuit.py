@@ -20,6 +20,8 @@ from dcgrid_env.grid.topology import FeederError
 
 Engine = Any
 """An engine of OpenDSSDirect.py, which is optional and has no types."""
+_SNAPSHOT = 0
+"""OpenDSS's code of the mode that solves the present."""
 TOLERANCE = 1e-10
 """OpenDSS's tolerance of the solution that is compared with, p.u.; its default of 1e-4 is too coarse."""
 
@@ -117,8 +119,8 @@ class DssCircuit:
     @contextmanager
     def closed(self) -> Iterator[None]:
         """Close the active element within the block, so that its matrices can be read."""
-        element, opened = self.engine.CktElement, self.open_conductors()
-        where = [(k + 1, i + 1) for k, phases in enumerate(opened) for i, is_open in enumerate(phases) if is_open]
+        element = self.engine.CktElement
+        where = sorted(self._opened(element.Name()))
         for end, phase in where:
             element.Close(end, phase)
         if where:
@@ -131,13 +133,30 @@ class DssCircuit:
 
     def solve(self) -> bool:
         """Solve the present circuit with controls off and return whether OpenDSS converged."""
-        settings = f"mode=snapshot controlmode=off loadmodel=powerflow tolerance={TOLERANCE:g} maxiterations=1000"
+        settings = f"controlmode=off loadmodel=powerflow tolerance={TOLERANCE:g} maxiterations=1000"
         try:
+            self._set_snapshot()
             self.engine.Text.Command(f"set {settings}")
             self.engine.Solution.Solve()
         except self.engine.DSSException as error:
             raise FeederError(f"OpenDSS cannot solve the circuit: {_one_line(error)}") from None
         return bool(self.engine.Solution.Converged())
+
+    def _set_snapshot(self) -> None:
+        """Choose the mode that solves the present; OpenDSS then puts switches into their normal states: undo that."""
+        if self.engine.Solution.Mode() == _SNAPSHOT:
+            return
+        before = {full: self._opened(full) for full in self.engine.Circuit.AllElementNames()}
+        self.engine.Text.Command("set mode=snapshot")
+        element = self.engine.CktElement
+        for full, opened in before.items():
+            for end, phase in opened ^ self._opened(full):
+                (element.Open if (end, phase) in opened else element.Close)(end, phase)
+
+    def _opened(self, full: str) -> set[tuple[int, int]]:
+        self.engine.Circuit.SetActiveElement(full)
+        ends = enumerate(self.open_conductors(), start=1)
+        return {(end, phase) for end, phases in ends for phase, is_open in enumerate(phases, start=1) if is_open}
 
     def base_kv_ln(self, bus: str) -> float:
         """Line-to-neutral base voltage of a bus, kV, and 0 where none is set."""

@@ -9,6 +9,7 @@ import numpy as np
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_lines import matrix_of
+from dcgrid_env.grid.formats.opendss.dss_switching import SWITCHING, kept_state
 from dcgrid_env.grid.network import SourceTable
 from dcgrid_env.grid.topology import FeederError
 
@@ -20,10 +21,6 @@ _NO_LOSS = {
 }
 LOSSES = {
     "capcontrol": "its capacitor stays as it stands",
-    "swtcontrol": "its switch stays as it stands",
-    "fuse": "it never blows",
-    "recloser": "it never opens",
-    "relay": "it never opens",
     "generator": "what it injects is left out",
     "pvsystem": "what it injects is left out",
     "storage": "what it injects is left out",
@@ -74,7 +71,9 @@ def report_the_rest(circuit: DssCircuit, report: Report) -> None:
         for name in circuit.disabled(kind) if kind != "regcontrol" else ():
             report.add("nothing lost", kind, name, "disabled: it is not in the circuit")
         for name in circuit.names(kind) if kind not in _READ else ():
-            if kind in _NO_LOSS:
+            if kind in SWITCHING:
+                report.add("nothing lost", kind, name, kept_state(circuit, kind, name))
+            elif kind in _NO_LOSS:
                 report.add("nothing lost", kind, name, _NO_LOSS[kind])
             elif kind not in LOSSES or (kind == "vccs" and _in_series(circuit, name)):
                 report.add("refused", kind, name, "an element of this kind cannot be represented")

@@ -23,6 +23,7 @@ from dcgrid_env.grid.formats.opendss.dss_regulators import (
     regulator_row,
 )
 from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE, read_source, report_the_rest
+from dcgrid_env.grid.formats.opendss.dss_switching import switch_as_asked
 from dcgrid_env.grid.formats.opendss.dss_transformers import (
     Unit,
     merged,
@@ -78,6 +79,7 @@ def read_circuit(
         raise FeederError(f"allow: {unknown[0]!r} is no kind of loss; choose among {', '.join(ALLOWABLE)}")
     folder = None if root is None else Path(root)
     circuit = loaded_circuit(Path(master), trust, folder)
+    switch_as_asked(circuit)
     converged, report = circuit.solve(), Report()
     for command, where in circuit.skipped:
         report.add("nothing lost", "command", f"{command} ({where})", "it shows or writes results: it is left out")

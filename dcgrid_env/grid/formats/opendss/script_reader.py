@@ -144,8 +144,7 @@ class Script:
             return [rules.check_option(word, self.options) for word in kept]
         if name not in rules.DEFINING:
             self._kind = None
-            for word in words:
-                rules.check_plain(word)
+            rules.check_plain(name, words)
             return words
         element = []
         if name != "more":

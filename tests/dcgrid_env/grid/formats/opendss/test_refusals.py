@@ -26,10 +26,6 @@ def test_what_cannot_be_represented_is_refused_by_name(master, more, said):
 
 REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
 LOST = {
-    "New Fuse.f monitoredobj=line.l1": "fuse",
-    "New Recloser.f monitoredobj=line.l1": "recloser",
-    "New Relay.f monitoredobj=line.l1": "relay",
-    "New SwtControl.f switchedobj=line.l1 switchedterm=1": "swtcontrol",
     "New Capacitor.c bus1=n kv=12.47 kvar=90\nNew CapControl.f capacitor=c element=line.l1 type=voltage": "capcontrol",
     "New Generator.f bus1=n kv=12.47 kw=100 pf=1": "generator",
     "New PVSystem.f bus1=n kv=12.47 kva=100 pmpp=100 irradiance=1": "pvsystem",
@@ -58,10 +54,10 @@ def test_a_generator_that_is_left_out_shows_in_the_voltages(master):
 
 
 def test_several_kinds_are_asked_for_at_once(master):
-    more = "New Fuse.f monitoredobj=line.l1\nNew PVSystem.p bus1=n kv=12.47"
-    with pytest.raises(FeederError, match=r"--allow fuse,pvsystem accepts"):
-        read_circuit(master(more), allow=["fuse"])
-    with pytest.raises(FeederError, match="'fuses' is no kind of loss; choose among capcontrol"):
+    more = "New ISource.i bus1=n amps=1\nNew VCCS.v bus1=n"
+    with pytest.raises(FeederError, match=r"--allow isource,vccs accepts"):
+        read_circuit(master(more), allow=["isource"])
+    with pytest.raises(FeederError, match="'fuses' is no kind of loss; choose among "):
         read_circuit(master(more), allow=["fuses"])
 
 
