@@ -37,10 +37,12 @@ class Terminal(NamedTuple):
 class DssCircuit:
     """Circuit in a separate OpenDSS engine; make one with :func:`loaded_circuit`."""
 
-    def __init__(self, engine: Engine, skipped: Sequence[tuple[str, str]] = ()) -> None:
+    def __init__(self, engine: Engine, skipped: Sequence[tuple[str, str]] = (), files: Sequence[Path] = ()) -> None:
         self.engine = engine
         self.skipped = tuple(skipped)
         """Commands and options that were left out of the script, each with its file and line."""
+        self.files = tuple(files)
+        """The files that the circuit was read from, the master file first."""
 
     @property
     def name(self) -> str:
@@ -174,6 +176,25 @@ class DssCircuit:
         """Numbers of all nodes, such as 1, 2 and 3 for the phases."""
         return {int(name.rpartition(".")[2]) for name in self.engine.Circuit.AllNodeNames()}
 
+    def source_kva(self) -> complex:
+        """Power that the voltage sources deliver, kW and kvar."""
+        total = 0j
+        for name in self.names("vsource"):
+            self.activate("vsource", name)
+            flat = np.asarray(self.engine.CktElement.Powers(), np.float64)
+            total -= complex(flat[::2].sum(), flat[1::2].sum())
+        return total
+
+    @contextmanager
+    def without(self, elements: Sequence[str]) -> Iterator[None]:
+        """Disable elements, each as class.name, within the block."""
+        for enabled in (False, True):
+            for full in elements:
+                self.engine.Circuit.SetActiveElement(full)
+                self.engine.CktElement.Enabled(enabled)
+            if not enabled:
+                yield
+
     def volts(self) -> dict[str, complex]:
         """Voltage of each node to ground, V, by its name such as ``"671.1"``."""
         flat = np.asarray(self.engine.Circuit.AllBusVolts(), np.float64)
@@ -191,7 +212,7 @@ def loaded_circuit(master: Path, trust: bool, root: Path | None = None) -> DssCi
     FeederError
         Where OpenDSSDirect.py is missing, the file is, a command is refused, or OpenDSS refuses one.
     """
-    engine, skipped = new_engine(), ()
+    engine, skipped, files = new_engine(), [], [master]
     if not master.is_file():
         raise FeederError(f"there is no file {master}; give an OpenDSS master file")
     if trust:
@@ -200,10 +221,10 @@ def loaded_circuit(master: Path, trust: bool, root: Path | None = None) -> DssCi
         script = script_of(engine, master, root)
         for line in script.lines():
             run_command(engine, line.command, line.where)
-        skipped = script.skipped
+        skipped, files = script.skipped, list(script.files)
     if engine.Basic.NumCircuits() != 1:
         raise FeederError(f"{master} defines {engine.Basic.NumCircuits()} circuits; give one with New Circuit.name")
-    return DssCircuit(engine, skipped)
+    return DssCircuit(engine, skipped, files)
 
 
 def script_of(engine: Engine, master: Path, root: Path | None = None) -> Script:
