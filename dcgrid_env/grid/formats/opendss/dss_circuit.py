@@ -20,6 +20,8 @@ from dcgrid_env.grid.topology import FeederError
 
 Engine = Any
 """An engine of OpenDSSDirect.py, which is optional and has no types."""
+_CONTROLS_STILL_ACT = 485
+"""OpenDSS's error of a solution whose controls act in every iteration; the circuit is then as the last one left it."""
 _SNAPSHOT = 0
 """OpenDSS's code of the mode that solves the present."""
 TOLERANCE = 1e-10
@@ -37,10 +39,18 @@ class Terminal(NamedTuple):
 class DssCircuit:
     """Circuit in a separate OpenDSS engine; make one with :func:`loaded_circuit`."""
 
-    def __init__(self, engine: Engine, skipped: Sequence[tuple[str, str]] = (), files: Sequence[Path] = ()) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        skipped: Sequence[tuple[str, str]] = (),
+        files: Sequence[Path] = (),
+        unsettled: Sequence[str] = (),
+    ) -> None:
         self.engine = engine
         self.skipped = tuple(skipped)
         """Commands and options that were left out of the script, each with its file and line."""
+        self.unsettled = tuple(unsettled)
+        """Lines of the script with a solution whose controls did not come to rest."""
         self.files = tuple(files)
         """The files that the circuit was read from, the master file first."""
 
@@ -212,19 +222,21 @@ def loaded_circuit(master: Path, trust: bool, root: Path | None = None) -> DssCi
     FeederError
         Where OpenDSSDirect.py is missing, the file is, a command is refused, or OpenDSS refuses one.
     """
-    engine, skipped, files = new_engine(), [], [master]
+    engine, skipped, files, unsettled = new_engine(), [], [master], []
     if not master.is_file():
         raise FeederError(f"there is no file {master}; give an OpenDSS master file")
     if trust:
-        run_command(engine, f'redirect "{master.resolve()}"', str(master))
+        if not run_command(engine, f'redirect "{master.resolve()}"', str(master)):
+            raise FeederError(f"{master}: the controls act until OpenDSS stops at a Solve; leave this command out")
     else:
         script = script_of(engine, master, root)
         for line in script.lines():
-            run_command(engine, line.command, line.where)
+            if not run_command(engine, line.command, line.where):
+                unsettled.append(line.where)
         skipped, files = script.skipped, list(script.files)
     if engine.Basic.NumCircuits() != 1:
         raise FeederError(f"{master} defines {engine.Basic.NumCircuits()} circuits; give one with New Circuit.name")
-    return DssCircuit(engine, skipped, files)
+    return DssCircuit(engine, skipped, files, unsettled)
 
 
 def script_of(engine: Engine, master: Path, root: Path | None = None) -> Script:
@@ -237,12 +249,18 @@ def script_of(engine: Engine, master: Path, root: Path | None = None) -> Script:
     return Script(master, commands, options, engine.Basic.Classes(), Counts(schema), root)
 
 
-def run_command(engine: Engine, command: str, where: str) -> None:
-    """Run one command; FeederError, naming its place in the script, if OpenDSS refuses it."""
+def run_command(engine: Engine, command: str, where: str) -> bool:
+    """Run one command and return whether controls came to rest in it.
+
+    FeederError, naming its place in the script, if OpenDSS refuses it.
+    """
     try:
         engine.Text.Command(command)
     except engine.DSSException as error:
+        if error.args[0] == _CONTROLS_STILL_ACT:
+            return False
         raise FeederError(f"{where}: OpenDSS refuses the command: {_one_line(error)}") from None
+    return True
 
 
 def _one_line(error: Exception) -> str:

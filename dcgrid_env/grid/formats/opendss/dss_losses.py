@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 from dcgrid_env.grid.formats.import_report import Finding
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 
+_STAY = ("load", "isolated")
+"""Kinds whose elements stay in the circuit and lose a property or draw nothing."""
 _SHARES = 7
 """Figures of ZIPV, of which the last is the voltage."""
 
@@ -74,15 +76,19 @@ def effects_of_losses(
     for row in findings:
         if row.fate == "lost":
             lost.setdefault(row.kind, []).extend(row.names)
-    there = {full.lower() for full in circuit.engine.Circuit.AllElementNames()}
-    elements = {kind: _elements(kind, dict.fromkeys(names), there) for kind, names in lost.items()}
     groups = [(kind,) for kind in lost] + ([tuple(lost)] if len(lost) > 1 else [])
     effects, after = [], before
     for kinds in groups:
         number = sum(len(dict.fromkeys(lost[kind])) for kind in kinds)
-        loads = lost["load"] if "load" in kinds else ()
-        with circuit.without([full for kind in kinds for full in elements[kind]]), _without_cut_off(circuit, loads):
+        elements = [f"{kind}.{name}" for kind in kinds if kind not in _STAY for name in lost[kind]]
+        with (
+            circuit.without(elements),
+            _without_cut_off(circuit, lost["load"] if "load" in kinds else ()),
+            _without_draw(circuit, lost["isolated"] if "isolated" in kinds else ()),
+        ):
             after = solved(circuit)
+        if after and list(after.volts) != list(before.volts):  # OpenDSS errs where several buses vanish at once
+            after = None
         effects.append(_effect(kinds, number, before, after, names_of_nodes))
     return tuple(effects), after
 
@@ -103,19 +109,32 @@ def _without_cut_off(circuit: DssCircuit, loads: Iterable[str]) -> Iterator[None
         engine.ZipV(shares)
 
 
-def _elements(kind: str, names: Collection[str], there: Collection[str]) -> list[str]:
-    """OpenDSS's names of the lost elements that are left out; a load that loses a property stays."""
-    if kind == "load":
-        return []
-    if kind != "isolated":
-        return [f"{kind}.{name}" for name in names]
-    found = []
-    for name in names:  # such as "load a", "line b+c" or "reactor.d"
-        word, _, rest = name.rpartition(" ")
-        for one in rest.split("+"):
-            candidates = [f"{word}.{one}", f"reactor.{one}"] if word else [one]
-            found += [full for full in candidates if full.lower() in there][:1]
-    return found
+@contextmanager
+def _without_draw(circuit: DssCircuit, names: Iterable[str]) -> Iterator[None]:
+    """Let isolated loads and capacitors draw nothing within the block; their nodes stay, and so do the others' numbers.
+
+    They change something if only some of their conductors are isolated. Isolated lines and transformers do not.
+    """
+    loads, capacitors = circuit.engine.Loads, circuit.engine.Capacitors
+    powers, states = {}, {}
+    for word, _, name in (text.partition(" ") for text in names):
+        if word == "load":
+            loads.Name(name)
+            powers[name] = loads.kW(), loads.kvar()
+            loads.kW(0.0)
+            loads.kvar(0.0)
+        elif word == "capacitor":
+            capacitors.Name(name)
+            states[name] = list(capacitors.States())
+            capacitors.States([0] * len(states[name]))
+    yield
+    for name, (kw, kvar) in powers.items():
+        loads.Name(name)
+        loads.kW(kw)
+        loads.kvar(kvar)
+    for name, before in states.items():
+        capacitors.Name(name)
+        capacitors.States(before)
 
 
 def _effect(

@@ -55,7 +55,10 @@ def read_source(circuit: DssCircuit, report: Report) -> tuple[SourceTable, str]:
         )
     if circuit.text("sequence").lower() not in ("pos", "positive"):
         raise FeederError(f"source {names[0]}: sequence is {circuit.text('sequence')}; it must be positive")
-    z = np.linalg.inv(circuit.admittance()[:3, :3])
+    try:
+        z = np.linalg.inv(circuit.admittance()[:3, :3])
+    except np.linalg.LinAlgError:
+        raise FeederError(f"source {names[0]}: its impedance is too large; give R1, X1, R0 and X0") from None
     base_kv, v_pu, angle_deg = (circuit.figure(field) for field in ("basekv", "pu", "angle"))
     report.add("taken", "vsource", names[0], "in feeder.toml")
     of_bus = circuit.base_kv_ln(ends[0].bus) * math.sqrt(3.0)

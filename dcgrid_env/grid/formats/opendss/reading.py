@@ -51,6 +51,8 @@ from dcgrid_env.grid.network import (
 from dcgrid_env.grid.three_phase_tables import LETTERS
 from dcgrid_env.grid.topology import FeederError
 
+_UNSETTLED = "its controls act until OpenDSS stops them: taps and switches are as the last iteration leaves them"
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -97,6 +99,7 @@ def read_circuit(
     before, report = solved(circuit), Report()
     for command, where in circuit.skipped:
         report.add("nothing lost", "command", f"{command} ({where})", "it shows or writes results: it is left out")
+    report.add_all("nothing lost", "command", [f"solve ({where})" for where in circuit.unsettled], _UNSETTLED)
     ratings = ScriptRatings(circuit, Path(master), report, folder)
     network = _network(circuit, report, ratings, Path(master).name, allow)
     names = _names_of_nodes(circuit, network)
