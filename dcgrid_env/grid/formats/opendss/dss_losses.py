@@ -8,10 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from dcgrid_env.grid.formats.import_report import Finding
-from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
+from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, run_command
 
 _STAY = ("load", "isolated")
 """Kinds whose elements stay in the circuit and lose a property or draw nothing."""
+_LITTLE = 1e-9
+"""Share of its power that an element keeps; without any, OpenDSS loses the power factor of a load."""
 _SHARES = 7
 """Figures of ZIPV, of which the last is the voltage."""
 
@@ -115,26 +117,24 @@ def _without_draw(circuit: DssCircuit, names: Iterable[str]) -> Iterator[None]:
 
     They change something if only some of their conductors are isolated. Isolated lines and transformers do not.
     """
-    loads, capacitors = circuit.engine.Loads, circuit.engine.Capacitors
-    powers, states = {}, {}
+    loads, powers, steps = circuit.engine.Loads, {}, {}
     for word, _, name in (text.partition(" ") for text in names):
         if word == "load":
             loads.Name(name)
             powers[name] = loads.kW(), loads.kvar()
-            loads.kW(0.0)
-            loads.kvar(0.0)
         elif word == "capacitor":
-            capacitors.Name(name)
-            states[name] = list(capacitors.States())
-            capacitors.States([0] * len(states[name]))
-    yield
-    for name, (kw, kvar) in powers.items():
-        loads.Name(name)
-        loads.kW(kw)
-        loads.kvar(kvar)
-    for name, before in states.items():
-        capacitors.Name(name)
-        capacitors.States(before)
+            circuit.activate(word, name)
+            steps[name] = circuit.figures("kvar")
+    for share in (_LITTLE, 1.0):
+        for name, (kw, kvar) in powers.items():
+            loads.Name(name)
+            loads.kW(share * kw)
+            loads.kvar(share * kvar)
+        for name, kvars in steps.items():
+            figures = " ".join(repr(share * kvar) for kvar in kvars)
+            run_command(circuit.engine, f'edit "capacitor.{name}" kvar=[{figures}]', f"capacitor {name}")
+        if share < 1.0:
+            yield
 
 
 def _effect(

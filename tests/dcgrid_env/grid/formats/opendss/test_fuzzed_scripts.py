@@ -102,10 +102,14 @@ def test_a_solution_whose_controls_do_not_come_to_rest_is_reported(master):
 def test_isolated_buses_do_not_disturb_the_comparison_without_lost_elements(tmp_path):
     path = tmp_path / "Master.dss"
     away = "New Line.x bus1=away bus2=there phases=3\nNew Load.y bus1=there kv=12.47 kw=9\nNew Line.l1 "
-    end = "New Load.odd bus1=p kv=12.47 kw=9\nSet VoltageBases"
+    odd = "New Load.odd bus1=p kv=12.47 kw=9\nNew Capacitor.odd bus1=p kv=12.47 kvar=30\nNew ISource.i bus1=q amps=1\n"
+    end = f"{odd}Set VoltageBases"
     path.write_text(SCRIPTS[0].replace("New Line.l1 ", away).replace("Set VoltageBases", end))
-    found = read_circuit(path, allow=["isolated"])
-    assert found.effects[0].change_kw == pytest.approx(-3.0, abs=0.5)
+    found = read_circuit(path, allow=["isolated", "isource"])
+    isolated, source, both = found.effects
+    assert isolated.change_kw == pytest.approx(-3.0, abs=0.5)
+    assert isolated.change_kvar == pytest.approx(10.0, abs=3.0)
+    assert both.change_kw == pytest.approx(isolated.change_kw + source.change_kw, abs=0.1)
     assert apart_pu(dataclasses.replace(found, v_pu=found.v_pu_without)) < 1e-8
 
 
