@@ -37,7 +37,7 @@ class _Export(Command):
 
     def run(self) -> None:
         """Write the file, read it back and compare voltages with the other program's; write nothing on an error."""
-        from dcgrid_env.cli.grid_import import compared
+        from dcgrid_env.cli.grid_import import comparison
         from dcgrid_env.core.files import write_bytes
 
         if self.out.exists():
@@ -46,11 +46,10 @@ class _Export(Command):
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / self.out.name
             self.write(feeder, file)
-            said = compared(self.read_back(file), feeder)
+            said = comparison(self.read_back(file), feeder)
             write_bytes(self.out, file.read_bytes())
         console = plain_console()
-        for line in said:
-            say(console, line)
+        say(console, str(said))
         say(console, f"wrote {self.out}: {feeder.n_bus} buses, {feeder.n_branch} branches")
 
 

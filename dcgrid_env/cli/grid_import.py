@@ -8,10 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import tyro
 
 from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.opendss_import import CLOSE_PU, findings_table
+from dcgrid_env.cli.import_page import HTML_FILE, write_report
+from dcgrid_env.cli.import_record import (
+    CLOSE_PU,
+    Comparison,
+    ImportRecord,
+    compared,
+    findings_table,
+    ratings_by_kind,
+    reproduction,
+)
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
 
@@ -19,7 +29,6 @@ if TYPE_CHECKING:
     from dcgrid_env import Feeder
     from dcgrid_env.grid.formats.bus_branch import ImportedFeeder
 
-_SHOWN = 5
 MERGED = "merged_buses.csv"
 """File that maps the source's buses that closed switches merged to the feeder's buses."""
 
@@ -51,22 +60,48 @@ class _Import(Command):
         check_folder(self.out)
         imported = self.read([kind.strip() for kind in self.allow.split(",") if kind.strip()])
         feeder = Feeder.from_network(imported.network)
-        said = compared(imported, feeder)
+        record = self._record(imported, feeder)
         with whole_folder(self.out) as folder:
             feeder.to_csv(folder)
             _write_merged(imported, folder)
+            write_report(record, folder)
         console = plain_console()
-        console.print(findings_table(imported.findings))
-        for line in (*imported.notes, *said):
+        console.print(findings_table(record.findings))
+        for line in record.lines:
             say(console, line)
-        say(console, f"wrote {self.out}: {feeder.n_bus} buses, {feeder.n_branch} branches, {_load(feeder)}")
+        say(console, f"wrote {self.out}: {record.size}; {HTML_FILE} has the report")
+
+    @property
+    @abstractmethod
+    def origin(self) -> str:
+        """The file, or the name of the grid."""
+
+    def _record(self, imported: ImportedFeeder, feeder: Feeder) -> ImportRecord:
+        from dcgrid_env.core.files import sha256_of
+
+        path, made = Path(self.origin), reproduction()
+        return ImportRecord(
+            feeder=imported.network.name,
+            source=imported.network.source_of_facts or self.origin,
+            files=((path.name, sha256_of(path)),) if path.is_file() else (),
+            command=made["command"],
+            versions=made["versions"],
+            counts={"buses": feeder.n_bus, "branches": feeder.n_branch},
+            load_kw=float(feeder.p_load_kw.sum()),
+            base_kv=feeder.base_kv,
+            findings=imported.findings,
+            effects=(),
+            comparisons=(comparison(imported, feeder),),
+            ratings=ratings_by_kind(feeder),
+            notes=imported.notes,
+        )
 
 
 @dataclass(frozen=True)
 class ImportPandapower(_Import):
     """Read a balanced feeder from a pandapower net.
 
-    Writes the feeder as a folder of tables and compares the voltages.
+    Writes the feeder as a folder of tables with a report, and compares the voltages.
 
     Reading a JSON file imports and runs none of the code that it names (docs/import.md). The import reports an error
     for loops, several sources, voltage-controlling generators and DC lines.
@@ -80,6 +115,11 @@ class ImportPandapower(_Import):
     """Replace voltage-controlling generators by constant loads with their power from pandapower's power flow."""
     trust: bool = False
     """Let pandapower read the file, which imports and runs code that the file names. Use it only for trusted files."""
+
+    @property
+    def origin(self) -> str:
+        """The net."""
+        return self.net
 
     def read(self, allow: list[str]) -> ImportedFeeder:
         """Read the net, or the case if the path ends in .m."""
@@ -113,7 +153,7 @@ class ImportPandapower(_Import):
 class ImportMatpower(_Import):
     """Read a balanced feeder from a MATPOWER case file.
 
-    Writes the feeder as a folder of tables and compares the voltages.
+    Writes the feeder as a folder of tables with a report, and compares the voltages.
 
     The file is not executed. The import evaluates arithmetic on its tables and reports an error with the line for any
     other code (docs/import.md).
@@ -125,6 +165,11 @@ class ImportMatpower(_Import):
     """Multiply powers and base power by three, for files with values per phase."""
     fix_generators: bool = False
     """Replace voltage-controlling generators by constant loads with their power from MATPOWER's power flow."""
+
+    @property
+    def origin(self) -> str:
+        """The file."""
+        return str(self.file)
 
     def read(self, allow: list[str]) -> ImportedFeeder:
         """Read the case."""
@@ -144,7 +189,7 @@ class ImportMatpower(_Import):
 class ImportPowerGridModel(_Import):
     """Read a balanced feeder from a power-grid-model JSON file.
 
-    Writes the feeder as a folder of tables and compares the voltages.
+    Writes the feeder as a folder of tables with a report, and compares the voltages.
 
     The import reports an error that names the elements it cannot represent (docs/import.md).
     """
@@ -153,6 +198,11 @@ class ImportPowerGridModel(_Import):
     """Input data file (.json)."""
     frequency_hz: float = 50.0
     """System frequency, Hz, which the charging of lines depends on."""
+
+    @property
+    def origin(self) -> str:
+        """The file."""
+        return str(self.file)
 
     def read(self, allow: list[str]) -> ImportedFeeder:
         """Read the file."""
@@ -163,35 +213,25 @@ class ImportPowerGridModel(_Import):
         )
 
 
-def compared(imported: ImportedFeeder, feeder: Feeder) -> list[str]:
-    """Return lines on the largest voltage differences between dcgrid and the source's solver.
+def comparison(imported: ImportedFeeder, feeder: Feeder) -> Comparison:
+    """Compare the voltages by dcgrid with those by the source's solver.
 
     Raises FeederError if the voltages differ although no element was omitted.
     """
     from dcgrid_env import FeederError
     from dcgrid_env.powerflow import distflow
 
-    ours = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar - feeder.capacitor_kvar)
-    found = {imported.solver: bool(imported.v_pu), "dcgrid": bool(ours.converged)}
-    failed = [name for name, converged in found.items() if not converged]
-    if failed:
-        return [f"voltages are not compared: no power flow solution from {' and '.join(failed)}"]
-    apart = {
-        bus: abs(float(v) - imported.v_pu[bus])
-        for bus, v in zip(feeder.bus_ids, ours.v_pu, strict=True)
-        if bus in imported.v_pu
-    }
-    worst = sorted(apart, key=lambda bus: -apart[bus])[:_SHOWN]
-    where = ", ".join(f"{bus} ({apart[bus]:.1e})" for bus in worst)
-    lines = [f"largest voltage difference from {imported.solver}: {apart[worst[0]]:.1e} p.u.; largest at {where}"]
-    if not apart[worst[0]] <= CLOSE_PU:
-        if not any(row.fate == "lost" for row in imported.findings):
-            raise FeederError(
-                f"{lines[0]}: must be at most {CLOSE_PU:g}, as no element was omitted; nothing was written, please "
-                "report this file"
-            )
-        lines.append(f"voltages differ by more than {CLOSE_PU:g} p.u. because of the omitted elements")
-    return lines
+    solution = distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar - feeder.capacitor_kvar)
+    ours = dict(zip(feeder.bus_ids, solution.v_pu.tolist(), strict=True)) if solution.converged else None
+    base_kv = np.full(feeder.n_bus, feeder.base_kv) if feeder.bus_base_kv is None else feeder.bus_base_kv
+    base_v = {bus: 1000.0 * float(kv) for bus, kv in zip(feeder.bus_ids, base_kv, strict=True)}
+    found = compared("voltage magnitudes", imported.solver, ours, imported.v_pu, base_v)
+    if found.largest and not found.is_close and not any(row.fate == "lost" for row in imported.findings):
+        raise FeederError(
+            f"{found}: must be at most {CLOSE_PU:g}, as no element was omitted; nothing was written, please "
+            "report this file"
+        )
+    return found
 
 
 def _arguments(words: tuple[str, ...]) -> dict[str, Any]:
@@ -220,7 +260,3 @@ def _write_merged(imported: ImportedFeeder, folder: Path) -> None:
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([("source_bus", "bus"), *rows])
         write_text(folder / MERGED, text.getvalue())
-
-
-def _load(feeder: Feeder) -> str:
-    return f"{feeder.p_load_kw.sum():.1f} kW at {feeder.base_kv:g} kV"

@@ -6,28 +6,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import tyro
 
 from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.import_page import HTML_FILE, write_report
+from dcgrid_env.cli.import_record import (
+    ImportRecord,
+    compared,
+    findings_table,
+    ratings_by_kind,
+    reproduction,
+)
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.grid.three_phase_tables import LETTERS
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from dcgrid_env import ThreePhaseFeeder
-    from dcgrid_env.grid.formats.opendss import Finding, Imported
-
-CLOSE_PU = 1e-6
-"""Largest voltage difference between two power flows of the same circuit, p.u."""
-_SHOWN = 5
+    from dcgrid_env.grid.formats.opendss import Imported
 
 
 @dataclass(frozen=True)
 class ImportOpenDss(Command):
     """Read a three-phase feeder from an OpenDSS master file.
 
-    Writes the feeder as a folder of tables and compares the voltages.
+    Writes the feeder as a folder of tables with a report, and compares the voltages.
 
     The command checks the script before it runs. It omits commands that show or write results. It reports an error
     for other commands that do not define the model, files outside the root folder, and elements that it cannot
@@ -39,7 +43,7 @@ class ImportOpenDss(Command):
     out: Path
     """Folder for the tables. It must be new or empty."""
     allow: str = ""
-    """Types of elements to omit even if this changes the grid, separated by commas, for example isource,fuse."""
+    """Types of elements to omit even if this changes the grid, separated by commas, for example isource,vccs."""
     root: Path | None = None
     """Folder below which the script may read files, for example that of a whole repository. Default: the folder of
     the master file."""
@@ -48,7 +52,7 @@ class ImportOpenDss(Command):
 
     def run(self) -> None:
         """Read, compile, solve, report the outcome for each element, and write; write nothing on an error."""
-        from dcgrid_env import ThreePhaseFeeder, rating_coverage
+        from dcgrid_env import ThreePhaseFeeder
         from dcgrid_env.core.files import whole_folder
         from dcgrid_env.grid.formats.opendss import read_opendss
 
@@ -58,46 +62,45 @@ class ImportOpenDss(Command):
         allow = [kind.strip() for kind in self.allow.split(",") if kind.strip()]
         imported = read_opendss(self.master, allow=allow, trust=self.trust, root=self.root)
         feeder = ThreePhaseFeeder.from_network(imported.network)
-        said = compared(imported, feeder)
+        record = recorded(imported, feeder)
         with whole_folder(self.out) as folder:
             feeder.to_csv(folder)
+            write_report(record, folder)
         console = plain_console()
-        console.print(findings_table(imported.findings))
-        for line in (*said, str(rating_coverage(feeder))):
+        console.print(findings_table(record.findings))
+        for line in record.lines:
             say(console, line)
-        say(console, f"wrote {self.out}: {feeder.n_bus} buses, {feeder.n_node} nodes, {feeder.n_regulator} regulators")
+        say(console, f"wrote {self.out}: {record.size}; {HTML_FILE} has the report")
 
 
-def findings_table(findings: tuple[Finding, ...]) -> Table:
-    """Return a terminal table with the outcome for each element."""
-    from rich.table import Table
-
-    table = Table("element", "number", "names", "outcome", box=None, header_style="bold", pad_edge=False)
-    for row in findings:
-        fate = "" if row.fate == "taken" else f"{row.fate}: "
-        table.add_row(row.kind, str(len(row.names)), row.shown, fate + row.text)
-    return table
-
-
-def compared(imported: Imported, feeder: ThreePhaseFeeder) -> list[str]:
-    """Return lines on the largest differences of complex voltages between dcgrid and OpenDSS."""
-    import numpy as np
-
+def recorded(imported: Imported, feeder: ThreePhaseFeeder) -> ImportRecord:
+    """Return the record of an import, with the voltages by dcgrid compared with those by OpenDSS."""
     from dcgrid_env.powerflow import solve_unbalanced
 
     solution = solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar)
-    found = {"OpenDSS": bool(imported.v_pu), "dcgrid": bool(solution.converged)}
-    failed = [name for name, converged in found.items() if not converged]
-    if failed:
-        return [f"voltages are not compared: no power flow solution from {' and '.join(failed)}"]
-    ours = np.asarray(solution.v_re_pu) + 1j * np.asarray(solution.v_im_pu)
-    apart = {name: abs(v - imported.v_pu[name]) for name, v in zip(feeder.node_ids, ours, strict=True)
-             if name in imported.v_pu}  # fmt: skip
-    worst = sorted(apart, key=lambda name: -apart[name])[:_SHOWN]
-    where = ", ".join(f"{name} ({apart[name]:.1e})" for name in worst)
-    lines = [f"largest voltage difference from OpenDSS, controls off: {apart[worst[0]]:.1e} p.u.; largest at {where}"]
-    if apart[worst[0]] > CLOSE_PU:
-        lost = [row for row in imported.findings if row.fate == "lost"]
-        why = "because of the omitted elements" if lost else "although no element was omitted; the tables may be wrong"
-        lines.append(f"voltages differ by more than {CLOSE_PU:g} p.u. {why}")
-    return lines
+    ours = None
+    if solution.converged:
+        v_pu = np.asarray(solution.v_re_pu) + 1j * np.asarray(solution.v_im_pu)
+        ours = dict(zip(feeder.node_ids, v_pu.tolist(), strict=True))
+    node = feeder.network.node
+    names = (f"{bus}.{LETTERS[phase - 1]}" for bus, phase in zip(node.bus, node.phase, strict=True))
+    base_v = {name: 1000.0 * kv for name, kv in zip(names, node.base_kv_ln, strict=True)}
+    solved = [("controls off", imported.v_pu)]
+    if any(row.fate == "lost" for row in imported.findings):
+        solved.append(("controls off, without the omitted elements", imported.v_pu_without))
+    counts = {"buses": feeder.n_bus, "nodes": feeder.n_node, "regulators": feeder.n_regulator}
+    made = reproduction()
+    return ImportRecord(
+        feeder=imported.network.name,
+        source=imported.network.source_of_facts,
+        files=imported.files,
+        command=made["command"],
+        versions=made["versions"] | {"OpenDSS": imported.engine},
+        counts=counts,
+        load_kw=float(feeder.p_load_kw.sum()),
+        base_kv=float(feeder.network.source.base_kv[0]),
+        findings=imported.findings,
+        effects=imported.effects,
+        comparisons=tuple(compared(circuit, "OpenDSS", ours, theirs, base_v) for circuit, theirs in solved),
+        ratings=ratings_by_kind(feeder),
+    )

@@ -28,6 +28,8 @@ TABLES += ("capacitor_control",)
 _SAME_BASE = 1e-9  # relative
 _FAR = 10.0
 """A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""
+LEAST_KVA = 1e-6
+"""Smallest rated power of a transformer or regulator, kVA."""
 
 
 def check_three_phase(network: Network) -> None:
@@ -63,6 +65,14 @@ def _refuse(network: Network, component: str, field: str, value: object, remedy:
 
 def _words(kind: str) -> str:
     return {"phase_line": "line", "phase_load": "load", "capacitor_control": "capacitor control"}.get(kind, kind)
+
+
+def _check_sizes(network: Network, kind: str, field: str) -> None:
+    """Refuse rated powers whose impedance would be infinite."""
+    table = getattr(network, kind)
+    for one, kva in zip(table.name, getattr(table, field), strict=True):
+        if kva < LEAST_KVA:
+            raise _refuse(network, f"{kind} {one}", field, kva, f"give at least {LEAST_KVA:g} kVA")
 
 
 def _numbers(network: Network, kind: str, fields: Sequence[str], **rules: bool) -> None:
@@ -195,6 +205,7 @@ def _check_branches(network: Network) -> None:
             _numbers(network, kind, [rating], positive=True, may_be_nan=True)
     _numbers(network, "switch", ["r_ohm", "x_ohm"], non_negative=True)
     _numbers(network, "transformer", ["kva", "kv_ll_from", "kv_ll_to"], positive=True)
+    _check_sizes(network, "transformer", "kva")
     _numbers(network, "transformer", ["r_percent", "x_percent", "antifloat_ppm"], non_negative=True)
     _numbers(network, "transformer", ["shift_deg"])
     table = network.transformer
@@ -212,6 +223,7 @@ def _check_branches(network: Network) -> None:
 
 def _check_regulators(network: Network, buses: dict[str, tuple[str, float]]) -> None:
     _numbers(network, "regulator", ["kv_ln", "kva_per_phase", "tap_step", "pt_ratio", "ct_primary_a"], positive=True)
+    _check_sizes(network, "regulator", "kva_per_phase")
     not_negative = ["r_percent", "x_percent", "antifloat_ppm", "vreg_v", "band_v", "delay_s", "tap_delay_s"]
     _numbers(network, "regulator", [*not_negative, "max_taps_per_move"], non_negative=True)
     _numbers(network, "regulator", ["r_ldc_v", "x_ldc_v", "tap", "tap_neutral", "tap_min", "tap_max"])

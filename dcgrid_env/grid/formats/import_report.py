@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -38,8 +38,13 @@ class Finding:
     @property
     def shown(self) -> str:
         """The first names, and how many there are beyond."""
-        more = len(self.names) - _SHOWN
-        return ", ".join(self.names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+        return shown_names(self.names)
+
+
+def shown_names(names: Sequence[str]) -> str:
+    """The first of several names, and how many there are beyond."""
+    more = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 @dataclass
@@ -58,7 +63,7 @@ class Report:
     def findings(self) -> tuple[Finding, ...]:
         """All that was noted, what matters most last."""
         order: tuple[Fate, ...] = ("taken", "nothing lost", "lost", "refused")
-        rows = [Finding(kind, tuple(names), fate, text) for (kind, fate, text), names in self._found.items()]
+        rows = [Finding(kind, tuple(names), fate, text) for (kind, fate, text), names in self._found.items() if names]
         return tuple(sorted(rows, key=lambda row: order.index(row.fate)))
 
     def add_all(self, fate: Fate, kind: str, names: Iterable[str], text: str) -> None:
@@ -66,6 +71,12 @@ class Report:
         names = list(names)
         if names:
             self._found.setdefault((kind, fate, text), []).extend(names)
+
+    def withdraw(self, kind: str, names: Iterable[str]) -> None:
+        """Forget that elements were taken, because they turn out to be left out."""
+        for (row_kind, fate, _), found in self._found.items():
+            if (row_kind, fate) == (kind, "taken"):
+                found[:] = [name for name in found if name not in names]
 
     def refuse_unless(self, name: str, allow: Iterable[str]) -> None:
         """FeederError where something cannot be represented, or is lost and not of an allowed kind."""

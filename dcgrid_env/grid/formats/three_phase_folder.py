@@ -110,7 +110,19 @@ def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         for key in texts:
             if not isinstance(keys.get(key, ""), str):
                 raise FeederError(f"{path}: {key} is {keys[key]!r}; give a text")
-    return head, source
+    try:
+        return _as_floats(head), _as_floats(source)
+    except OverflowError:
+        raise FeederError(f"{path}: a number is too large; give one below 1e308") from None
+
+
+def _as_floats(value: Any) -> Any:
+    """TOML's integers as the numbers that they mean."""
+    if isinstance(value, dict):
+        return {key: _as_floats(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_as_floats(one) for one in value]
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
 def _read_buses(path: Path) -> NodeTable:

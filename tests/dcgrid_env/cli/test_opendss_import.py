@@ -44,14 +44,16 @@ def test_a_feeder_is_written_and_compared(master, capsys):
 
 
 def test_what_is_lost_is_said_with_the_difference_that_it_makes(master, capsys):
-    master.write_text(master.read_text() + "\nNew Generator.g bus1=680 kv=4.16 kw=900 pf=1\nNew Fuse.f line.650632")
+    master.write_text(
+        master.read_text() + "\nNew IndMach012.g bus1=680 kv=4.16 kw=300 kva=400\nNew ISource.i bus1=680 amps=0.1"
+    )
     out = master.parent / "my-feeder"
-    assert "--allow generator,fuse accepts" in said(capsys, master, "--out", out)
+    assert "--allow indmach012,isource accepts" in said(capsys, master, "--out", out)
     assert not out.exists()
-    main(["import", "opendss", str(master), "--out", str(out), "--allow", "generator, fuse"])
+    main(["import", "opendss", str(master), "--out", str(out), "--allow", "indmach012, isource"])
     text = capsys.readouterr().out
     assert "p.u. because of the omitted elements" in text
-    assert "lost: it never blows" in text
+    assert "lost: what it injects" in text
 
 
 def test_a_power_flow_that_opendss_does_not_find_is_said(master, capsys):

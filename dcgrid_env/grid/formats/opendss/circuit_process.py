@@ -22,6 +22,7 @@ from typing import Any, get_type_hints
 
 from dcgrid_env.core.work.worker import THREADS
 from dcgrid_env.grid.formats.import_report import Finding
+from dcgrid_env.grid.formats.opendss.dss_losses import LossEffect
 from dcgrid_env.grid.formats.opendss.reading import Imported, read_circuit
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.topology import FeederError
@@ -32,6 +33,7 @@ LARGEST_MEMORY_BYTES = 4 * 2**30
 """Address space of the child, where the operating system limits it; the largest public circuits take 0.5 GiB."""
 _UNLIMITED = "if you trust the file, --trust reads it without limits of time and memory"
 _WATCH_S = 0.5
+_VOLTAGES = ("v_pu", "v_pu_without")
 
 
 def read_opendss(
@@ -44,7 +46,7 @@ def read_opendss(
     master
         File that defines the circuit, by itself or by what it redirects to.
     allow
-        Kinds of elements, such as ``"capcontrol"`` or ``"fuse"``, that may be left out although something is lost.
+        Kinds of elements, such as ``"capcontrol"`` or ``"generator"``, that may be left out although something is lost.
     trust
         Let OpenDSS run the script unchanged, without limits of time and memory. Otherwise the script is checked first.
         Commands that show or write results are left out. Others that go beyond a model's definition, or read files
@@ -109,7 +111,10 @@ def _imported(answer: dict[str, Any]) -> Imported:
         for name, value in answer["network"].items()
     }
     findings = tuple(Finding(**row | {"names": tuple(row["names"])}) for row in answer["findings"])
-    return Imported(Network(**tables), findings, {node: complex(*v) for node, v in answer["v_pu"].items()})
+    voltages = {field: {node: complex(*v) for node, v in answer[field].items()} for field in _VOLTAGES}
+    effects = tuple(LossEffect(**row | {"kinds": tuple(row["kinds"])}) for row in answer["effects"])
+    files = tuple((name, digest) for name, digest in answer["files"])
+    return Imported(Network(**tables), findings, **voltages, effects=effects, files=files, engine=answer["engine"])
 
 
 def _tuples(values: object) -> Any:
@@ -139,7 +144,8 @@ def _answer(master: str, allow: list[str], trust: bool, root: str | None) -> dic
     except Exception as error:
         said = f"{master}: reading it ended in {type(error).__name__}: {' '.join(str(error).split())}; report the file"
     else:
-        return asdict(found) | {"v_pu": {node: (v.real, v.imag) for node, v in found.v_pu.items()}}
+        voltages = {field: {node: (v.real, v.imag) for node, v in getattr(found, field).items()} for field in _VOLTAGES}
+        return asdict(found) | voltages
     return {"error": said, "trace": traceback.format_exc()}
 
 

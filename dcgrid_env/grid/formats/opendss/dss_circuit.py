@@ -20,6 +20,10 @@ from dcgrid_env.grid.topology import FeederError
 
 Engine = Any
 """An engine of OpenDSSDirect.py, which is optional and has no types."""
+_CONTROLS_STILL_ACT = 485
+"""OpenDSS's error of a solution whose controls act in every iteration; the circuit is then as the last one left it."""
+_SNAPSHOT = 0
+"""OpenDSS's code of the mode that solves the present."""
 TOLERANCE = 1e-10
 """OpenDSS's tolerance of the solution that is compared with, p.u.; its default of 1e-4 is too coarse."""
 
@@ -35,10 +39,20 @@ class Terminal(NamedTuple):
 class DssCircuit:
     """Circuit in a separate OpenDSS engine; make one with :func:`loaded_circuit`."""
 
-    def __init__(self, engine: Engine, skipped: Sequence[tuple[str, str]] = ()) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        skipped: Sequence[tuple[str, str]] = (),
+        files: Sequence[Path] = (),
+        unsettled: Sequence[str] = (),
+    ) -> None:
         self.engine = engine
         self.skipped = tuple(skipped)
         """Commands and options that were left out of the script, each with its file and line."""
+        self.unsettled = tuple(unsettled)
+        """Lines of the script with a solution whose controls did not come to rest."""
+        self.files = tuple(files)
+        """The files that the circuit was read from, the master file first."""
 
     @property
     def name(self) -> str:
@@ -117,8 +131,8 @@ class DssCircuit:
     @contextmanager
     def closed(self) -> Iterator[None]:
         """Close the active element within the block, so that its matrices can be read."""
-        element, opened = self.engine.CktElement, self.open_conductors()
-        where = [(k + 1, i + 1) for k, phases in enumerate(opened) for i, is_open in enumerate(phases) if is_open]
+        element = self.engine.CktElement
+        where = sorted(self._opened(element.Name()))
         for end, phase in where:
             element.Close(end, phase)
         if where:
@@ -131,13 +145,30 @@ class DssCircuit:
 
     def solve(self) -> bool:
         """Solve the present circuit with controls off and return whether OpenDSS converged."""
-        settings = f"mode=snapshot controlmode=off loadmodel=powerflow tolerance={TOLERANCE:g} maxiterations=1000"
+        settings = f"controlmode=off loadmodel=powerflow tolerance={TOLERANCE:g} maxiterations=1000"
         try:
+            self._set_snapshot()
             self.engine.Text.Command(f"set {settings}")
             self.engine.Solution.Solve()
         except self.engine.DSSException as error:
             raise FeederError(f"OpenDSS cannot solve the circuit: {_one_line(error)}") from None
         return bool(self.engine.Solution.Converged())
+
+    def _set_snapshot(self) -> None:
+        """Choose the mode that solves the present; OpenDSS then puts switches into their normal states: undo that."""
+        if self.engine.Solution.Mode() == _SNAPSHOT:
+            return
+        before = {full: self._opened(full) for full in self.engine.Circuit.AllElementNames()}
+        self.engine.Text.Command("set mode=snapshot")
+        element = self.engine.CktElement
+        for full, opened in before.items():
+            for end, phase in opened ^ self._opened(full):
+                (element.Open if (end, phase) in opened else element.Close)(end, phase)
+
+    def _opened(self, full: str) -> set[tuple[int, int]]:
+        self.engine.Circuit.SetActiveElement(full)
+        ends = enumerate(self.open_conductors(), start=1)
+        return {(end, phase) for end, phases in ends for phase, is_open in enumerate(phases, start=1) if is_open}
 
     def base_kv_ln(self, bus: str) -> float:
         """Line-to-neutral base voltage of a bus, kV, and 0 where none is set."""
@@ -154,6 +185,25 @@ class DssCircuit:
     def node_numbers(self) -> set[int]:
         """Numbers of all nodes, such as 1, 2 and 3 for the phases."""
         return {int(name.rpartition(".")[2]) for name in self.engine.Circuit.AllNodeNames()}
+
+    def source_kva(self) -> complex:
+        """Power that the voltage sources deliver, kW and kvar."""
+        total = 0j
+        for name in self.names("vsource"):
+            self.activate("vsource", name)
+            flat = [float(figure) for figure in self.engine.CktElement.Powers()]
+            total -= complex(sum(flat[::2]), sum(flat[1::2]))
+        return total
+
+    @contextmanager
+    def without(self, elements: Sequence[str]) -> Iterator[None]:
+        """Disable elements, each as class.name, within the block."""
+        for enabled in (False, True):
+            for full in elements:
+                self.engine.Circuit.SetActiveElement(full)
+                self.engine.CktElement.Enabled(enabled)
+            if not enabled:
+                yield
 
     def volts(self) -> dict[str, complex]:
         """Voltage of each node to ground, V, by its name such as ``"671.1"``."""
@@ -172,19 +222,21 @@ def loaded_circuit(master: Path, trust: bool, root: Path | None = None) -> DssCi
     FeederError
         Where OpenDSSDirect.py is missing, the file is, a command is refused, or OpenDSS refuses one.
     """
-    engine, skipped = new_engine(), ()
+    engine, skipped, files, unsettled = new_engine(), [], [master], []
     if not master.is_file():
         raise FeederError(f"there is no file {master}; give an OpenDSS master file")
     if trust:
-        run_command(engine, f'redirect "{master.resolve()}"', str(master))
+        if not run_command(engine, f'redirect "{master.resolve()}"', str(master)):
+            raise FeederError(f"{master}: the controls act until OpenDSS stops at a Solve; leave this command out")
     else:
         script = script_of(engine, master, root)
         for line in script.lines():
-            run_command(engine, line.command, line.where)
-        skipped = script.skipped
+            if not run_command(engine, line.command, line.where):
+                unsettled.append(line.where)
+        skipped, files = script.skipped, list(script.files)
     if engine.Basic.NumCircuits() != 1:
         raise FeederError(f"{master} defines {engine.Basic.NumCircuits()} circuits; give one with New Circuit.name")
-    return DssCircuit(engine, skipped)
+    return DssCircuit(engine, skipped, files, unsettled)
 
 
 def script_of(engine: Engine, master: Path, root: Path | None = None) -> Script:
@@ -197,12 +249,18 @@ def script_of(engine: Engine, master: Path, root: Path | None = None) -> Script:
     return Script(master, commands, options, engine.Basic.Classes(), Counts(schema), root)
 
 
-def run_command(engine: Engine, command: str, where: str) -> None:
-    """Run one command; FeederError, naming its place in the script, if OpenDSS refuses it."""
+def run_command(engine: Engine, command: str, where: str) -> bool:
+    """Run one command and return whether controls came to rest in it.
+
+    FeederError, naming its place in the script, if OpenDSS refuses it.
+    """
     try:
         engine.Text.Command(command)
     except engine.DSSException as error:
+        if error.args[0] == _CONTROLS_STILL_ACT:
+            return False
         raise FeederError(f"{where}: OpenDSS refuses the command: {_one_line(error)}") from None
+    return True
 
 
 def _one_line(error: Exception) -> str:

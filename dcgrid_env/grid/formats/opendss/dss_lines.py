@@ -70,7 +70,10 @@ def _line(circuit: DssCircuit, report: Report, kind: str, name: str, rating_a: f
     noise = _ROUNDING * np.abs(y[:n, n:]).max()
     if np.abs(shunt.real).max() > noise + 1e-9 * np.abs(shunt).max():
         return "it has a shunt conductance"
-    z = np.linalg.inv(-y[:n, n:])
+    try:
+        z = np.linalg.inv(-y[:n, n:])
+    except np.linalg.LinAlgError:
+        return "its admittance matrix has no inverse"
     b_us = 2e6 * np.where(np.abs(shunt.imag) > noise, shunt.imag, 0.0)  # half of it stands at this end
     phases = "".join("abc"[node - 1] for node in sorted(first.nodes))
     turned = np.argsort(first.nodes)

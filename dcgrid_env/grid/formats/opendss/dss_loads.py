@@ -172,7 +172,7 @@ def _capacitor_rows(circuit: DssCircuit, name: str, bus: str, legs: list[str], k
         of_step = name if len(steps) == 1 else f"{name}_{k + 1}"
         rows.append([])
         for connection, each in by_connection(legs, rounded(kvar / len(legs))).items():
-            on = k < len(states) and bool(states[k])
+            on = k < len(states) and states[k] == 1.0  # as OpenDSS reads it
             rows[-1].append({"name": of_step, "bus": bus, "connection": connection, "leg_kv": rounded(kv), "kvar": each,
                          "state": "on" if on else "off"})  # fmt: skip
     return rows

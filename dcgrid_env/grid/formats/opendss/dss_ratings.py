@@ -73,7 +73,12 @@ class ScriptRatings:
 
     def _written(self) -> set[str]:
         """Properties of the active element that the script sets."""
-        return {name.lower() for name in json.loads(self._circuit.engine.Element.ToJSON(0))}
+        text = self._circuit.engine.Element.ToJSON(0)
+        try:
+            return {name.lower() for name in json.loads(text)}
+        except json.JSONDecodeError:  # OpenDSS writes infinity so that nothing reads it
+            name = self._circuit.engine.Element.Name()
+            raise FeederError(f"{name}: a property is no finite number; give one") from None
 
     @cached_property
     def _marked(self) -> DssCircuit | None:

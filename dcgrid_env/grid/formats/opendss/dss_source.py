@@ -10,6 +10,7 @@ from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_generation import KINDS as GENERATION
 from dcgrid_env.grid.formats.opendss.dss_lines import matrix_of
+from dcgrid_env.grid.formats.opendss.dss_switching import SWITCHING, kept_state
 from dcgrid_env.grid.network import SourceTable
 from dcgrid_env.grid.topology import FeederError
 
@@ -31,10 +32,6 @@ _NO_LOSS = {
     "sensor": "it measures alone",
 }
 LOSSES = {
-    "swtcontrol": "its switch stays as it stands",
-    "fuse": "it never blows",
-    "recloser": "it never opens",
-    "relay": "it never opens",
     "isource": "what it injects is left out",
     "vccs": "what it injects is left out",
     "indmach012": "what it draws is left out",
@@ -66,7 +63,10 @@ def read_source(circuit: DssCircuit, report: Report) -> tuple[SourceTable, str]:
         )
     if circuit.text("sequence").lower() not in ("pos", "positive"):
         raise FeederError(f"source {names[0]}: sequence is {circuit.text('sequence')}; it must be positive")
-    z = np.linalg.inv(circuit.admittance()[:3, :3])
+    try:
+        z = np.linalg.inv(circuit.admittance()[:3, :3])
+    except np.linalg.LinAlgError:
+        raise FeederError(f"source {names[0]}: its impedance is too large; give R1, X1, R0 and X0") from None
     base_kv, v_pu, angle_deg = (circuit.figure(field) for field in ("basekv", "pu", "angle"))
     report.add("taken", "vsource", names[0], "in feeder.toml")
     of_bus = circuit.base_kv_ln(ends[0].bus) * math.sqrt(3.0)
@@ -82,7 +82,9 @@ def report_the_rest(circuit: DssCircuit, report: Report) -> None:
         for name in circuit.disabled(kind) if kind != "regcontrol" else ():
             report.add("nothing lost", kind, name, "disabled: it is not in the circuit")
         for name in circuit.names(kind) if kind not in _READ else ():
-            if kind in _NO_LOSS:
+            if kind in SWITCHING:
+                report.add("nothing lost", kind, name, kept_state(circuit, kind, name))
+            elif kind in _NO_LOSS:
                 report.add("nothing lost", kind, name, _NO_LOSS[kind])
             elif kind not in LOSSES or (kind == "vccs" and _in_series(circuit, name)):
                 report.add("refused", kind, name, "an element of this kind cannot be represented")

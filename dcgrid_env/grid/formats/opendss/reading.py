@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env.core.files import sha256_of
 from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint
 from dcgrid_env.grid.formats.opendss.dss_capacitor_controls import read_capacitor_controls
@@ -16,6 +17,7 @@ from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circu
 from dcgrid_env.grid.formats.opendss.dss_generation import read_generation
 from dcgrid_env.grid.formats.opendss.dss_lines import read_lines, report_admittance
 from dcgrid_env.grid.formats.opendss.dss_loads import Row, capacitor_legs, core_rows, read_capacitors, read_loads
+from dcgrid_env.grid.formats.opendss.dss_losses import LossEffect, Solved, effects_of_losses, solved
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.dss_regulators import (
     Regulation,
@@ -25,6 +27,7 @@ from dcgrid_env.grid.formats.opendss.dss_regulators import (
     regulator_row,
 )
 from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE, read_source, report_the_rest
+from dcgrid_env.grid.formats.opendss.dss_switching import switch_as_asked
 from dcgrid_env.grid.formats.opendss.dss_transformers import (
     Unit,
     merged,
@@ -51,6 +54,8 @@ from dcgrid_env.grid.network import (
 from dcgrid_env.grid.three_phase_tables import LETTERS
 from dcgrid_env.grid.topology import FeederError
 
+_UNSETTLED = "its controls act until OpenDSS stops them: taps and switches are as the last iteration leaves them"
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -65,11 +70,23 @@ class Imported:
     v_pu
         OpenDSS's voltage of each node of the tables to ground, complex p.u., by name such as ``"671.a"``, of the
         whole circuit as it stands after its script, controls off. Empty where OpenDSS found none.
+    v_pu_without
+        OpenDSS's voltages with the lost elements disabled, in the same form.
+    effects
+        What the lost elements change in OpenDSS's power flow, by kind and, for several kinds, in all.
+    files
+        Name and SHA-256 of each file that was read, the master file first.
+    engine
+        Version of OpenDSS.
     """
 
     network: Network
     findings: tuple[Finding, ...]
     v_pu: dict[str, complex]
+    v_pu_without: dict[str, complex]
+    effects: tuple[LossEffect, ...]
+    files: tuple[tuple[str, str], ...]
+    engine: str
 
 
 def read_circuit(
@@ -81,23 +98,52 @@ def read_circuit(
         raise FeederError(f"allow: {unknown[0]!r} is no kind of loss; choose among {', '.join(ALLOWABLE)}")
     folder = None if root is None else Path(root)
     circuit = loaded_circuit(Path(master), trust, folder)
-    converged, report = circuit.solve(), Report()
+    switch_as_asked(circuit)
+    before, report = solved(circuit), Report()
     for command, where in circuit.skipped:
         report.add("nothing lost", "command", f"{command} ({where})", "it shows or writes results: it is left out")
+    report.add_all("nothing lost", "command", [f"solve ({where})" for where in circuit.unsettled], _UNSETTLED)
     ratings = ScriptRatings(circuit, Path(master), report, folder)
     network = _network(circuit, report, ratings, Path(master).name, allow)
-    return Imported(network, report.findings, _voltages(circuit, network) if converged else {})
+    names = _names_of_nodes(circuit, network)
+    effects, after = effects_of_losses(circuit, report.findings, before, names) if before else ((), None)
+    return Imported(
+        network,
+        report.findings,
+        _per_unit(before, names),
+        _per_unit(after, names),
+        effects,
+        _digests(circuit.files, folder or Path(master).parent),
+        circuit.engine.Basic.Version().partition(" revision")[0],
+    )
 
 
-def _voltages(circuit: DssCircuit, network: Network) -> dict[str, complex]:
+def _names_of_nodes(circuit: DssCircuit, network: Network) -> dict[str, tuple[str, float]]:
+    """Name and base voltage to ground, V, of the nodes that the tables and OpenDSS have, by OpenDSS's name."""
     letters, node = Letters(circuit.node_numbers()), network.node
-    volts = {}
-    for name, v in circuit.volts().items():
-        bus, _, number = name.rpartition(".")
-        volts[f"{bus}.{letters[int(number)]}"] = v
-    rows = zip(node.bus, node.phase, node.base_kv_ln, strict=True)
-    found = ((name := f"{bus}.{LETTERS[phase - 1]}", volts.get(name), kv) for bus, phase, kv in rows)
-    return {name: v / (1000.0 * kv) for name, v, kv in found if v is not None}
+    ours = {
+        f"{bus}.{LETTERS[phase - 1]}": 1000.0 * kv
+        for bus, phase, kv in zip(node.bus, node.phase, node.base_kv_ln, strict=True)
+    }
+    found = {}
+    for full in circuit.volts():
+        bus, _, number = full.rpartition(".")
+        name = f"{bus}.{letters[int(number)]}"
+        if name in ours:
+            found[full] = (name, ours[name])
+    return found
+
+
+def _per_unit(found: Solved | None, names: dict[str, tuple[str, float]]) -> dict[str, complex]:
+    volts = found.volts if found else {}
+    v_pu = {name: volts[full] / base_v for full, (name, base_v) in names.items() if full in volts}
+    return v_pu if all(math.isfinite(abs(v)) for v in v_pu.values()) else {}
+
+
+def _digests(files: Iterable[Path], folder: Path) -> tuple[tuple[str, str], ...]:
+    """Name below the folder and SHA-256 of each file."""
+    folder = folder.resolve()
+    return tuple((path.resolve().relative_to(folder).as_posix(), sha256_of(path)) for path in files)
 
 
 def _network(
@@ -171,6 +217,9 @@ def _with_supply(lines: Sequence[Joint], supply: Supply, report: Report) -> list
         if supply.fed(line):
             kept.append(line)
         else:
+            word, _, rest = line.name.partition(".") if line.kind == "admittance" else ("", "", line.name)
+            for kind in (word,) if word else ("line", "reactor"):
+                report.withdraw(kind, rest.split("+"))
             fate = "lost" if line.closed else "nothing lost"
             kind = "" if line.kind == "admittance" else "line "
             report.add(fate, "isolated", f"{kind}{line.name}", "without supply at an end: it is left out")

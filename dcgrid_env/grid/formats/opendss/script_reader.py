@@ -45,6 +45,8 @@ class Script:
         The properties that are whole numbers.
     skipped
         Commands, options and properties that were left out so far, each with its file and line.
+    files
+        The files that were read or named so far, scripts and figures, in order.
     """
 
     master: Path
@@ -54,6 +56,7 @@ class Script:
     counts: Counts
     root: Path | None = None
     skipped: list[tuple[str, str]] = field(default_factory=list)
+    files: dict[Path, None] = field(default_factory=dict)
     _root: Path = field(init=False)
     _kind: str | None = field(init=False, default=None)
     """Class of the element that ``~`` goes on with."""
@@ -79,6 +82,7 @@ class Script:
         self._read += 1
         if depth > DEEPEST or self._read > MOST_FILES:
             raise FeederError(f"{path}: scripts redirect deeper than {DEEPEST} or to more than {MOST_FILES} files")
+        self.files[path] = None
         folder, commented = path.parent, False
         for number, text in enumerate(text_of(path).replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
             line = text.strip(" \t\0\x1a")  # ends of text that old editors leave
@@ -94,7 +98,7 @@ class Script:
             try:
                 name, words = self._command(words_of(line))
                 if name in ("redirect", "compile"):
-                    script = file_beneath(self._root, folder, self._path(words))
+                    script = self._file_beneath(folder, self._path(words))
                     yield from self._file(script, depth + 1)
                     folder = script.parent if name == "compile" else folder
                     continue
@@ -130,6 +134,11 @@ class Script:
             raise ValueError(f"{first.name!r} is no command")
         return "edit", [Word("", element, '"'), first._replace(name=one), *words[1:]]
 
+    def _file_beneath(self, folder: Path, name: str) -> Path:
+        path = file_beneath(self._root, folder, name)
+        self.files[path] = None
+        return path
+
     def _path(self, words: list[Word]) -> str:
         if len(words) != 1 or words[0].name.lower() not in ("", "file"):
             raise ValueError("give one file, in quotes where its name has blanks")
@@ -137,15 +146,14 @@ class Script:
 
     def _checked(self, name: str, words: list[Word], folder: Path, where: str) -> list[Word]:
         if name in rules.FILES:
-            return [Word("", str(file_beneath(self._root, folder, self._path(words))), '"')]
+            return [Word("", str(self._file_beneath(folder, self._path(words))), '"')]
         if name in rules.OPTIONS:
             self._kind = None
             kept = [word for word in words if not self._is_skipped_option(word, where)]
             return [rules.check_option(word, self.options) for word in kept]
         if name not in rules.DEFINING:
             self._kind = None
-            for word in words:
-                rules.check_plain(word)
+            rules.check_plain(name, words)
             return words
         element = []
         if name != "more":
@@ -185,11 +193,11 @@ class Script:
         """A property with the file that it names, if any, by its whole path."""
         names = rules.check_property(kind, word, is_first)
         if names == "all":
-            return Word(word.name, str(file_beneath(self._root, folder, word.text)), '"')
+            return Word(word.name, str(self._file_beneath(folder, word.text)), '"')
         match = rules.FILE_WITHIN.match(word.text) if names else None
         if match is None:
             return word
-        path = file_beneath(self._root, folder, match["path"].strip("\"'"))
+        path = self._file_beneath(folder, match["path"].strip("\"'"))
         if CLOSING[word.quote] in str(path) or word.quote in str(path):
             raise ValueError(f"{str(path)!r} holds {word.quote}; rename the folder or the file")
         return word._replace(text=f'{match["kind"]}="{path}"{match["rest"]}')

@@ -31,7 +31,9 @@ SKIPPED = (
 """Commands that show, draw or write results, and are left out: the model does not depend on them."""
 SKIPPED_OPTIONS = ("datapath", "showexport", "editor", "recorder", "datacsvseparator", "demandinterval", "casename")
 """Options of where and how results are written, which are left out too."""
-_PLAIN_WORDS = ("object", "term", "cond", "bus", "x", "y", "kvll", "kvln", "element")
+_PLAIN_WORDS = ("object", "bus", "x", "y", "kvll", "kvln", "element")
+_BY_PLACE = (("object", "element"), ("term", "terminal"), ("cond", "conductor", "phase"))
+"""Names of the words of Open, Close and Select: OpenDSS reads their values by position, whatever the names are."""
 HARMLESS_OPTIONS = (
     "mode", "tolerance", "maxiterations", "miniterations", "maxcontroliter", "controlmode", "loadmodel", "loadmult",
     "frequency", "basefrequency", "defaultbasefrequency", "normvminpu", "normvmaxpu", "emergvminpu", "emergvmaxpu",
@@ -96,12 +98,20 @@ def check_option(word: Word, theirs: Sequence[str]) -> Word:
     return word._replace(name=name)
 
 
-def check_plain(word: Word) -> None:
+def check_plain(command: str, words: Sequence[Word]) -> None:
     """Raise ValueError if a word of a plain command is not an element, a figure or a known name."""
-    if word.name and word.name.lower() not in _PLAIN_WORDS:
-        raise ValueError(f"{word.name!r} is not known here; choose {', '.join(_PLAIN_WORDS)}")
-    if "=" in word.text:
-        raise ValueError(f"{str(word)!r} may name a file")
+    by_place = command in ("open", "close", "select")
+    if by_place and len(words) > len(_BY_PLACE):
+        raise ValueError(
+            f"{str(words[len(_BY_PLACE)])!r} is one word too many; write {command} class.name terminal phase"
+        )
+    for place, word in enumerate(words):
+        names = _BY_PLACE[place] if by_place else _PLAIN_WORDS
+        if word.name and word.name.lower() not in names:
+            where = f"as word {place + 1}" if by_place else "here"
+            raise ValueError(f"{word.name!r} is not known {where}; choose {', '.join(names)}")
+        if "=" in word.text:
+            raise ValueError(f"{str(word)!r} may name a file")
 
 
 def check_property(kind: str, word: Word, is_first: bool) -> str:
@@ -118,6 +128,8 @@ def check_property(kind: str, word: Word, is_first: bool) -> str:
     elif name in READS:
         return "all"
     elif name == "action":
+        if kind == "fuse":
+            raise ValueError("the property action of a fuse damages OpenDSS's memory; write state=(open open open)")
         if word.text.lower() not in _ACTIONS:
             raise ValueError(f"{str(word)!r} acts; the actions {', '.join(_ACTIONS)} are harmless")
     elif (kind, name) not in _ONE_LETTER and (

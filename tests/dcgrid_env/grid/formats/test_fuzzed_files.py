@@ -12,13 +12,23 @@ import pytest
 
 from dcgrid_env import Feeder, FeederError, ThreePhaseFeeder, load_feeder
 from dcgrid_env.grid.formats.matpower import read_matpower, write_matpower
+from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from dcgrid_env.grid.formats.pandapower import read_pandapower, write_pandapower
 from dcgrid_env.grid.formats.power_grid_model import read_power_grid_model, write_power_grid_model
 from helpers.fuzzing import Cell, cells_of_csv, facts, mutated_bytes, mutated_value, outcome, same_number
+from helpers.opendss_fuzzing import MESHED, RADIAL
 
 DAMAGED = "grid"
 """Folder of the damaged files."""
-FORMATS = ["csv", "three-phase csv", "matpower", "pandapower", "power-grid-model"]
+FORMATS = [
+    "csv",
+    "three-phase csv",
+    "three-phase csv with loops",
+    "three-phase csv with regulators",
+    "matpower",
+    "pandapower",
+    "power-grid-model",
+]
 
 
 def small_feeder():
@@ -43,6 +53,13 @@ def small_feeder():
     )
 
 
+def from_opendss(script, folder):
+    """The feeder of an OpenDSS script."""
+    path = folder / "Master.dss"
+    path.write_text(script)
+    return ThreePhaseFeeder.from_network(read_circuit(path, allow=["isource"]).network)
+
+
 class Format:
     """A format's file of the small feeder, how it is read, and its figures that decide the feeder."""
 
@@ -55,6 +72,9 @@ class Format:
             self.read = Feeder.from_csv
         elif name == "three-phase csv":
             load_feeder("ieee13-3ph").to_csv(folder)
+            self.read = ThreePhaseFeeder.from_csv
+        elif name.startswith("three-phase csv"):
+            from_opendss(MESHED if name.endswith("loops") else RADIAL, folder.parent).to_csv(folder)
             self.read = ThreePhaseFeeder.from_csv
         else:
             reader, writer = {
@@ -75,6 +95,28 @@ class Format:
 
     def cells_of_three_phase_csv(self):
         columns = {"loads.csv": {"p_kw", "q_kvar"}, "lines.csv": {"r_aa_ohm", "x_aa_ohm", "b_aa_us"}}
+        return [cell for file, wanted in columns.items() for cell in cells_of_csv(file, self.files[file], wanted)]
+
+    def cells_of_three_phase_csv_with_loops(self):
+        """The figures of the matrices: several in one cell."""
+        text, found, at = self.files["admittances.csv"].decode(), [], 0
+        header = text.split("\n", 1)[0].split(",")
+        for line in text.split("\n"):
+            for column, cell in zip(header, line.split(","), strict=False):
+                if column in ("g_s", "b_s") and cell != column:
+                    for figure in re.finditer(r"[^ ]+", cell):
+                        if float(figure.group()) != 0:
+                            span = (at + figure.start(), at + figure.end())
+                            found.append(Cell("admittances.csv", span, (column,)))
+                at += len(cell) + 1
+        return found + self.cells_of_three_phase_csv()
+
+    def cells_of_three_phase_csv_with_regulators(self):
+        columns = {
+            "regulators.csv": {"vreg_v", "band_v", "pt_ratio", "ct_primary_a", "r_v", "x_v", "tap"},
+            "transformers.csv": {"kva", "kv_ll_from", "kv_ll_to", "r_percent", "x_percent"},
+            "capacitors.csv": {"kvar", "leg_kv"},
+        }
         return [cell for file, wanted in columns.items() for cell in cells_of_csv(file, self.files[file], wanted)]
 
     def cells_of_matpower(self):
@@ -124,7 +166,7 @@ class Format:
 
 @pytest.fixture(scope="module")
 def formats(tmp_path_factory):
-    for module in ("pandapower", "power_grid_model"):
+    for module in ("pandapower", "power_grid_model", "opendssdirect"):
         pytest.importorskip(module, reason=f"{module} is not installed")
     folder = tmp_path_factory.mktemp("whole")
     return {name: Format(name, folder / name.replace(" ", "-")) for name in FORMATS}
@@ -180,11 +222,35 @@ def test_the_error_of_a_figure_names_its_place(formats, name, tmp_path):
         files = form.files | {cell.file: data[: cell.span[0]] + b"1x" + data[cell.span[1] :]}
         found = outcome(form.read, files, tmp_path / DAMAGED)
         assert isinstance(found, FeederError)
-        if name in ("csv", "three-phase csv", "matpower"):
+        if "csv" in name or name == "matpower":
             assert all(word in str(found) for word in (cell.file, *cell.names)), str(found)
             assert re.search(r"line \d+", str(found))
         else:
             assert Path(cell.file).name in str(found)
+
+
+def test_integers_of_a_feeders_head_are_numbers(formats, tmp_path):
+    form = formats["three-phase csv with loops"]
+    head = form.files["feeder.toml"].decode()
+    for was, text in (("frequency_hz = 60.0", "frequency_hz = 0x32"), ("angle_deg = 0.0", "angle_deg = 30"),
+                      ("r_ohm = [[0.0133333333333", "r_ohm = [[99999999999999999999")):  # fmt: skip
+        assert was in head
+        files = form.files | {"feeder.toml": head.replace(was, text).encode()}
+        found = outcome(form.read, files, tmp_path / DAMAGED)
+        assert isinstance(found, ThreePhaseFeeder)
+        found.to_csv(tmp_path / "again")
+        assert facts(ThreePhaseFeeder.from_csv(tmp_path / "again")) == facts(found)
+    files = form.files | {"feeder.toml": head.replace("angle_deg = 0.0", f"angle_deg = 1{'0' * 400}").encode()}
+    assert "a number is too large; give one below 1e308" in str(outcome(form.read, files, tmp_path / DAMAGED))
+
+
+def test_rated_powers_that_make_an_impedance_infinite_are_refused(formats, tmp_path):
+    form = formats["three-phase csv with regulators"]
+    for name, was, field in (("transformers.csv", b",500.0,", "kva"), ("regulators.csv", b",900.0,", "kva_per_phase")):
+        assert was in form.files[name]
+        files = form.files | {name: form.files[name].replace(was, b",1e-320,", 1)}
+        found = outcome(form.read, files, tmp_path / DAMAGED)
+        assert f"{field} is 1e-320; give at least 1e-06 kVA" in str(found)
 
 
 def test_the_error_of_a_json_figure_names_table_row_and_field(formats, tmp_path):

@@ -16,13 +16,13 @@ from dcgrid_env.grid.formats.opendss.reading import read_circuit
 pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
 ENDLESS = "Set maxiterations=2000000000 tolerance=-1\nSolve"
 MEMORY = "New Transformer.t windings=90 phases=90"
-REPORTED = "New Fuse.f monitoredobj=line.l1\nNew Capacitor.c bus1=n kv=12.47 kvar=90"
+REPORTED = "New ISource.i bus1=n amps=1\nNew Capacitor.c bus1=n kv=12.47 kvar=90"
 
 
 def test_tables_findings_and_voltages_are_those_of_this_process(master):
     path = master(REPORTED)
-    assert repr(read_opendss(path, allow=["fuse"])) == repr(read_circuit(path, allow=["fuse"]))
-    with pytest.raises(FeederError, match="would be lost: fuse f") as refused:
+    assert repr(read_opendss(path, allow=["isource"])) == repr(read_circuit(path, allow=["isource"]))
+    with pytest.raises(FeederError, match="would be lost: isource i") as refused:
         read_opendss(path)
     with pytest.raises(FeederError) as here:
         read_circuit(path)

@@ -26,10 +26,6 @@ def test_what_cannot_be_represented_is_refused_by_name(master, more, said):
 
 REGULATOR = "New Transformer.r phases=1 buses=[n.1 r.1] kvs=[7.2 7.2] kvas=[100 100]\nNew RegControl.r transformer=r "
 LOST = {
-    "New Fuse.f monitoredobj=line.l1": "fuse",
-    "New Recloser.f monitoredobj=line.l1": "recloser",
-    "New Relay.f monitoredobj=line.l1": "relay",
-    "New SwtControl.f switchedobj=line.l1 switchedterm=1": "swtcontrol",
     "New Capacitor.c bus1=n kv=12.47 kvar=90\nNew CapControl.f capacitor=c element=line.l1 type=time": "capcontrol",
     "New ISource.f bus1=n amps=20": "isource",
     "New Load.f bus1=n kv=12.47 kw=9 model=8 zipv=[1 0 0 1 0 0 0.5]": "load",
@@ -58,9 +54,9 @@ def test_a_source_of_current_that_is_left_out_shows_in_the_voltages(master):
 
 
 def test_several_kinds_are_asked_for_at_once(master):
-    more = "New Fuse.f monitoredobj=line.l1\nNew ISource.p bus1=n amps=5"
-    with pytest.raises(FeederError, match=r"--allow fuse,isource accepts"):
-        read_circuit(master(more), allow=["fuse"])
+    more = "New IndMach012.f bus1=n kv=12.47 kw=9\nNew ISource.p bus1=n amps=5"
+    with pytest.raises(FeederError, match=r"--allow indmach012,isource accepts"):
+        read_circuit(master(more), allow=["indmach012"])
     with pytest.raises(FeederError, match=r"'fuses' is no kind of loss; choose among .*capcontrol"):
         read_circuit(master(more), allow=["fuses"])
 
