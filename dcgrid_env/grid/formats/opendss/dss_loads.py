@@ -137,7 +137,8 @@ def capacitor_legs(circuit: DssCircuit, letters: Letters, name: str) -> list[str
     ends, size = circuit.terminals(), circuit.engine.CktElement.NumPhases()
     delta = circuit.text("conn").lower() in ("delta", "ll")
     legs = None
-    if len(ends) == 1 or (ends[1].bus == ends[0].bus and not any(map(any, circuit.open_conductors()))):
+    opened = circuit.open_conductors()
+    if len(ends) == 1 or (ends[1].bus == ends[0].bus and (all(opened[0]) or not any(map(any, opened)))):
         legs = legs_between(ends[0], letters, size, delta, None if delta else ends[1].nodes[:size])
     return None if any(circuit.figures("r") + circuit.figures("xl")) else legs
 
@@ -167,6 +168,8 @@ def read_capacitors(
 
 def _capacitor_rows(circuit: DssCircuit, name: str, bus: str, legs: list[str], kv: float) -> list[list[Row]]:
     steps, states = circuit.figures("kvar"), circuit.figures("states")
+    if all(circuit.open_conductors()[0]):  # as CapControls leave a bank without a step that is on
+        states = [0.0] * len(steps)
     rows: list[list[Row]] = []
     for k, kvar in enumerate(steps):
         of_step = name if len(steps) == 1 else f"{name}_{k + 1}"

@@ -17,6 +17,7 @@ from dcgrid_env.devices.capacitor_bank.bank_switching import (
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from dcgrid_env.powerflow import Control, solve_unbalanced
+from helpers.opendss_imports import apart_pu
 
 opendss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
 
@@ -127,6 +128,20 @@ def test_a_control_that_cannot_be_represented_is_named(master, control):
         read_circuit(path)
     imported = read_circuit(path, allow=["capcontrol"])
     assert not len(imported.network.capacitor_control)
+
+
+def test_a_bank_that_its_control_has_opened_is_off_and_can_be_switched(master):
+    off = "New Capacitor.c bus1=m kv=12.47 kvar=900 states=[0]\n"
+    control = f"New CapControl.k {AT} type=kvar\n"
+    for bank, state in (
+        (off + control, "off"),
+        (BANK + control, "on"),
+        (f"{BANK}{control}Open Capacitor.c 1\n", "off"),
+    ):
+        imported = read_circuit(master(f"{CIRCUIT}{bank}"))
+        assert imported.network.capacitor.state == (state,)
+        assert imported.network.capacitor_control.capacitor == ("c",)
+        assert apart_pu(imported) < 1e-8
 
 
 def test_two_controls_of_one_bank_leave_the_first(master):
