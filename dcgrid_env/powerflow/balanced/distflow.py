@@ -88,8 +88,7 @@ def distflow(
     """
     check_feeder(feeder)
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)
-    on_cpu = isinstance(p_kw, np.ndarray) or (is_torch_array(p_kw) and p_kw.device.type == "cpu")
-    if feeder.loop_ends is not None and not on_cpu:
+    if feeder.loop_ends is not None and not (isinstance(p_kw, np.ndarray) or _is_tensor_on_cpu(p_kw)):
         raise FeederError(
             f"feeder {feeder.name!r} has {feeder.n_loop} loops, which are not solved on {p_kw.device}; give NumPy "
             "arrays or tensors on the CPU"
@@ -102,7 +101,7 @@ def distflow(
     tolerance, max_sweeps = float(tolerance_kva) / S_BASE_KVA, int(max_sweeps)
     v0 = substation_voltage(feeder, p_kw, v0_pu)
     if not isinstance(p_kw, np.ndarray):
-        if on_cpu:
+        if _is_tensor_on_cpu(p_kw):
             from dcgrid_env.powerflow.balanced.implicit import distflow_tensors as solve
         else:
             from dcgrid_env.powerflow.balanced.prefix import distflow_arrays as solve
@@ -112,6 +111,10 @@ def distflow(
             raise_not_finite(feeder, p_kw, q_kvar)
         return solution
     return kernels().solve_rows("distflow", feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
+
+
+def _is_tensor_on_cpu(values: Array) -> bool:
+    return is_torch_array(values) and values.device.type == "cpu"
 
 
 @cache

@@ -101,41 +101,34 @@ def _store(b, row, order, r, ratio, scratch, sweeps, residual, converged, out):
 
 
 @compiled(inner=True)
-def sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off):
-    """Sweep one feeder (column 0 of the scratch) once; return the residual, inf on a collapse."""
-    p, q, P, Q, v, l = scratch
-    n = parent.shape[0]
-    for k in range(n):
-        P[k, 0] = p[k, 0] + r[k] * l[k, 0]
-        Q[k, 0] = q[k, 0] + x[k] * l[k, 0]
-    _add_shunts(shunt_g, shunt_b, scratch, before)
-    for k in range(n - 1, 0, -1):
-        P[parent[k], 0] += P[k, 0]
-        Q[parent[k], 0] += Q[k, 0]
-    residual = 0.0
-    for k in range(1, n):
-        v_i = v[parent[k], 0]
-        l_new = (P[k, 0] * P[k, 0] + Q[k, 0] * Q[k, 0]) / v_i
-        v_j = v_i - 2.0 * (r[k] * P[k, 0] + x[k] * Q[k, 0]) + (r[k] * r[k] + x[k] * x[k]) * l_new
-        if not (v_j > V_SQ_FLOOR and v_j < V_SQ_CEILING):
-            return np.inf
-        residual = max(residual, abs(l_new - l[k, 0]) * max(r[k], x[k]))
-        l[k, 0] = l_new
-        v[k, 0] = v_j
-    if shunt_g.shape[0] > 0:
-        off[0] = residual
-        _add_change(shunt_g, shunt_b, v, before, off)
-        residual = off[0]
-    return residual
-
-
-@compiled(inner=True)
 def _row(parent, r, x, shunt_g, shunt_b, scratch, before, off, tolerance, max_sweeps):
     """Sweep one feeder (column 0 of the scratch) to the tolerance; (sweeps, residual), inf on a collapse."""
+    p, q, P, Q, v, l = scratch
+    n = parent.shape[0]
     residual = np.inf
     for sweep in range(1, max_sweeps + 1):
-        residual = sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off)
-        if residual == np.inf or residual <= tolerance:
+        for k in range(n):
+            P[k, 0] = p[k, 0] + r[k] * l[k, 0]
+            Q[k, 0] = q[k, 0] + x[k] * l[k, 0]
+        _add_shunts(shunt_g, shunt_b, scratch, before)
+        for k in range(n - 1, 0, -1):
+            P[parent[k], 0] += P[k, 0]
+            Q[parent[k], 0] += Q[k, 0]
+        residual = 0.0
+        for k in range(1, n):
+            v_i = v[parent[k], 0]
+            l_new = (P[k, 0] * P[k, 0] + Q[k, 0] * Q[k, 0]) / v_i
+            v_j = v_i - 2.0 * (r[k] * P[k, 0] + x[k] * Q[k, 0]) + (r[k] * r[k] + x[k] * x[k]) * l_new
+            if not (v_j > V_SQ_FLOOR and v_j < V_SQ_CEILING):
+                return sweep, np.inf
+            residual = max(residual, abs(l_new - l[k, 0]) * max(r[k], x[k]))
+            l[k, 0] = l_new
+            v[k, 0] = v_j
+        if shunt_g.shape[0] > 0:
+            off[0] = residual
+            _add_change(shunt_g, shunt_b, v, before, off)
+            residual = off[0]
+        if residual <= tolerance:
             return sweep, residual
     return max_sweeps, residual
 

@@ -24,7 +24,8 @@ from dcgrid_env.powerflow.balanced.compiled_blocks import (
     _store_flows,
     _sweep,
 )
-from dcgrid_env.powerflow.balanced.distflow_kernels import _clear, _load, _start, _store, sweep_row
+from dcgrid_env.powerflow.balanced.distflow_kernels import _add_change, _add_shunts, _clear, _load, _start, _store
+from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
 
 
 @compiled(inner=True)
@@ -86,12 +87,44 @@ def _store_restart(b, row, order, l, power, restart):
 
 
 @compiled(inner=True)
+def _sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off):
+    """Sweep one opened feeder (column 0 of the scratch) once; return the residual, inf on a collapse.
+
+    The radial kernel has the same sweep in its loop: as a function of its own it takes a tenth more time there.
+    """
+    p, q, P, Q, v, l = scratch
+    n = parent.shape[0]
+    for k in range(n):
+        P[k, 0] = p[k, 0] + r[k] * l[k, 0]
+        Q[k, 0] = q[k, 0] + x[k] * l[k, 0]
+    _add_shunts(shunt_g, shunt_b, scratch, before)
+    for k in range(n - 1, 0, -1):
+        P[parent[k], 0] += P[k, 0]
+        Q[parent[k], 0] += Q[k, 0]
+    residual = 0.0
+    for k in range(1, n):
+        v_i = v[parent[k], 0]
+        l_new = (P[k, 0] * P[k, 0] + Q[k, 0] * Q[k, 0]) / v_i
+        v_j = v_i - 2.0 * (r[k] * P[k, 0] + x[k] * Q[k, 0]) + (r[k] * r[k] + x[k] * x[k]) * l_new
+        if not (v_j > V_SQ_FLOOR and v_j < V_SQ_CEILING):
+            return np.inf
+        residual = max(residual, abs(l_new - l[k, 0]) * max(r[k], x[k]))
+        l[k, 0] = l_new
+        v[k, 0] = v_j
+    if shunt_g.shape[0] > 0:
+        off[0] = residual
+        _add_change(shunt_g, shunt_b, v, before, off)
+        residual = off[0]
+    return residual
+
+
+@compiled(inner=True)
 def _row(parent, r, x, shunt_g, shunt_b, loops, scratch, power, before, off, gap, angle, tolerance, max_sweeps):
     """Sweep and compensate one feeder (column 0) to the tolerance; (sweeps, residual), inf on a collapse."""
     p, q, P, Q, v, _ = scratch
     residual = np.inf
     for sweep in range(1, max_sweeps + 1):
-        residual = sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off)
+        residual = _sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off)
         if residual == np.inf:
             return sweep, residual
         residual = max(residual, _compensate(0, loops, parent, r, x, p, q, P, Q, v, power, gap, angle))
