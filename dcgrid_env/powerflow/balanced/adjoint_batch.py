@@ -116,7 +116,8 @@ def _weights_of_gaps(feeder: Feeder, loops: Loops, figures: tuple[FloatArray, ..
         sender, r, x = opened.parent[branch], opened.r_pu[branch], opened.x_pu[branch]
         p, q = p_kw[:, branch] / S_BASE_KVA, q_kvar[:, branch] / S_BASE_KVA
         across, along = x * p - r * q, square[:, sender] - r * p - x * q
-        by_across, by_along = (sign * loops.sign[cut] / (across**2 + along**2) for sign in (along, -across))
+        sign = np.where(np.arange(cut.start, cut.stop) < loops.middle[m], 1.0, -1.0)
+        by_across, by_along = (side * sign / (across**2 + along**2) for side in (along, -across))
         gap = n_loop + m
         by_p[gap][:, branch] = (x * by_across - r * by_along) / S_BASE_KVA
         by_q[gap][:, branch] = (-r * by_across - x * by_along) / S_BASE_KVA

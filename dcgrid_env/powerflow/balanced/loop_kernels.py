@@ -1,15 +1,14 @@
 """Compiled DistFlow sweeps of a weakly meshed feeder, whose loops are opened and compensated: see ``looped``.
 
-After each sweep of the opened feeder, the power through each break point changes by what the difference of the two
-voltages there asks for. Sweeps and compensation converge together. As in ``distflow_kernels``, there is a form for one
-row and one for blocks of rows, and a row has the same bits in both.
+After each sweep of the opened feeder, the power through each break point is corrected by the difference of its two
+voltages. Sweeps and compensation converge together. As in ``distflow_kernels``, there is a form for one row and one for
+blocks of rows, and a row has the same bits in both. ``load`` and ``flow`` are (n_bus, 2 width) as in
+``compiled_blocks``: active power in the first half of a row and reactive power in the second.
 
 ``loops`` are the constants of ``looped.Loops`` in depth-first order of the opened feeder.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
@@ -29,51 +28,72 @@ from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
 
 
 @compiled(inner=True)
-def _start_power(b, row, loops, warm, p, q, power):
+def _start_power(b, row, loops, warm, load, power):
     """Add the power of a row's start, or none, to the loads of column b on both sides of each break point."""
-    end, to = loops[0], loops[1]
+    end, to, width = loops[0], loops[1], load.shape[1] // 2
     first = warm.shape[1] - 2 * end.shape[0]
     for m in range(end.shape[0]):
         active = reactive = 0.0
         if warm.shape[0] > 0:
             active, reactive = warm[row, first + 2 * m], warm[row, first + 2 * m + 1]
         power[m, 0, b], power[m, 1, b] = active, reactive
-        p[end[m], b] += active
-        q[end[m], b] += reactive
-        p[to[m], b] -= active
-        q[to[m], b] -= reactive
+        load[end[m], b] += active
+        load[end[m], width + b] += reactive
+        load[to[m], b] -= active
+        load[to[m], width + b] -= reactive
 
 
 @compiled(inner=True)
-def _compensate(b, loops, parent, r, x, p, q, P, Q, v, power, gap, angle):
-    """Change the power through the break points of column b, per unit; return the largest change.
+def _turn(first, last, loops, parent, r, x, flow, v, re, im):
+    """Fill ``re`` and ``im`` with the voltage at the end of a path, divided by the one at its beginning."""
+    branch, width = loops[4], re.shape[0]
+    for b in range(width):
+        re[b], im[b] = 1.0, 0.0
+    for i in range(first, last):
+        k = branch[i]
+        r_k, x_k, u = r[k], x[k], parent[k]
+        for b in range(width):
+            p, q = flow[k, b], flow[k, width + b]
+            along = 1.0 - (r_k * p + x_k * q) / v[u, b]
+            across = (r_k * q - x_k * p) / v[u, b]
+            re[b], im[b] = re[b] * along - im[b] * across, re[b] * across + im[b] * along
 
-    ``power`` adds up the power through each break point, active and reactive. ``gap`` and ``angle`` are scratch.
+
+@compiled(inner=True)
+def _compensate(loops, parent, r, x, load, flow, v, live, power, gap, turn, change):
+    """Change the power through the break points of the live columns, per unit; ``change`` is the largest of a column.
+
+    ``power`` adds up the power through each break point. ``gap`` and ``turn`` are scratch.
     """
-    end, to, first, branch, sign, y_re, y_im = loops
+    end, to, first, middle, _, meet, y_re, y_im = loops
+    width = live.shape[0]
     for m in range(end.shape[0]):
-        turned = 0.0
-        for i in range(first[m], first[m + 1]):
-            k = branch[i]
-            p_k, q_k = P[k, b], Q[k, b]
-            in_phase = v[parent[k], b] - r[k] * p_k - x[k] * q_k
-            turned += sign[i] * math.atan2(x[k] * p_k - r[k] * q_k, in_phase)
-        gap[m] = 0.5 * (v[end[m], b] - v[to[m], b])
-        angle[m] = -turned * v[to[m], b]
-    largest = 0.0
+        _turn(first[m], middle[m], loops, parent, r, x, flow, v, turn[0], turn[1])
+        _turn(middle[m], first[m + 1], loops, parent, r, x, flow, v, turn[2], turn[3])
+        for b in range(width):
+            square = v[meet[m], b]
+            gap[m, 0, b] = (turn[0, b] * turn[2, b] + turn[1, b] * turn[3, b]) * square - v[to[m], b]
+            gap[m, 1, b] = (turn[1, b] * turn[2, b] - turn[0, b] * turn[3, b]) * square
+    for b in range(width):
+        change[b] = 0.0
     for m in range(end.shape[0]):
-        active = reactive = 0.0
+        for b in range(width):
+            turn[0, b] = turn[1, b] = 0.0
         for i in range(end.shape[0]):
-            active += y_re[m, i] * gap[i] - y_im[m, i] * angle[i]
-            reactive -= y_re[m, i] * angle[i] + y_im[m, i] * gap[i]
-        p[end[m], b] += active
-        q[end[m], b] += reactive
-        p[to[m], b] -= active
-        q[to[m], b] -= reactive
-        power[m, 0, b] += active
-        power[m, 1, b] += reactive
-        largest = max(largest, abs(active), abs(reactive))
-    return largest
+            g, h = y_re[m, i], y_im[m, i]
+            for b in range(width):
+                turn[0, b] += g * gap[i, 0, b] - h * gap[i, 1, b]
+                turn[1, b] -= g * gap[i, 1, b] + h * gap[i, 0, b]
+        for b in range(width):
+            active = turn[0, b] if live[b] > 0.0 else 0.0
+            reactive = turn[1, b] if live[b] > 0.0 else 0.0
+            load[end[m], b] += active
+            load[end[m], width + b] += reactive
+            load[to[m], b] -= active
+            load[to[m], width + b] -= reactive
+            power[m, 0, b] += active
+            power[m, 1, b] += reactive
+            change[b] = max(change[b], max(abs(active), abs(reactive)))
 
 
 @compiled(inner=True)
@@ -111,23 +131,23 @@ def _sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off):
         residual = max(residual, abs(l_new - l[k, 0]) * max(r[k], x[k]))
         l[k, 0] = l_new
         v[k, 0] = v_j
-    if shunt_g.shape[0] > 0:
-        off[0] = residual
-        _add_change(shunt_g, shunt_b, v, before, off)
-        residual = off[0]
-    return residual
+    off[0] = residual
+    _add_change(shunt_g, shunt_b, v, before, off)
+    return off[0]
 
 
 @compiled(inner=True)
-def _row(parent, r, x, shunt_g, shunt_b, loops, scratch, power, before, off, gap, angle, tolerance, max_sweeps):
-    """Sweep and compensate one feeder (column 0) to the tolerance; (sweeps, residual), inf on a collapse."""
-    p, q, P, Q, v, _ = scratch
+def _row(parent, r, x, shunt_g, shunt_b, loops, load, flow, scratch, power, work, tolerance, max_sweeps):
+    """Sweep and compensate one feeder to the tolerance; (sweeps, residual), inf on a collapse."""
+    before, live, off, change, gap, turn = work
+    live[0] = 1.0
     residual = np.inf
     for sweep in range(1, max_sweeps + 1):
         residual = _sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off)
         if residual == np.inf:
             return sweep, residual
-        residual = max(residual, _compensate(0, loops, parent, r, x, p, q, P, Q, v, power, gap, angle))
+        _compensate(loops, parent, r, x, load, flow, scratch[4], live, power, gap, turn, change)
+        residual = max(residual, change[0])
         if residual <= tolerance:
             return sweep, residual
     return max_sweeps, residual
@@ -144,11 +164,10 @@ def looped_rows(
     """
     n_row, n = p_kw.shape
     n_loop = loops[0].shape[0]
-    work = np.empty((6, n, 1))
-    scratch = (work[0], work[1], work[2], work[3], work[4], work[5])
-    power, gap, angle = np.empty((n_loop, 2, 1)), np.empty(n_loop), np.empty(n_loop)
-    before, off = np.empty((shunt_g.shape[0], 1)), np.empty(1)
-    p, q, _, _, _, l = scratch
+    load, flow, v, l = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 1)), np.empty((n, 1))
+    scratch = (load[:, :1], load[:, 1:], flow[:, :1], flow[:, 1:], v, l)
+    power, before, columns = np.empty((n_loop, 2, 1)), np.empty((shunt_g.shape[0], 1)), np.empty((3, 1))
+    work = (before, columns[0], columns[1], columns[2], np.empty((n_loop, 2, 1)), np.empty((4, 1)))
     cold = warm[:0]
     failed = 0
     for row in range(n_row):
@@ -158,17 +177,17 @@ def looped_rows(
         finite = _load(0, row, order, p_kw, q_kvar, v0_pu, scratch)
         if finite and out[6][row] != NOT_IN_BLOCKS:
             _start(0, row, order, warm, l)
-            _start_power(0, row, loops, warm, p, q, power)
+            _start_power(0, row, loops, warm, load, power)
             most = min(BLOCK_SWEEPS, max_sweeps)
             sweeps, residual = _row(
-                parent, r, x, shunt_g, shunt_b, loops, scratch, power, before, off, gap, angle, tolerance, most
+                parent, r, x, shunt_g, shunt_b, loops, load, flow, scratch, power, work, tolerance, most
             )
         if finite and not residual <= tolerance:
             _load(0, row, order, p_kw, q_kvar, v0_pu, scratch)
             _start(0, row, order, cold, l)
-            _start_power(0, row, loops, cold, p, q, power)
+            _start_power(0, row, loops, cold, load, power)
             sweeps, residual = _row(
-                parent, r, x, shunt_g, shunt_b, loops, scratch, power, before, off, gap, angle, tolerance, max_sweeps
+                parent, r, x, shunt_g, shunt_b, loops, load, flow, scratch, power, work, tolerance, max_sweeps
             )
         settled = residual <= tolerance
         failed += not settled
@@ -176,7 +195,7 @@ def looped_rows(
             _clear(scratch)
             power[:] = 0.0
         _store(0, row, order, r, ratio, scratch, sweeps, residual, settled, out)
-        _store_restart(0, row, order, scratch[5], power, restart)
+        _store_restart(0, row, order, l, power, restart)
     return failed
 
 
@@ -191,12 +210,10 @@ def looped_blocks(
     v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
     n_row, n = p_kw.shape
     n_loop = loops[0].shape[0]
-    powers, work = np.empty((2, n, 2 * BLOCK)), np.empty((2, n, BLOCK))
+    powers, work, rows = np.empty((2, n, 2 * BLOCK)), np.empty((2, n, BLOCK)), np.empty((5, BLOCK))
     load, flow, v, l = powers[0], powers[1], work[0], work[1]
-    p, q, P, Q = load[:, :BLOCK], load[:, BLOCK:], flow[:, :BLOCK], flow[:, BLOCK:]
-    rows = np.empty((4, BLOCK))
-    live, off, v_up, collapsed = rows[0], rows[1], rows[2], rows[3]
-    power, gap, angle = np.empty((n_loop, 2, BLOCK)), np.empty(n_loop), np.empty(n_loop)
+    live, off, v_up, collapsed, change = rows[0], rows[1], rows[2], rows[3], rows[4]
+    power, gap, turn = np.empty((n_loop, 2, BLOCK)), np.empty((n_loop, 2, BLOCK)), np.empty((4, BLOCK))
     before = np.empty((shunt_g.shape[0], BLOCK))
     finite, settled = np.empty(BLOCK, np.bool_), np.empty(BLOCK, np.bool_)
     most = min(BLOCK_SWEEPS, max_sweeps)
@@ -206,21 +223,21 @@ def looped_blocks(
         _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, shunt_g.shape[0], load, v, l, finite)
         for b in range(BLOCK):
             live[b] = 1.0
-            _start_power(b, min(first + b, last), loops, warm, p, q, power)
+            _start_power(b, min(first + b, last), loops, warm, load, power)
         iterations[first : last + 1] = NOT_IN_BLOCKS
         for sweep in range(1, most + 1):
             _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up)
             for b in range(BLOCK):
-                settled[b] = False
-                if live[b] > 0.0:
-                    gone = collapsed[b] > 0.0 or not finite[b]
-                    if not gone:
-                        change = _compensate(b, loops, parent, r, x, p, q, P, Q, v, power, gap, angle)
-                        off[b] = max(off[b], change)
-                        settled[b] = off[b] <= tolerance
-                    if settled[b] or gone:
-                        live[b] = 0.0
-                        left -= b < count
+                if live[b] > 0.0 and (collapsed[b] > 0.0 or not finite[b]):
+                    live[b] = 0.0
+                    left -= b < count
+            _compensate(loops, parent, r, x, load, flow, v, live, power, gap, turn, change)
+            for b in range(BLOCK):
+                off[b] = max(off[b], change[b])
+                settled[b] = live[b] > 0.0 and off[b] <= tolerance
+                if settled[b]:
+                    live[b] = 0.0
+                    left -= b < count
                 if settled[b] and b < count:
                     ok[first + b] = True
                     iterations[first + b] = sweep

@@ -1,15 +1,16 @@
 """DistFlow of a weakly meshed feeder: its loops are opened and compensated.
 
-Each loop is opened at the receiving end b of the branch that closes it, which then feeds a break point b' of its own.
-The power S through the break point is drawn at b' and injected at b. It is found such that both have one voltage:
+Each loop is opened at the receiving end b of the branch that closes it, which then feeds a break point b'. The power S
+through the break point is drawn at b' and injected at b. It is found such that both have the same complex voltage. A
+branch i -> j turns and scales a voltage by
 
-    |V_b'|^2 - |V_b|^2 = 0        arg V_b' - arg V_b = 0
+    V_j / V_i = 1 - z conj(S_ij) / |V_i|^2
 
-The phase angle of a branch i -> j is that of v_i - conj(S_ij) z, so the angles follow from DistFlow's flows. With Z the
-impedance matrix of the loops, in which an entry is the impedance of the branches that two loops share, S changes after
-each sweep by
+so the two voltages follow from DistFlow's flows on the two ways from the bus where they meet. With Z the impedance
+matrix of the loops, in which an entry is the impedance of the branches that two loops share, S changes after each sweep
+by
 
-    conj(dS) = Z^-1 ((|V_b'|^2 - |V_b|^2) / 2 + j |V_b|^2 (arg V_b' - arg V_b))
+    conj(dS) = Z^-1 (V_b' - V_b) conj(V_b)
 
 D. Shirmohammadi, H. W. Hong, A. Semlyen, G. X. Luo, "A compensation-based power flow method for weakly meshed
 distribution and transmission networks", IEEE Trans. Power Systems 3(2), 1988.
@@ -34,11 +35,13 @@ class Loops(NamedTuple):
     to: NDArray[np.intp]
     """Place of its other side b, shape (n_loop,)."""
     first: NDArray[np.intp]
-    """Where the branches of each loop begin in ``branch``, shape (n_loop + 1,)."""
+    """Where the branches of each loop begin in ``branch``, those on the way to b' first, shape (n_loop + 1,)."""
+    middle: NDArray[np.intp]
+    """Where its branches on the way to b begin, shape (n_loop,)."""
     branch: NDArray[np.intp]
     """Place that each branch of a loop feeds."""
-    sign: NDArray[np.float64]
-    """1 for a branch on the way to b', -1 on the way to b."""
+    meet: NDArray[np.intp]
+    """Place where the two ways of each loop begin, shape (n_loop,)."""
     y_re: NDArray[np.float64]
     """Real part of the inverse of the loops' impedance matrix, per unit, (n_loop, n_loop)."""
     y_im: NDArray[np.float64]
@@ -51,21 +54,27 @@ def loops_of(feeder: Feeder) -> Loops:
     opened, n = feeder.opened, feeder.n_bus
     index = opened.depth_first
     end, to = index.place[n:].copy(), index.place[feeder.to_bus[n - 1 :]]
-    paths = []
-    for both in zip(end.tolist(), to.tolist(), strict=True):
-        ways = [_way(index.parent, place) for place in both]
-        shared = set(ways[0]) & set(ways[1])
-        signed = [(k, sign) for way, sign in zip(ways, (1.0, -1.0), strict=True) for k in way if k not in shared]
-        paths.append(signed)
-    first = np.cumsum([0, *map(len, paths)], dtype=np.intp)
-    branch = np.array([k for path in paths for k, _ in path], dtype=np.intp)
-    sign = np.array([sign for path in paths for _, sign in path])
-    incidence = np.zeros((len(paths), opened.n_bus))
-    for m, path in enumerate(paths):
-        incidence[m, [k for k, _ in path]] = [sign for _, sign in path]
+    ways, meet = [], []
+    incidence = np.zeros((feeder.n_loop, opened.n_bus))
+    for m, both in enumerate(zip(end.tolist(), to.tolist(), strict=True)):
+        up, other = (_way(index.parent, place) for place in both)
+        shared = set(up) & set(other)
+        ways += [[k for k in way if k not in shared] for way in (up, other)]
+        meet.append(max(shared, default=0))
+        incidence[m, ways[-2]], incidence[m, ways[-1]] = 1.0, -1.0
+    begins = np.cumsum([0, *map(len, ways)], dtype=np.intp)
     z_pu = np.concatenate(([0.0], (opened.r_pu + 1j * opened.x_pu)[index.order[1:] - 1]))
     y: NDArray[np.complex128] = np.linalg.inv((incidence * z_pu) @ incidence.T).astype(np.complex128)
-    return Loops(end, to, first, branch, sign, np.ascontiguousarray(y.real), np.ascontiguousarray(y.imag))
+    return Loops(
+        end,
+        to,
+        begins[::2].copy(),
+        begins[1::2].copy(),
+        np.array([k for way in ways for k in way], dtype=np.intp),
+        np.array(meet, dtype=np.intp),
+        y.real.copy(),
+        y.imag.copy(),
+    )
 
 
 def _way(parent: NDArray[np.intp], place: int) -> list[int]:
