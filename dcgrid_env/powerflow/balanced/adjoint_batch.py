@@ -1,8 +1,8 @@
 """From a batch of solved power flows to the compiled derivative and back, with and without loops.
 
-With loops, the powers S through the break points follow from the loads p by F(y(p, S)) = 0: y is the solution of the
-opened feeder, and F are the differences of the two voltages at each break point (see ``looped``). The derivative of a
-weighted sum L(y) is then
+With loops, the powers S through the break points follow from the loads p by F(y(p, S)) = 0. Here y is the solution of
+the opened feeder, and F are the differences of the two voltages at each break point (see ``looped``). The derivative of
+a weighted sum L(y) is then
 
     dL/dp - mu dF/dp        with mu such that mu dF/dS = dL/dS
 
@@ -24,6 +24,8 @@ from dcgrid_env.powerflow.balanced.batch import constants
 from dcgrid_env.powerflow.balanced.looped import Loops, loops_of
 
 FloatArray = NDArray[Any]
+_ROWS = 64
+"""Rows with loops that are differentiated together, so that their adjoints stay in the cache."""
 
 
 def distflow_adjoint(
@@ -44,7 +46,13 @@ def distflow_adjoint(
     """
     if feeder.loop_ends is None:
         return _adjoint(feeder, solved, weights, converged)
-    return _looped_adjoint(feeder, solved, weights, converged)
+    parts = []
+    for first in range(0, max(len(converged), 1), _ROWS):
+        cut = slice(first, first + _ROWS)
+        figures, of_sum = (tuple(values[cut] for values in arrays) for arrays in (solved, weights))
+        parts.append(_looped_adjoint(feeder, figures, of_sum, converged[cut]))
+    d_p, d_q, d_v0 = (np.concatenate(derivatives) for derivatives in zip(*parts, strict=True))
+    return d_p, d_q, d_v0
 
 
 def _adjoint(

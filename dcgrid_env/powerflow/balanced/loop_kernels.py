@@ -110,7 +110,7 @@ def _store_restart(b, row, order, l, power, restart):
 def _sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off):
     """Sweep one opened feeder (column 0 of the scratch) once; return the residual, inf on a collapse.
 
-    The radial kernel has the same sweep in its loop: as a function of its own it takes a tenth more time there.
+    The radial kernel has the same sweep in its loop, because a separate function takes a tenth more time there.
     """
     p, q, P, Q, v, l = scratch
     n = parent.shape[0]

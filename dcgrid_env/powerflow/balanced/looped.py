@@ -86,5 +86,5 @@ def _way(parent: NDArray[np.intp], place: int) -> list[int]:
 
 
 def at_opened(feeder: Feeder, values: Any) -> Any:
-    """Loads (row, bus) with those of the break points, which draw nothing of their own."""
+    """Loads of the opened feeder: those of the buses (row, bus), and zero at the break points."""
     return np.concatenate((values, np.zeros((len(values), feeder.n_loop))), axis=1)

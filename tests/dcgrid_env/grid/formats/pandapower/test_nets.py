@@ -237,6 +237,8 @@ SLOW = [
     ("1-LV-urban6--0-sw", {}, None),
     ("1-MV-rural--0-sw", {}, None),
     ("1-MV-urban--0-sw", {}, None),
+    ("1-MV-comm--0-no_sw", {}, None),
+    ("1-MV-urban--0-no_sw", {}, None),
 ]
 
 
