@@ -91,18 +91,16 @@ def _looped_adjoint(
     )
     repeated = tuple(np.tile(values, (repeats, 1)) for values in figures)
     found = _adjoint(opened, repeated, stacked, np.tile(converged, repeats))
-    by_load = np.stack([values.reshape(repeats, len(v_pu), opened.n_bus) for values in found[:2]])
+    by_p, by_q = (values.reshape(repeats, len(v_pu), opened.n_bus) for values in found[:2])
     # Derivatives by S, (2 n_loop figures of S, row): it is drawn at the break point and injected on its other side.
-    by_power = by_load[..., n:] - by_load[..., to]
-    by_power = np.concatenate((by_power[0], by_power[1]), axis=-1).transpose(1, 2, 0)
+    by_power = np.concatenate([by[..., n:] - by[..., to] for by in (by_p, by_q)], axis=-1).transpose(1, 2, 0)
     matrix = np.where(converged[:, None, None], by_power[..., 1:], np.eye(repeats - 1))
     mu = np.linalg.solve(matrix, by_power[..., :1])[..., 0].T
 
     def total(derivative: FloatArray) -> FloatArray:
-        share = mu.reshape(mu.shape + (1,) * (derivative.ndim - 2))
-        return np.ascontiguousarray((derivative[0] - (share * derivative[1:]).sum(axis=0)).astype(dtype, copy=False))
+        return (derivative[0] - np.einsum("kr,kr...->r...", mu, derivative[1:])).astype(dtype, copy=False)
 
-    return total(by_load[0, ..., :n]), total(by_load[1, ..., :n]), total(found[2].reshape(repeats, -1))
+    return total(by_p[..., :n]), total(by_q[..., :n]), total(found[2].reshape(repeats, -1))
 
 
 def _weights_of_gaps(feeder: Feeder, loops: Loops, figures: tuple[FloatArray, ...]) -> list[FloatArray]:
