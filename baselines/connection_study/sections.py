@@ -23,7 +23,7 @@ from dcgrid_env.baselines.hosting_capacity.hosting import (
     snapshot_capacity,
     study_controller,
 )
-from dcgrid_env.baselines.hosting_capacity.trial import run_trial
+from dcgrid_env.baselines.hosting_capacity.trial import branch_to, run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
 from dcgrid_env.rendering import draw_feeder, positions, run_figure
@@ -71,7 +71,7 @@ def base_case(job: Job) -> Section:
     ]
     if loading is not None and np.any(loading[0] > 0.0):
         most = int(loading[0].argmax())
-        rows.append(("highest loading", f"{100.0 * loading[0, most]:.1f} % of the rating", feeder.node_ids[most]))
+        rows.append(("highest loading", f"{100.0 * loading[0, most]:.1f} % of the rating", branch_to(feeder, most)))
     coverage = rating_coverage(feeder)
     rows.append(("ratings", f"known for {coverage.known} of {coverage.of} elements", ""))
     tables = [Table("Base case", ("quantity", "value", "where"), tuple(rows))]

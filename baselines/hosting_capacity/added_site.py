@@ -9,6 +9,7 @@ import numpy as np
 
 from dcgrid_env import DcgridVectorEnv, Scenario
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.powerflow import n_loading
 
 _NOTHING_KW = 1e-3
 """Rating that represents the absence of a site, since the rating of a device must be positive."""
@@ -23,8 +24,8 @@ class AddedSite:
 
     def __init__(self, study: Study, exempt: np.ndarray | None = None):
         self.study = study
-        self.exempt = np.zeros(study.scenario.feeder.n_node, bool) if exempt is None else exempt
-        """Nodes whose branch is not counted as overloaded, since it is overloaded without any site."""
+        self.exempt = np.zeros(n_loading(study.scenario.feeder), bool) if exempt is None else exempt
+        """Positions in the loading of branches that are not counted, since they are overloaded without any site."""
         self.slot = study.scenario.datacenters.count if study.others else 0
         """Position of the site among the data centres."""
         self.scenario = lru_cache(maxsize=512)(self._scenario)

@@ -170,7 +170,7 @@ def hosting_capacity(
     ids = tuple(bus_ids[bus] for bus in buses)
     by_controller = {name: tuple(found[name, bus] for bus in ids) for name in names}
     feeder = study.scenario.feeder
-    fed = np.unique(np.asarray(feeder.node_bus)[site.exempt])
+    fed = np.unique(np.asarray(feeder.node_bus)[site.exempt[: feeder.n_node]])
     overloaded = tuple(feeder.branch_names[bus - 1] for bus in fed)
     return Capacities(study, ids, names, by_controller, tuple(snapshot), overloaded, notes)
 

@@ -19,6 +19,7 @@ from dcgrid_env.baselines.hosting_capacity.trial import (
     TAPS,
     UNLIMITED,
     Trial,
+    branch_to,
     run_trial,
     trials,
 )
@@ -132,16 +133,10 @@ def search_buses(
 def _overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> str:
     """Name the nearest branch before a bus that is overloaded without any site; empty for none."""
     while bus > 0:
-        for node in np.flatnonzero(overloaded & (np.asarray(feeder.node_bus) == bus)):
-            return f"overload of {_branch_to(feeder, int(node))} without any site"
+        for node in np.flatnonzero(overloaded[: feeder.n_node] & (np.asarray(feeder.node_bus) == bus)):
+            return f"overload of {branch_to(feeder, int(node))} without any site"
         bus = int(feeder.parent[bus - 1])
     return ""
-
-
-def _branch_to(feeder: AnyFeeder, node: int) -> str:
-    """Name the branch that feeds a node, with the phase on three-phase feeders."""
-    phase = "" if isinstance(feeder, Feeder) else f", phase {feeder.node_ids[node][-1]}"
-    return f"{feeder.branch_names[feeder.node_bus[node] - 1]}{phase}"
 
 
 def _window_capacities_mw(site: AddedSite, empty: Trial, search: BusSearch) -> np.ndarray:
@@ -187,7 +182,7 @@ def limit_of(scenario: Scenario, beyond: Trial) -> str:
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
     if kind == OVERLOAD:
-        return f"overload of {_branch_to(feeder, node)}"
+        return f"overload of {branch_to(feeder, node)}"
     if kind == TAPS:
         return f"taps of regulator {feeder.network.regulator.name[node]}"
     if kind == LOSS:

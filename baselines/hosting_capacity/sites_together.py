@@ -21,6 +21,7 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_of
 from dcgrid_env.baselines.hosting_capacity.trial import Trial, run_trial
+from dcgrid_env.powerflow import n_loading
 
 Rule = Literal["equal", "sum"]
 MOST_ORDERS = 4
@@ -147,7 +148,7 @@ class _Sites:
     def __init__(self, study: Study):
         self.study = study
         self.buses = study.candidates()
-        self.exempt = np.zeros(study.scenario.feeder.n_node, bool)
+        self.exempt = np.zeros(n_loading(study.scenario.feeder), bool)
         self.slot = study.scenario.datacenters.count if study.others else 0
         self.scenario = lru_cache(maxsize=4)(self._scenario)
 

@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import rating_coverage
+from dcgrid_env import Feeder, FeederError, rating_coverage
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import as_driven, transitions
+from dcgrid_env.grid import AnyFeeder
+from dcgrid_env.powerflow import n_loading
 
 COLLAPSED = -10.0
 """Margin if the power flow has no solution."""
@@ -34,8 +36,8 @@ class Trial(NamedTuple):
     loss are those of the whole window. All are ``COLLAPSED`` without a power-flow solution, and ``UNLIMITED`` for
     limits that the study does not have."""
     nodes: np.ndarray
-    """Location of each margin as a position in ``node_ids``, of an overload the node that the branch feeds, of taps
-    the row of the regulator, (row, limit)."""
+    """Location of each margin as a position in ``node_ids``, of an overload in ``State.loading``, of taps the row of
+    the regulator, (row, limit)."""
     outside: np.ndarray
     """Number of steps that count in which some limit was broken, int, (row,)."""
     arrived_kw: np.ndarray
@@ -56,6 +58,13 @@ class Trial(NamedTuple):
     def joined(cls, parts: list[Trial]) -> Trial:
         """Concatenate the environments of several trials."""
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def branch_to(feeder: AnyFeeder, position: int) -> str:
+    """Name the branch at a position in the loading, with the phase on three-phase feeders."""
+    if isinstance(feeder, Feeder):
+        return feeder.branch_names[position - 1]
+    return f"{feeder.branch_names[feeder.node_bus[position] - 1]}, phase {feeder.node_ids[position][-1]}"
 
 
 def run_trial(
@@ -82,10 +91,22 @@ def trials(
 
 
 def overloaded_nodes(site: AddedSite) -> np.ndarray:
-    """Find nodes whose branch is overloaded without any site or control in more steps than allowed; bool, (n_node,)."""
+    """Find branches that are overloaded without any site or control in more steps than allowed.
+
+    Returns
+    -------
+    np.ndarray
+        For each position in the loading, bool.
+
+    Raises
+    ------
+    FeederError
+        For such a branch of a feeder with loops, where the buses that it limits are not those behind it.
+    """
     study, samples, controller = site.study, np.arange(site.study.samples), NoControl()
-    seconds = np.zeros(study.scenario.feeder.n_node, np.int64)
-    if not rating_coverage(study.scenario.feeder).known:
+    feeder = study.scenario.feeder
+    seconds = np.zeros(n_loading(feeder), np.int64)
+    if not rating_coverage(feeder).known:
         return seconds > 0
     seeds, options = site.reset_arguments(np.ones_like(samples), samples)
     steps = transitions(as_driven(site.scenario(0), controller), controller, seeds, None, options)
@@ -95,7 +116,13 @@ def overloaded_nodes(site: AddedSite) -> np.ndarray:
         if k >= study.settled:
             seconds += (loading > study.loading_max_pct / 100.0 + _ROUNDING).sum(axis=0)
     steps.close()
-    return seconds > study.allowed_seconds
+    overloaded = seconds > study.allowed_seconds
+    if overloaded.any() and isinstance(feeder, Feeder) and feeder.n_loop:
+        raise FeederError(
+            f"feeder {feeder.name!r} has loops, and its {branch_to(feeder, int(overloaded.argmax()))} is overloaded "
+            "without any site, so the buses that it limits are undefined; raise its rating_a or open the loops"
+        )
+    return overloaded
 
 
 def _run(

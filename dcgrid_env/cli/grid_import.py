@@ -104,7 +104,7 @@ class ImportPandapower(_Import):
     Writes the feeder as a folder of tables with a report, and compares the voltages.
 
     Reading a JSON file imports and runs none of the code that it names (docs/import.md). The import reports an error
-    for loops, several sources, voltage-controlling generators and DC lines.
+    for more than eight loops, several sources, voltage-controlling generators and DC lines.
     """
 
     net: tyro.conf.Positional[str]

@@ -118,7 +118,10 @@ class Run(Command):
         console.print(summed_up.rich(console.width, fixed=2))
         for note in summed_up.notes:
             console.print(note)
-        if scenario.power_flow == "distflow" and not runs.in_parts:  # which would run two long ones more
+        from dcgrid_env import Feeder
+
+        looped = isinstance(scenario.feeder, Feeder) and scenario.feeder.n_loop  # which LinDistFlow does not solve
+        if scenario.power_flow == "distflow" and not looped and not runs.in_parts:  # which would run two long ones more
             console.print(linear_difference(scenario, seeds))
         for line in (*scaling_lines(scenario), *tuned_from(names, scenario, self.tuned)):
             console.print(line)

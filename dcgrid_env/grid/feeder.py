@@ -1,4 +1,4 @@
-"""A radial distribution feeder: buses, branches, base load. Frozen and checked once, on the way in."""
+"""A balanced distribution feeder: buses, branches, base load. Frozen and checked once, on the way in."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dcgrid_env.grid.network import (
     bus_text,
     summed_at_nodes,
 )
-from dcgrid_env.grid.network_checks import check_balanced, check_lengths
+from dcgrid_env.grid.network_checks import check_balanced, check_lengths, check_loop_impedance
 from dcgrid_env.grid.optional_fields import as_column, check_optional_fields, optional_fields
 from dcgrid_env.grid.per_unit import PerUnit
 from dcgrid_env.grid.topology import FeederError, listed, orient
@@ -43,7 +43,10 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Feeder(PerUnit, OneNodeABus):
-    """A radial feeder. Every array over buses follows ``bus_ids``; branch ``k`` feeds bus ``k + 1``.
+    """A radial or weakly meshed feeder. Every array over buses follows ``bus_ids``; branch ``k`` feeds bus ``k + 1``.
+
+    The first n_bus - 1 branches are the breadth-first tree from the substation, which visits neighbours in the order of
+    the buses. Each further branch closes a loop, where the two sides of the loop meet.
 
     Make one with :meth:`from_tables`, :meth:`from_csv` or :func:`dcgrid_env.load_feeder`: they check it and turn
     every branch away from the substation.
@@ -57,7 +60,7 @@ class Feeder(PerUnit, OneNodeABus):
     p_load_kw, q_load_kvar, capacitor_kvar
         Base load (consumption positive) and shunt capacitors (injection positive), shape (n_bus,).
     parent
-        Index of the bus at the sending end of branch k, shape (n_branch,).
+        Index of the bus that feeds bus k + 1 through branch k, shape (n_bus - 1,).
     r_ohm, x_ohm
         Series impedance per phase of the balanced equivalent, shape (n_branch,). Zero is a closed switch.
     x, y
@@ -72,6 +75,9 @@ class Feeder(PerUnit, OneNodeABus):
         Line-to-line base voltage of each bus, kV, shape (n_bus,), for information; None where all are ``base_kv``.
     rating_a
         Ampacity of each branch, A, shape (n_branch,), NaN where it is not known; None where none is.
+    loop_ends
+        Indices of the sending and the receiving bus of each branch that closes a loop, shape (n_loop, 2). None for a
+        radial feeder.
 
     The power flow runs in quantities referred to the substation's base voltage by the actual ratios of the transformers
     between: so are ``r_ohm``, ``x_ohm`` and ``rating_a``, which makes an ideal transformer exact.
@@ -94,6 +100,7 @@ class Feeder(PerUnit, OneNodeABus):
     voltage_ratio: FloatArray | None = None
     bus_base_kv: FloatArray | None = None
     rating_a: FloatArray | None = None
+    loop_ends: IntArray | None = None
 
     def __post_init__(self) -> None:
         check_optional_fields(self)
@@ -127,8 +134,8 @@ class Feeder(PerUnit, OneNodeABus):
         Raises
         ------
         FeederError
-            Naming the buses and branches: not radial, an island, an isolated bus, a duplicate or unknown bus, a
-            negative or NaN figure.
+            Naming the buses and branches: too many loops, a loop without impedance, an island, an isolated bus, a
+            duplicate or unknown bus, a negative or NaN figure.
         """
         n, nan = len(bus_ids), [math.nan] * len(bus_ids)
         capacitors = [0.0] * n if capacitor_kvar is None else capacitor_kvar
@@ -159,11 +166,13 @@ class Feeder(PerUnit, OneNodeABus):
         Raises
         ------
         FeederError
-            For tables that are not those of a balanced radial feeder, naming the component, the field and the value.
+            For tables that are not those of a balanced feeder, naming the component, the field and the value.
         """
         check_balanced(network)
         node, line, load, shunt, source = network.node, network.line, network.load, network.shunt, network.source
-        order, parent, branch = orient(network.name, source.bus[0], node.bus, line.from_bus, line.to_bus)
+        order, parent, branch, loop_ends = orient(network.name, source.bus[0], node.bus, line.from_bus, line.to_bus)
+        if loop_ends:
+            check_loop_impedance(network.name, line)
 
         def frozen(values: object, rows: IntArray) -> FloatArray:
             return _read_only(np.asarray(values, dtype=np.float64)[rows])
@@ -181,6 +190,7 @@ class Feeder(PerUnit, OneNodeABus):
             x_ohm=frozen(line.x_ohm, branch),
             x=frozen(node.x, order),
             y=frozen(node.y, order),
+            loop_ends=_read_only(np.array(loop_ends, dtype=np.intp)) if loop_ends else None,
             **optional_fields(network, order, branch),
         )
 
@@ -188,11 +198,37 @@ class Feeder(PerUnit, OneNodeABus):
     def branch_names(self) -> tuple[str, ...]:
         """Names of the branches by the buses that they join, as in ``"branch 5-6"``."""
         ids = self.bus_ids
-        return tuple(f"branch {ids[i]}-{bus}" for i, bus in zip(self.parent, ids[1:], strict=True))
+        return tuple(f"branch {ids[i]}-{ids[j]}" for i, j in zip(self.from_bus, self.to_bus, strict=True))
+
+    @cached_property
+    def opened(self) -> Feeder:
+        """This feeder with each loop opened at the receiving end of the branch that closes it; itself if radial.
+
+        The branch then feeds a further bus, without load and behind all others, in the place of its receiving bus. The
+        opened feeder is radial, and its branches are those of this one.
+        """
+        if self.loop_ends is None:
+            return self
+        sending, receiving = self.loop_ends.T
+        ends = tuple(f"end of {name}" for name in self.branch_names[self.n_bus - 1 :])
+
+        def extended(values: FloatArray | None, further: float | None = 0.0) -> FloatArray | None:
+            if values is None:
+                return None
+            added = values[receiving] if further is None else np.full(len(ends), further)
+            return _read_only(np.concatenate((values, added)))
+
+        changed: dict[str, Any] = {
+            field: extended(getattr(self, field))
+            for field in ("p_load_kw", "q_load_kvar", "capacitor_kvar", "shunt_kw", "shunt_kvar")
+        }
+        changed |= {field: extended(getattr(self, field), None) for field in ("x", "y", "voltage_ratio", "bus_base_kv")}
+        parent = _read_only(np.concatenate((self.parent, sending)))
+        return replace(self, bus_ids=self.bus_ids + ends, parent=parent, loop_ends=None, **changed)
 
     def to_network(self) -> Network:
         """Return the component tables of this feeder, from which :meth:`from_network` makes an equal feeder."""
-        fed_from = [self.bus_ids[i] for i in self.parent]
+        from_bus, to_bus = ([self.bus_ids[i] for i in ends] for ends in (self.from_bus, self.to_bus))
         base_kv, ratio, rating_a = map(as_column, (self.bus_base_kv, self.voltage_ratio, self.rating_a))
         return balanced_network(
             self.name,
@@ -210,7 +246,7 @@ class Feeder(PerUnit, OneNodeABus):
             p_kw=self.p_load_kw.tolist(),
             q_kvar=self.q_load_kvar.tolist(),
             capacitor_kvar=self.capacitor_kvar.tolist(),
-            lines=LineTable(fed_from, self.bus_ids[1:], self.r_ohm.tolist(), self.x_ohm.tolist(), rating_a),
+            lines=LineTable(from_bus, to_bus, self.r_ohm.tolist(), self.x_ohm.tolist(), rating_a),
             shunt_kw=as_column(self.shunt_kw) or None,
             shunt_kvar=as_column(self.shunt_kvar) or None,
         )
@@ -264,8 +300,13 @@ class Feeder(PerUnit, OneNodeABus):
 
     @property
     def n_branch(self) -> int:
-        """Number of branches, one for each bus but the substation."""
-        return len(self.parent)
+        """Number of branches: one for each bus but the substation, and one for each loop."""
+        return len(self.r_ohm)
+
+    @property
+    def n_loop(self) -> int:
+        """Number of loops, 0 for a radial feeder."""
+        return 0 if self.loop_ends is None else len(self.loop_ends)
 
     def scaled(self, r_share: float, x_share: float) -> Feeder:
         """Return this feeder with every line's resistance and reactance multiplied by a share."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
 
-from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.network import LineTable, Network
 from dcgrid_env.grid.topology import FeederError
 
 
@@ -44,7 +44,7 @@ def check_numbers(
 def check_balanced(network: Network) -> None:
     """Raise FeederError unless the tables describe a balanced grid: one source, one node a bus, usable figures.
 
-    Whether it is radial is not looked at here: see ``topology.orient``.
+    The connections are not checked: see ``topology.orient`` and ``check_loop_impedance``.
     """
     name, source, node, line = network.name, network.source, network.node, network.line
     for kind in ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor"):
@@ -86,3 +86,22 @@ def check_balanced(network: Network) -> None:
                 f"feeder {name!r}: bus {source.bus[0]}: {field} is {at_source}, but it is the substation, to whose "
                 f"voltage all others are referred; give {expected:g} there"
             )
+
+
+def check_loop_impedance(name: str, line: LineTable) -> None:
+    """Raise FeederError for a loop of branches without impedance, in which any current could circulate."""
+    joined: dict[str, str] = {}
+
+    def one_of(bus: str) -> str:
+        while joined.setdefault(bus, bus) != bus:
+            bus = joined[bus]
+        return bus
+
+    for i, j, r_ohm, x_ohm in zip(line.from_bus, line.to_bus, line.r_ohm, line.x_ohm, strict=True):
+        if r_ohm == 0 and x_ohm == 0:
+            if one_of(i) == one_of(j):
+                raise FeederError(
+                    f"feeder {name!r}: branch {i}-{j}: r_ohm and x_ohm are 0, and it closes a loop of such branches, "
+                    "whose currents are undefined; leave it out"
+                )
+            joined[one_of(i)] = one_of(j)

@@ -49,7 +49,7 @@ def check_optional_fields(feeder: Any) -> None:
     n_bus = len(feeder.bus_ids)
     for field, n in (
         ("shunt_kw", n_bus), ("shunt_kvar", n_bus), ("voltage_ratio", n_bus), ("bus_base_kv", n_bus),
-        ("rating_a", n_bus - 1),
+        ("rating_a", len(feeder.r_ohm)),
     ):  # fmt: skip
         values = getattr(feeder, field)
         if values is None:
@@ -64,9 +64,20 @@ def check_optional_fields(feeder: Any) -> None:
         )
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
-            what = f"branch to bus {feeder.bus_ids[i + 1]}" if field == "rating_a" else f"bus {feeder.bus_ids[i]}"
+            what = (
+                f"branch to bus {feeder.bus_ids[feeder.to_bus[i]]}"
+                if field == "rating_a"
+                else f"bus {feeder.bus_ids[i]}"
+            )
             wanted = "a finite number" if field.startswith("shunt") else "a number > 0"
             raise FeederError(f"feeder {feeder.name!r}: {what}: {field} is {values[i]}; give {wanted}")
+    loops = len(feeder.r_ohm) - n_bus + 1
+    ends = () if feeder.loop_ends is None else np.shape(feeder.loop_ends)
+    if ends != ((loops, 2) if loops else ()):
+        raise FeederError(
+            f"feeder {feeder.name!r}: loop_ends has shape {ends}; give the two buses of each of the {loops} branches "
+            f"after the first {n_bus - 1}, or None"
+        )
     if feeder.voltage_ratio is not None and feeder.voltage_ratio[0] != 1.0:
         raise FeederError(
             f"feeder {feeder.name!r}: voltage_ratio of the substation is {feeder.voltage_ratio[0]}; it must be 1"

@@ -24,6 +24,7 @@ class PerUnit:
     base_kv: float
     bus_ids: tuple[str, ...]
     parent: NDArray[np.intp]
+    loop_ends: NDArray[np.intp] | None
     r_ohm: FloatArray
     x_ohm: FloatArray
     shunt_kw: FloatArray | None
@@ -47,15 +48,26 @@ class PerUnit:
         given = (np.zeros(len(self.bus_ids)) if shunt is None else shunt for shunt in (self.shunt_kw, self.shunt_kvar))
         return _read_only(np.stack(tuple(given)) / S_BASE_KVA)
 
+    @property
+    def from_bus(self) -> NDArray[np.intp]:
+        """Index of the bus at the sending end of branch k, shape (n_branch,)."""
+        return self.parent if self.loop_ends is None else _read_only(np.append(self.parent, self.loop_ends[:, 0]))
+
+    @property
+    def to_bus(self) -> NDArray[np.intp]:
+        """Index of the bus at the receiving end of branch k, shape (n_branch,)."""
+        fed = np.arange(1, len(self.bus_ids), dtype=np.intp)
+        return _read_only(fed if self.loop_ends is None else np.append(fed, self.loop_ends[:, 1]))
+
     @cached_property
     def depth_first(self) -> DepthFirst:
-        """Buses in depth-first order from the substation, and the position of each in that order."""
+        """Buses of the tree in depth-first order from the substation, and the position of each in that order."""
         return depth_first(self.parent)
 
     @cached_property
     def path(self) -> FloatArray:
-        """0/1 matrix, shape (n_bus, n_branch): 1 where branch k lies between bus i and the substation."""
-        path = np.zeros((len(self.bus_ids), len(self.parent)))
+        """0/1 matrix, shape (n_bus, n_bus - 1): 1 where branch k of the tree lies between bus i and the substation."""
+        path = np.zeros((len(self.bus_ids), len(self.bus_ids) - 1))
         for j in self.depth_first.order[1:]:
             path[j] = path[self.parent[j - 1]]
             path[j, j - 1] = 1.0

@@ -59,7 +59,7 @@ def three_phase_tree(network: Network) -> Tree:
     is_radial = len(spanning) == len(branches) and not len(network.admittance)
     branches = spanning
     ends = [[getattr(b, end) for b in branches] for end in ("from_bus", "to_bus")]
-    order, parent, branch = orient(network.name, source, buses, *ends)
+    order, parent, branch, _ = orient(network.name, source, buses, *ends)
     index = depth_first(parent)
     bus_ids = tuple(buses[i] for i in order[index.order])
     fed_by = tuple(branches[branch[i - 1]] for i in index.order[1:])

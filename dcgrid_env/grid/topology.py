@@ -1,4 +1,4 @@
-"""Convert a list of branches to an indexed tree rooted at the substation, or raise an error with the reason."""
+"""Convert a list of branches to an indexed tree rooted at the substation and the branches that close loops."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ class FeederError(ValueError):
     """A feeder whose data cannot be used; the message names the buses, branches and fields."""
 
 
+MOST_LOOPS = 8
+"""Loops of a balanced feeder that its power flow solves, see ``powerflow.balanced.looped``."""
 _MOST_LISTED = 200
 """Buses that a message lists; of more it shows the first few."""
 
@@ -68,7 +70,7 @@ def depth_first(parent: Sequence[int] | NDArray[np.intp]) -> DepthFirst:
 
 def orient(
     name: str, substation: object, bus_ids: Sequence[Any], from_bus: Sequence[Any], to_bus: Sequence[Any]
-) -> tuple[NDArray[np.intp], list[int], NDArray[np.intp]]:
+) -> tuple[NDArray[np.intp], list[int], NDArray[np.intp], list[tuple[int, int]]]:
     """Order buses with the substation first and give every bus its feeding branch.
 
     Returns
@@ -76,40 +78,72 @@ def orient(
     order
         Row of each bus in the given table, shape (n_bus,).
     parent
-        For branch k, which feeds bus k + 1 of that order, the index in that order of the bus that feeds it.
+        For branch k of the tree, which feeds bus k + 1 of that order, the index in that order of the bus that feeds it.
     branch
-        For branch k, its row in the given table.
+        For branch k, its row in the given table: those of the tree, then those that close a loop each.
+    loop_ends
+        For each branch that closes a loop, the indices in that order of its sending and its receiving bus.
 
     Raises
     ------
     FeederError
-        For a duplicate, unknown or isolated bus, a loop, or a part that does not reach the substation.
+        For a duplicate, unknown or isolated bus, more than ``MOST_LOOPS`` loops, or a part that does not reach the
+        substation.
     """
     rows = _index_buses(name, substation, bus_ids, from_bus, to_bus)
-    neighbours: list[list[tuple[int, int]]] = [[] for _ in bus_ids]
-    for k, (i, j) in enumerate(zip(from_bus, to_bus, strict=True)):
-        neighbours[rows[i]].append((rows[j], k))
-        neighbours[rows[j]].append((rows[i], k))
+    ends = [(rows[i], rows[j]) for i, j in zip(from_bus, to_bus, strict=True)]
+    walk = breadth_first(rows[substation], len(bus_ids), ends)
+    fed_by, closing = walk.fed_by, walk.closing
+    if len(closing) > MOST_LOOPS:
+        k, i, j = closing[MOST_LOOPS]
+        raise FeederError(
+            f"feeder {name!r} has {len(closing)} loops and at most {MOST_LOOPS} are solved: branch "
+            f"{from_bus[k]}-{to_bus[k]} closes a loop over the buses "
+            f"{listed([bus_ids[b] for b in _loop(i, j, fed_by)])}; open one of its branches"
+        )
+    _check_reached(name, substation, bus_ids, ends, fed_by)
     root = rows[substation]
-    fed_by: dict[int, tuple[int, int]] = {root: (-1, -1)}
-    queue = [root]
-    for i in queue:
-        for j, k in neighbours[i]:
-            if k == fed_by[i][1]:
-                continue
-            if j in fed_by:
-                loop = _loop(i, j, fed_by)
-                raise FeederError(
-                    f"feeder {name!r} is not radial: branch {from_bus[k]}-{to_bus[k]} closes a loop over the buses "
-                    f"{listed([bus_ids[b] for b in loop])}; open one of its branches"
-                )
-            fed_by[j] = (i, k)
-            queue.append(j)
-    _check_reached(name, substation, bus_ids, neighbours, fed_by)
     order = [root] + [i for i in range(len(bus_ids)) if i != root]
     position = {row: i for i, row in enumerate(order)}
     parent = [position[fed_by[row][0]] for row in order[1:]]
-    return np.array(order, dtype=np.intp), parent, np.array([fed_by[row][1] for row in order[1:]], dtype=np.intp)
+    branch = [fed_by[row][1] for row in order[1:]] + [k for k, _, _ in closing]
+    loop_ends = [(position[i], position[j]) for _, i, j in closing]
+    return np.array(order, dtype=np.intp), parent, np.array(branch, dtype=np.intp), loop_ends
+
+
+class Walk(NamedTuple):
+    """A breadth-first walk over a grid: its tree, and the branches that close loops."""
+
+    fed_by: dict[int, tuple[int, int]]
+    """Bus and branch that feed each bus that is reached; -1 and -1 at the root."""
+    closing: list[tuple[int, int, int]]
+    """Branch, sending bus and receiving bus of each branch that closes a loop, in the order of the walk."""
+
+
+def breadth_first(root: int, n_bus: int, ends: Sequence[tuple[int, int]]) -> Walk:
+    """Walk from bus ``root`` along branches between two buses each.
+
+    The neighbours of a bus are visited in the order of the buses. The tree depends therefore neither on the order of
+    the branches nor on their direction. A branch between two buses that are reached already closes a loop; it is sent
+    from the one that was reached first.
+    """
+    neighbours: list[list[tuple[int, int]]] = [[] for _ in range(n_bus)]
+    for k, (i, j) in enumerate(ends):
+        neighbours[i].append((j, k))
+        neighbours[j].append((i, k))
+    fed_by: dict[int, tuple[int, int]] = {root: (-1, -1)}
+    queue, seen, closing = [root], set(), []
+    for i in queue:
+        for j, k in sorted(neighbours[i]):
+            if k in seen:
+                continue
+            seen.add(k)
+            if j in fed_by:
+                closing.append((k, i, j))
+                continue
+            fed_by[j] = (i, k)
+            queue.append(j)
+    return Walk(fed_by, closing)
 
 
 def _index_buses(
@@ -127,7 +161,7 @@ def _index_buses(
             if bus not in rows:
                 raise FeederError(f"feeder {name!r}: branch {i}-{j} names the unknown bus {bus!r}; add it to the buses")
         if i == j:
-            raise FeederError(f"feeder {name!r} is not radial: branch {i}-{j} joins a bus with itself")
+            raise FeederError(f"feeder {name!r}: branch {i}-{j} joins a bus with itself; leave it out")
     return rows
 
 
@@ -149,17 +183,19 @@ def _check_reached(
     name: str,
     substation: object,
     bus_ids: Sequence[Any],
-    neighbours: list[list[tuple[int, int]]],
+    ends: Sequence[tuple[int, int]],
     fed_by: dict[int, tuple[int, int]],
 ) -> None:
     unreached = [i for i in range(len(bus_ids)) if i not in fed_by]
-    isolated = [bus_ids[i] for i in unreached if not neighbours[i]]
+    if not unreached:
+        return
+    joined = {bus for pair in ends for bus in pair}
+    isolated = [bus_ids[i] for i in unreached if i not in joined]
     if isolated:
         raise FeederError(
             f"feeder {name!r}: isolated bus {listed(isolated)}: no branch ends there; add one or drop the bus"
         )
-    if unreached:
-        raise FeederError(
-            f"feeder {name!r} has more than one root: the buses {listed([bus_ids[i] for i in unreached])} are not "
-            f"connected to the substation {substation!r}; add the missing branch"
-        )
+    raise FeederError(
+        f"feeder {name!r} has more than one root: the buses {listed([bus_ids[i] for i in unreached])} are not "
+        f"connected to the substation {substation!r}; add the missing branch"
+    )

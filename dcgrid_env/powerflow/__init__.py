@@ -3,7 +3,14 @@
 from dcgrid_env.powerflow.balanced.distflow import distflow
 from dcgrid_env.powerflow.balanced.lindistflow import lindistflow
 from dcgrid_env.powerflow.control import Control
-from dcgrid_env.powerflow.loading import RatingCoverage, branch_loading, has_ratings, rated_nodes, rating_coverage
+from dcgrid_env.powerflow.loading import (
+    RatingCoverage,
+    branch_loading,
+    has_ratings,
+    n_loading,
+    rated_nodes,
+    rating_coverage,
+)
 from dcgrid_env.powerflow.sensitivity import Sensitivity, own_sensitivity, sensitivity, sensitivity_by
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
 from dcgrid_env.powerflow.solver import AnySolution, Solver, solver_for
@@ -29,6 +36,7 @@ __all__ = [
     "has_ratings",
     "lindistflow",
     "linearise",
+    "n_loading",
     "nema_unbalance",
     "own_sensitivity",
     "rated_nodes",

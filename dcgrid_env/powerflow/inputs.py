@@ -64,17 +64,19 @@ def substation_voltage(feeder: Feeder | ThreePhaseFeeder, p_kw: Array, v0_pu: Ar
 
 
 def warm_start(feeder: Feeder, p_kw: Array, warm: Array | None) -> Array | None:
-    """Return squared currents to start from, of the loads' kind; PowerFlowError unless (..., n_branch) fits the loads.
+    """Return the figures to start from, of the loads' kind; PowerFlowError unless their shape fits the loads.
 
-    They need not be finite, because the sweeps restart from zero if a start cannot be used.
+    They are the squared current of each branch, per unit. On a feeder with loops they are also the active and reactive
+    power through each break point, per unit: shape (..., n_branch + 2 n_loop). They need not be finite, because the
+    sweeps restart from zero if a start cannot be used.
     """
     if warm is None:
         return None
     start = warm.restart if isinstance(warm, Solution) else warm
     if not (type(start) is np.ndarray and type(p_kw) is np.ndarray and start.dtype == p_kw.dtype):
         start = like_loads("warm", figures(feeder, "warm", start), p_kw)
-    if tuple(start.shape) != (*p_kw.shape[:-1], feeder.n_branch):
-        wanted = (*p_kw.shape[:-1], feeder.n_branch)
+    wanted = (*p_kw.shape[:-1], feeder.n_branch + 2 * feeder.n_loop)
+    if tuple(start.shape) != wanted:
         raise PowerFlowError(f"warm start has shape {tuple(start.shape)}; for these loads it must be {wanted}")
     return start
 

@@ -1,8 +1,9 @@
-"""Loading of each branch: its current as a share of its rating, at the node that it feeds.
+"""Loading of each branch: its current as a share of its rating, at the position of the node that it feeds.
 
     loading = |I| / rating          of a balanced feeder |I| = |S| / (sqrt(3) V), both at the sending end
 
-A balanced feeder has a branch to each bus except the substation. Its current is that of the series impedance, without
+A balanced feeder has a branch to each bus except the substation. The branches that close its loops follow behind the
+nodes, so branch k is at position k + 1. The current of a branch is that of the series impedance, without
 the charging of the line. It is referred to the substation's base voltage, as the rating is. On a three-phase feeder
 each phase of a line, switch or transformer counts, with its current at the to-side. A regulator counts with the larger
 current of its two sides, which differ by the ratio of its tap. Random feeders have a rating of every branch; rows on
@@ -39,10 +40,15 @@ def has_ratings(feeder: AnyFeeder | RandomFeeders | FeederBatch) -> bool:
 
 @cached_on_owner
 def rated_nodes(feeder: AnyFeeder | RandomFeeders | FeederBatch) -> NDArray[np.intp]:
-    """Nodes that are fed by a branch, or a conductor, whose rating is known."""
+    """Positions in the loading of branches, or conductors, whose rating is known."""
     if isinstance(feeder, RandomFeeders | FeederBatch):
         return np.arange(1, feeder.n_bus)
     return np.flatnonzero(~np.isnan(_ratings_a(feeder)))
+
+
+def n_loading(feeder: AnyFeeder) -> int:
+    """Number of positions in the loading."""
+    return len(_ratings_a(feeder))
 
 
 class RatingCoverage(NamedTuple):
@@ -62,14 +68,16 @@ class RatingCoverage(NamedTuple):
 def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:
     """Count the branches whose rating is known, on all phases, and name the others."""
     unknown = np.isnan(_ratings_a(feeder))
-    fed = np.arange(feeder.n_bus) if isinstance(feeder, Feeder) else feeder.node_bus
+    fed = np.arange(feeder.n_branch + 1) if isinstance(feeder, Feeder) else feeder.node_bus
     without = set(fed[unknown].tolist()) - {0}
     names = tuple(feeder.branch_names[bus - 1] for bus in sorted(without))
     return RatingCoverage(feeder.n_branch - len(names), feeder.n_branch, names)
 
 
 def branch_loading(feeder: AnyFeeder | FeederBatch, solution: Any) -> Array:
-    """Current of the branch that feeds each node as a share of its rating, shape (..., n_node), 0 without a rating.
+    """Current of the branch that feeds each node as a share of its rating, 0 without a rating.
+
+    The shape is (..., n_node + n_loop): the branches that close loops of a balanced feeder follow behind the nodes.
 
     ``solution`` is of a power flow of the feeder; the linearised one has currents too, from its flows and voltages.
     """
@@ -131,7 +139,7 @@ class _Flows(NamedTuple):
 
 @cached_on_owner
 def _ratings_a(feeder: AnyFeeder) -> NDArray[np.float64]:
-    """Rating of what feeds each node, A, shape (n_node,), NaN where it is not known."""
+    """Rating of what has each position in the loading, A, NaN where it is not known."""
     if isinstance(feeder, Feeder):
         return np.concatenate(
             ([np.nan], np.full(feeder.n_branch, np.nan) if feeder.rating_a is None else feeder.rating_a)
@@ -148,4 +156,4 @@ def _inverse_ratings(feeder: AnyFeeder) -> NDArray[np.float64]:
 @cached_on_owner
 def _parents(feeder: Feeder, xp: ModuleType, device: object) -> Array:
     """Sending end of each branch as an index of the array's kind."""
-    return feeder.parent if xp is np else xp.asarray(np.array(feeder.parent, np.int64), device=device)
+    return feeder.from_bus if xp is np else xp.asarray(np.array(feeder.from_bus, np.int64), device=device)

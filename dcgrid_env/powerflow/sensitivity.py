@@ -7,6 +7,10 @@ For a balanced feeder these are the matrices R and X of LinDistFlow: the sums of
 share to the substation (M. E. Baran, F. F. Wu, "Optimal capacitor placement on radial distribution systems", IEEE
 Trans. Power Delivery 4(1), 1989). Transformers off their nominal ratio scale a change of voltage as they scale the
 voltage. Shunts and losses are left out, because their effect on these figures is of second order.
+
+With loops, currents divide by impedance. Let Z be the complex sums of r + jx of the tree. Column m of C is 1 at the
+sending bus and -1 at the receiving bus of the branch that closes loop m, whose impedance is z_m. The matrices are then
+the real and imaginary part of Z - Z C (C^T Z C + diag(z))^-1 C^T Z.
 """
 
 from __future__ import annotations
@@ -48,8 +52,12 @@ def sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
     if isinstance(feeder, ThreePhaseFeeder):
         slopes = linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar)
         return Sensitivity(*map(_read_only, slopes[:2]))
-    path = feeder.path
-    r, x = ((path * z_pu) @ path.T * _PU_PER_MVA for z_pu in (feeder.r_pu, feeder.x_pu))
+    path, tree = feeder.path, slice(feeder.n_bus - 1)
+    r, x = ((path * z_pu[tree]) @ path.T * _PU_PER_MVA for z_pu in (feeder.r_pu, feeder.x_pu))
+    if feeder.loop_ends is not None:
+        by_loop, divided = _by_loops(feeder)
+        less = by_loop.T @ divided
+        r, x = r - less.real, x - less.imag
     if feeder.voltage_ratio is not None:
         r, x = (feeder.voltage_ratio[:, None] * rise for rise in (r, x))
     return Sensitivity(_read_only(r), _read_only(x))
@@ -67,6 +75,18 @@ def sensitivity_by(feeder: Feeder, buses: Sequence[int]) -> Sensitivity:
     Sensitivity
         Columns of :func:`sensitivity` up to rounding, shape (len(buses), n_bus): row k is by the power at ``buses[k]``.
     """
+    rows = _along_paths(feeder, buses)
+    if feeder.loop_ends is not None:
+        by_loop, divided = _by_loops(feeder)
+        less = by_loop[:, list(buses)].T @ divided
+        rows = [rows[0] - less.real, rows[1] - less.imag]
+    if feeder.voltage_ratio is not None:
+        rows = [feeder.voltage_ratio * row for row in rows]
+    return Sensitivity(*rows)
+
+
+def _along_paths(feeder: Feeder, buses: Sequence[int]) -> list[NDArray[np.float64]]:
+    """Return the sums of r and of x over the path that each of some buses shares with every bus, in the tree."""
     index, rows = feeder.depth_first, []
     for z_pu in (feeder.r_pu, feeder.x_pu):
         change = np.zeros((len(buses), feeder.n_bus + 1))
@@ -79,9 +99,20 @@ def sensitivity_by(feeder: Feeder, buses: Sequence[int]) -> Sensitivity:
             np.add.at(row, path, z)
             np.subtract.at(row, index.end[path], z)
         rows.append(np.cumsum(change, axis=1)[:, index.place] * _PU_PER_MVA)
-    if feeder.voltage_ratio is not None:
-        rows = [feeder.voltage_ratio * row for row in rows]
-    return Sensitivity(*rows)
+    return rows
+
+
+@cached_on_owner
+def _by_loops(feeder: Feeder) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return C^T Z and (C^T Z C + diag(z))^-1 C^T Z of a feeder with loops, both (n_loop, n_bus), in p.u. per MVA."""
+    sending, receiving = feeder.from_bus[feeder.n_bus - 1 :], feeder.to_bus[feeder.n_bus - 1 :]
+    both = np.concatenate((sending, receiving))
+    r, x = _along_paths(feeder, both.tolist())
+    from_both = r + 1j * x
+    by_loop = from_both[: feeder.n_loop] - from_both[feeder.n_loop :]
+    z = (feeder.r_pu + 1j * feeder.x_pu)[feeder.n_bus - 1 :] * _PU_PER_MVA
+    around = by_loop[:, sending] - by_loop[:, receiving] + np.diag(z)
+    return by_loop, np.linalg.solve(around, by_loop).astype(np.complex128)
 
 
 @cached_on_owner
@@ -99,6 +130,10 @@ def own_sensitivity(feeder: Feeder | ThreePhaseFeeder) -> Sensitivity:
     sensitivities = np.zeros((2, feeder.n_node))
     for j in feeder.depth_first.order[1:]:
         sensitivities[:, j] = sensitivities[:, feeder.parent[j - 1]] + (feeder.r_pu[j - 1], feeder.x_pu[j - 1])
+    if feeder.loop_ends is not None:
+        by_loop, divided = _by_loops(feeder)
+        less = (by_loop * divided).sum(axis=0) / _PU_PER_MVA
+        sensitivities -= (less.real, less.imag)
     if feeder.voltage_ratio is not None:
         sensitivities *= feeder.voltage_ratio
     return Sensitivity(*map(_read_only, sensitivities * _PU_PER_MVA))

@@ -14,7 +14,7 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Affine2D
 from numpy.typing import ArrayLike, NDArray
 
-from dcgrid_env.grid import AnyFeeder
+from dcgrid_env.grid import AnyFeeder, Feeder
 
 FloatArray = NDArray[np.float64]
 
@@ -89,8 +89,10 @@ class FeederMap:
         ax, feeder, xy = self.ax, self.feeder, self.xy
         share = fed_through(feeder)
         width = 0.8 + 2.4 * np.sqrt(share / (share.max() or 1.0))
-        segments = np.stack((xy[feeder.parent], xy[1:]), axis=1)
-        ax.add_collection(LineCollection(list(segments), colors="#9A9A9A", linewidths=width.tolist(), zorder=1))
+        ends = xy[np.column_stack((feeder.parent, np.arange(1, feeder.n_bus)))]
+        ax.add_collection(LineCollection(list(ends), colors="#9A9A9A", linewidths=width.tolist(), zorder=1))
+        if isinstance(feeder, Feeder) and feeder.loop_ends is not None:
+            ax.add_collection(LineCollection(list(xy[feeder.loop_ends]), colors="#9A9A9A", linewidths=0.8, zorder=1))
         self._draw_buses()
         self._ids = [self._label(str(bus), 7, "#777777", "normal") for bus in feeder.bus_ids] if few else []
 

@@ -41,6 +41,7 @@ def feeder_map(run: Series) -> dict[str, Any]:
             "width": np.minimum(share * _WIDTHS, _WIDTHS - 1).astype(int).tolist(),
         },
         "parent": np.asarray(feeder.parent).tolist(),
+        "loops": [] if three_phase or feeder.loop_ends is None else feeder.loop_ends.tolist(),
         "nodes": {
             "bus": np.asarray(feeder.node_bus).tolist(),
             "phase": [int(phase) - 1 for phase in feeder.node_phase] if three_phase else None,

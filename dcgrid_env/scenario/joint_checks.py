@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dcgrid_env.core.checked import FieldError, refuse
-from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
+from dcgrid_env.grid import AnyFeeder, Feeder, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.scenario.costs.grid_terms import TERMS
@@ -21,6 +21,8 @@ def check_feeder_kind(scenario: Any) -> None:
         methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
         kind = "balanced" if balanced else "three-phase"
         raise refuse(scenario, "power_flow", f"give {methods} for the {kind} feeder {feeder.name!r}")
+    if scenario.power_flow == "lindistflow" and isinstance(feeder, Feeder) and feeder.n_loop:
+        raise refuse(scenario, "power_flow", f"give 'distflow' for feeder {feeder.name!r}, which has loops")
     for term in TERMS:
         weight = getattr(weights, term.name)
         if balanced and weight and term.needs == "three phases":

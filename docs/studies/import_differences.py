@@ -43,6 +43,8 @@ NETS = [
     ("1-MV-semiurb--0-sw", {}, None),
     ("1-MV-urban--0-sw", {}, None),
     ("1-MV-comm--0-sw", {}, None),
+    ("1-MV-comm--0-no_sw", {}, None),
+    ("1-MV-urban--0-no_sw", {}, None),
 ]
 CASES = """case10ba case12da case15da case15nbr case17me case18 case18nbr case22 case28da case33bw case33mg case34sa
 case38si case51ga case51he case69 case74ds case85 case94pi case118zh case136ma case141 case533mt_lo

@@ -135,7 +135,7 @@ def _step(
         solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
         v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
         if loading is not None:
-            loading = xp.where(solved, loading, 0.0 * v if state.loading is None else state.loading)
+            loading = xp.where(solved, loading, 0.0 * loading if state.loading is None else state.loading)
         if phases is not None:
             phases = over_arrays(lambda new, old: xp.where(solved, new, old), phases, state.three_phase)
     device_states, views = tuple(devices), state.regulator_views

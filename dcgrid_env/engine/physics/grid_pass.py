@@ -44,9 +44,10 @@ class GridPass(NamedTuple):
 
 
 def fits(scenario: Scenario) -> bool:
-    """Whether a pass does all that a step asks of the grid: plain DistFlow, and nothing that changes the grid."""
+    """Whether a pass does all that a step asks of the grid: radial DistFlow, and nothing that changes the grid."""
     feeder = scenario.feeder
-    plain = type(feeder) is Feeder and scenario.power_flow == "distflow" and not has_ratings(feeder)
+    radial = type(feeder) is Feeder and feeder.loop_ends is None
+    plain = radial and scenario.power_flow == "distflow" and not has_ratings(feeder)
     return plain and not scenario.faults and not any(device.changes_grid for device in scenario.devices)
 
 

@@ -127,7 +127,7 @@ class State(NamedTuple):
     """``p_kw`` of the steps before, the beginning of the ramp limit's window first; None where no ramp is charged."""
     loading: Array | None = None
     """Current of the branch that feeds each node as a share of its rating, (row, n_node), 0 where that is not known;
-    None for a feeder without ratings."""
+    None for a feeder without ratings. The branches that close loops follow behind the nodes."""
     regulator_views: tuple[RegulatorView, ...] | None = None
     """What is reported of the feeder's regulators, the report that agents observe now first, and the last step's
     last; None where agents do not observe them."""

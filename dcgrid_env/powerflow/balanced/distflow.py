@@ -1,4 +1,4 @@
-"""Exact DistFlow, the nonlinear power flow of a balanced radial feeder, with losses.
+"""Exact DistFlow, the nonlinear power flow of a balanced feeder, with losses.
 
 For branch i -> j with series r + jx, sending-end flow P + jQ, squared current l and squared voltage v:
 
@@ -14,6 +14,10 @@ raise the voltage up to some 1.4 times the substation's. Beyond that they may no
 Shunts of the feeder draw shunt_kw v_j and inject shunt_kvar v_j at bus j, in addition to its load. The residual then
 includes the change of their power in the last sweep. All quantities are referred to the substation's base voltage, and
 only the reported voltage of a bus is multiplied by its ``voltage_ratio``.
+
+A feeder with loops is opened to a radial one, and the powers through its break points are found with the sweeps: see
+``looped``. Their largest change in the last sweep is then part of the residual. The branches that close the loops are
+like all others in the solution. Such feeders are solved in NumPy arrays and in tensors on the CPU.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from array_api_compat import is_torch_array
 
 from dcgrid_env.core.arrays import namespace
 from dcgrid_env.core.units import S_BASE_KVA
-from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.feeder import Feeder, FeederError
 from dcgrid_env.powerflow.inputs import check_feeder, check_loads, check_stop, substation_voltage, warm_start
 from dcgrid_env.powerflow.solution import Array, Solution, raise_not_finite
 
@@ -79,9 +83,16 @@ def distflow(
         If ``feeder`` is not a Feeder. If loads, ``v0_pu`` or a warm start are not real numbers (complex, bool, text,
         masked, sparse or objects) or have the wrong shape. If loads are not finite, or a voltage, tolerance or number
         of sweeps is invalid.
+    FeederError
+        For a feeder with loops and arrays that are neither NumPy's nor tensors on the CPU.
     """
     check_feeder(feeder)
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)
+    if feeder.loop_ends is not None and not (isinstance(p_kw, np.ndarray) or _is_tensor_on_cpu(p_kw)):
+        raise FeederError(
+            f"feeder {feeder.name!r} has {feeder.n_loop} loops, which are not solved on {p_kw.device}; give NumPy "
+            "arrays or tensors on the CPU"
+        )
     start = warm_start(feeder, p_kw, warm)
     check_stop(tolerance_kva, max_sweeps)
     if tolerance_kva is None:
@@ -90,7 +101,7 @@ def distflow(
     tolerance, max_sweeps = float(tolerance_kva) / S_BASE_KVA, int(max_sweeps)
     v0 = substation_voltage(feeder, p_kw, v0_pu)
     if not isinstance(p_kw, np.ndarray):
-        if is_torch_array(p_kw) and p_kw.device.type == "cpu":
+        if _is_tensor_on_cpu(p_kw):
             from dcgrid_env.powerflow.balanced.implicit import distflow_tensors as solve
         else:
             from dcgrid_env.powerflow.balanced.prefix import distflow_arrays as solve
@@ -100,6 +111,10 @@ def distflow(
             raise_not_finite(feeder, p_kw, q_kvar)
         return solution
     return kernels().solve_rows("distflow", feeder, p_kw, q_kvar, v0, start, tolerance, max_sweeps)
+
+
+def _is_tensor_on_cpu(values: Array) -> bool:
+    return is_torch_array(values) and values.device.type == "cpu"
 
 
 @cache

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.arrays import namespace
-from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.feeder import Feeder, FeederError
 from dcgrid_env.powerflow.balanced.distflow import kernels
 from dcgrid_env.powerflow.inputs import check_feeder, check_loads, substation_voltage
 from dcgrid_env.powerflow.solution import Array, Solution, raise_not_finite
@@ -20,8 +20,13 @@ def lindistflow(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array | float
 
     Currents and losses are zero; ``converged`` is False where the load drives a squared voltage to zero.
     A shunt's power goes with the voltage, so that a feeder with shunts takes several passes, until it settles.
+    FeederError for a feeder with loops, where the flows do not follow from the loads behind a branch.
     """
     check_feeder(feeder)
+    if feeder.loop_ends is not None:
+        raise FeederError(
+            f"feeder {feeder.name!r} has {feeder.n_loop} loops, which LinDistFlow does not solve; solve by distflow"
+        )
     p_kw, q_kvar = check_loads(feeder, p_kw, q_kvar)
     v0 = substation_voltage(feeder, p_kw, v0_pu)
     if not isinstance(p_kw, np.ndarray):

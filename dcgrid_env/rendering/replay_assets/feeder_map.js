@@ -56,6 +56,10 @@ class FeederMap {
         xs.push(x[parent], x[k + 1], null);
         ys.push(y[parent], y[k + 1], null);
       });
+      (kind ? [] : this.data.map.loops).forEach(([sending, receiving]) => {
+        xs.push(x[sending], x[receiving], null);
+        ys.push(y[sending], y[receiving], null);
+      });
       return { x: xs, y: ys, mode: "lines", line: { color: "#9a9a9a", width: 0.9 + 1.1 * kind }, hoverinfo: "skip" };
     });
   }

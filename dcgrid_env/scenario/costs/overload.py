@@ -31,21 +31,24 @@ METRICS = (
 
 
 def mean_overload(scenario: Any, loading: Array) -> Array:
-    """Mean overload over the rated branches, (row,), of the loading at each node, (row, n_node)."""
+    """Mean overload over the rated branches, (row,), of their loading, as in ``State.loading``."""
     over = positive_part(loading - 1.0)
     return sum_last(MOST_EXCESS - positive_part(MOST_EXCESS - over)) / len(rated_nodes(scenario.feeder))
 
 
 def loading_of_agents(state: Any, nodes: Array) -> Array:
-    """Loading of the branch that feeds each agent's bus, of its most loaded phase, (row, n_agent)."""
-    loading = take_at(state.loading, nodes)
+    """Loading of the branch that feeds each agent's bus, of its most loaded phase, (row, n_agent).
+
+    Of a bus in a loop it is that of the branch in the feeder's tree.
+    """
+    loading = take_at(state.loading[..., : state.v_pu.shape[-1]], nodes)
     if loading.shape[-1] == 1:
         return loading[..., 0]
     return loading.max(-1) if isinstance(loading, np.ndarray) else loading.amax(-1)
 
 
 def overload_figures(scenario: Any, loading: Array) -> dict[str, float]:
-    """Metrics of the loading over the steps 1 .. T, (T + 1, n_node); none where it is None."""
+    """Metrics of ``State.loading`` over the steps 1 .. T, with time first; none where it is None."""
     if loading is None:
         return {}
     rated = loading[1:, rated_nodes(scenario.feeder)]

@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dcgrid_env import Feeder, Scenario, ThreePhaseFeeder, load_feeder, make_scenario
+from dcgrid_env import Feeder, FeederError, Scenario, ThreePhaseFeeder, load_feeder, make_scenario
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
@@ -14,6 +15,7 @@ from dcgrid_env.baselines.hosting_capacity.trial import run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.core.work.unit import LostUnits
 from dcgrid_env.traces import PowerTrace
+from helpers.looped import ieee33_with_ties
 
 SHORT = {"samples": 2, "window_s": 10.0, "settle_s": 4.0}
 FULL = PowerTrace([0.0, 600.0], [1.0, 1.0], "full load", compute_kw=[1.0, 1.0])
@@ -196,6 +198,21 @@ def test_what_is_overloaded_without_a_site_does_not_count_elsewhere():
     assert (behind.capacity_mw, behind.limit) == (0.0, "overload of transformer xfm1, phase a without any site")
     assert elsewhere.capacity_mw > 0.0
     assert elsewhere.limit.startswith("overload of transformer sub, phase ")
+
+
+def test_a_closing_branch_limits_by_its_rating():
+    feeder = ieee33_with_ties(1, rating_a=1000.0)
+    scenario = on(feeder, trace=(FULL,), background={"load_sigma": 0.0}, source_voltage_pu=1.0)
+    wide = {"load": "peak", "max_mw": 5.0, "tolerance_mw": 0.1, "v_min_pu": 0.5, "v_max_pu": 1.5, "buses": ("8",)}
+    closing = feeder.n_bus - 1
+    limited = replace(feeder, rating_a=np.where(np.arange(feeder.n_branch) == closing, 60.0, 1000.0))
+    (free,), (few,) = (carried(scenario.replace(feeder=one), **wide)[1][0] for one in (feeder, limited))
+    found, _ = carried(scenario.replace(feeder=limited), **wide)
+    assert 0.0 < few < free
+    assert found.by_controller["none"][0].limit == f"overload of {feeder.branch_names[closing]}"
+    before = replace(feeder, rating_a=np.where(np.arange(feeder.n_branch) == closing, 1.0, 1000.0))
+    with pytest.raises(FeederError, match=r"'ieee33' has loops, and its branch \d+-\d+ is overloaded without any site"):
+        carried(scenario.replace(feeder=before), **wide)
 
 
 def test_more_is_carried_within_wider_limits():

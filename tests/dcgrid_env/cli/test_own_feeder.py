@@ -7,6 +7,7 @@ import pytest
 
 from dcgrid_env import load_feeder, make_scenario, scenario_hash
 from dcgrid_env.cli.main import main
+from helpers.looped import ieee33_with_ties
 
 SHORT = ("--episodes", "1", "--controllers", "none")
 
@@ -24,6 +25,19 @@ def run(*arguments):
     main(["run", "--out", "out", *SHORT, *arguments, *(() if "--set" in arguments else ("--set", "horizon=3"))])
     with open("out/results.json", encoding="utf-8") as file:
         return json.load(file)
+
+
+def test_a_folder_with_loops_runs_with_its_loadings(folders, capsys):
+    feeder = ieee33_with_ties(2, rating_a=200.0)
+    feeder.to_csv(folders / "looped")
+    results = run("--feeder", "looped", "--controllers", "none,droop,mpc", "--set", "horizon=3")
+    out = capsys.readouterr().out
+    assert "balanced feeder ieee33, 33 buses" in out
+    assert "error of LinDistFlow" not in out
+    assert {record["controller"] for record in results["episodes"]} == {"none", "droop", "mpc"}
+    for record in results["episodes"]:
+        assert record["power_flow_converged"] == 1.0
+        assert 50.0 < record["loading_max_pct"] < 200.0
 
 
 @pytest.mark.parametrize(

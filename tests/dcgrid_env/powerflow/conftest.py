@@ -106,8 +106,7 @@ class PandapowerNet:
         for bus in feeder.bus_ids:
             pandapower.create_bus(net, vn_kv=feeder.base_kv, name=str(bus))
         pandapower.create_ext_grid(net, 0)
-        for k in range(feeder.n_bus - 1):
-            i, j = int(feeder.parent[k]), k + 1
+        for k, (i, j) in enumerate(zip(feeder.from_bus.tolist(), feeder.to_bus.tolist(), strict=True)):
             if feeder.r_ohm[k] == 0.0 and feeder.x_ohm[k] == 0.0:
                 pandapower.create_switch(net, i, j, et="b", closed=True)
             else:

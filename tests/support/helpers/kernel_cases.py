@@ -23,6 +23,7 @@ from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.traces.serving.hardware import replica
 from dcgrid_env.traces.serving.pool import Pool
 from helpers import three_phase
+from helpers.looped import ieee33_with_ties
 from helpers.nodal import as_nodal
 
 WIDTHS = (1, 40, 130)
@@ -44,7 +45,8 @@ def balanced(feeder):
         distflow(feeder, p_kw, q_kvar, warm=solution)
         p_kw[0, -1] += 1e7
         distflow(feeder, p_kw, q_kvar)
-        lindistflow(feeder, p_kw, q_kvar)
+        if not feeder.n_loop:
+            lindistflow(feeder, p_kw, q_kvar)
     given = [torch.tensor(a, requires_grad=True) for a in powers(feeder, 2)]
     distflow(feeder, given[0], given[1]).v_pu.sum().backward()
 
@@ -117,7 +119,7 @@ def serving():
 def run():
     """Run all cases."""
     toy, khodr = load_feeder("toy6"), load_feeder("ieee123")
-    for feeder in (toy, khodr, one_bus(toy)):
+    for feeder in (toy, khodr, one_bus(toy), ieee33_with_ties(2)):
         balanced(feeder)
     ieee13 = load_feeder("ieee13-3ph")
     feeders = [load_feeder("ieee34-3ph"), three_phase.one_phase().feeder, one_bus(ieee13), without_equipment(ieee13)]

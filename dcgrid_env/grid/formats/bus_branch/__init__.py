@@ -4,7 +4,7 @@ of them."""
 from dcgrid_env.grid.formats.bus_branch.described import BalancedFeeder, described
 from dcgrid_env.grid.formats.bus_branch.description import Branch, BusBranchGrid, ClosedSwitch, Source
 from dcgrid_env.grid.formats.bus_branch.imported import ImportedFeeder, imported
-from dcgrid_env.grid.formats.bus_branch.reduction import Radial, radial_network
+from dcgrid_env.grid.formats.bus_branch.reduction import Reduced, reduced_network
 
 __all__ = [
     "BalancedFeeder",
@@ -12,9 +12,9 @@ __all__ = [
     "BusBranchGrid",
     "ClosedSwitch",
     "ImportedFeeder",
-    "Radial",
+    "Reduced",
     "Source",
     "described",
     "imported",
-    "radial_network",
+    "reduced_network",
 ]

@@ -36,7 +36,9 @@ class BalancedFeeder(Protocol):
     @property
     def capacitor_kvar(self) -> FloatArray: ...
     @property
-    def parent(self) -> NDArray[np.intp]: ...
+    def from_bus(self) -> NDArray[np.intp]: ...
+    @property
+    def to_bus(self) -> NDArray[np.intp]: ...
     @property
     def r_ohm(self) -> FloatArray: ...
     @property
@@ -77,19 +79,18 @@ def described(feeder: BalancedFeeder, base_mva: float = 1.0) -> BusBranchGrid:
     z_base_ohm = feeder.base_kv**2 / base_mva
     i_base_a = 1000.0 * base_mva / (math.sqrt(3.0) * feeder.base_kv)
     z_pu = (feeder.r_ohm + 1j * feeder.x_ohm) / z_base_ohm
-    rating_pu = np.full(n - 1, math.nan) if feeder.rating_a is None else feeder.rating_a / i_base_a
-    for k, parent in enumerate(feeder.parent.tolist()):
-        fed = k + 1
-        kind = "line" if ratio[parent] == ratio[fed] and base_kv[parent] == base_kv[fed] else "transformer"
+    rating_pu = np.full(len(z_pu), math.nan) if feeder.rating_a is None else feeder.rating_a / i_base_a
+    for k, (i, j) in enumerate(zip(feeder.from_bus.tolist(), feeder.to_bus.tolist(), strict=True)):
+        kind = "line" if ratio[i] == ratio[j] and base_kv[i] == base_kv[j] else "transformer"
         grid.branches.append(
             Branch(
                 kind,
-                f"{feeder.bus_ids[parent]}-{feeder.bus_ids[fed]}",
-                parent,
-                fed,
-                complex(z_pu[k]) * float(ratio[fed]) ** 2,
-                tap=float(ratio[parent] / ratio[fed]),
-                rating_pu=float(rating_pu[k] / ratio[fed]),
+                f"{feeder.bus_ids[i]}-{feeder.bus_ids[j]}",
+                i,
+                j,
+                complex(z_pu[k]) * float(ratio[j]) ** 2,
+                tap=float(ratio[i] / ratio[j]),
+                rating_pu=float(rating_pu[k] / ratio[j]),
             )
         )
     return grid

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dcgrid_env.grid.formats.bus_branch.description import BusBranchGrid
-from dcgrid_env.grid.formats.bus_branch.reduction import radial_network
+from dcgrid_env.grid.formats.bus_branch.reduction import reduced_network
 from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.network import Network
 
@@ -57,6 +57,6 @@ def imported(
 
     The solver runs only after the grid is known to be a feeder.
     """
-    radial = radial_network(grid, report, source=source, allow=allow, source_of_facts=source_of_facts)
-    there = {bus: float(v) for bus, v in voltages().items() if radial.bus_of.get(bus) == bus and np.isfinite(v)}
-    return ImportedFeeder(radial.network, report.findings, radial.bus_of, there, solver, notes)
+    reduced = reduced_network(grid, report, source=source, allow=allow, source_of_facts=source_of_facts)
+    there = {bus: float(v) for bus, v in voltages().items() if reduced.bus_of.get(bus) == bus and np.isfinite(v)}
+    return ImportedFeeder(reduced.network, report.findings, reduced.bus_of, there, solver, notes)

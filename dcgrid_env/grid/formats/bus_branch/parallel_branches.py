@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from dcgrid_env.grid.formats.bus_branch.description import Branch
 from dcgrid_env.grid.formats.import_report import Report
 
-_SAME = 1e-9
-"""Relative difference of ratios, and of phase shifts in degrees, below which two transformers are alike."""
+SAME = 1e-9
+"""Relative difference of ratios, and of phase shifts in degrees, below which two ways to a bus are alike."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def _as_one(members: list[Branch], report: Report) -> Branch:
     alike = [one if one.from_bus == first.from_bus else one.reversed() for one in members]
     for member, one in zip(members[1:], alike[1:], strict=True):
         turned = (one.shift_deg - first.shift_deg + 180.0) % 360.0 - 180.0
-        if abs(one.tap - first.tap) > _SAME * first.tap or abs(turned) > _SAME:
+        if abs(one.tap - first.tap) > SAME * first.tap or abs(turned) > SAME:
             text = f"it stands beside {first.kind} {first.name} with another ratio or phase shift, so that a current "
             report.add("refused", member.kind, member.name, text + "circulates: give both the same tap position")
             return first

@@ -1,4 +1,4 @@
-"""From buses and branches to the tables of a radial feeder, referred to the substation's base voltage.
+"""From buses and branches to the tables of a feeder, referred to the substation's base voltage.
 
 Buses that a closed switch joins become one bus, parallel branches become one branch, and admittances to ground move to
 the buses. Elements that no source feeds are left out.
@@ -28,23 +28,23 @@ _LARGEST_PU, _LARGEST_RATIO = 1e15, 1e3
 
 
 @dataclass(frozen=True)
-class Radial:
-    """A balanced radial network and where each bus of the grid is in it."""
+class Reduced:
+    """A balanced network, radial or with a few loops, and where each bus of the grid is in it."""
 
     network: Network
     bus_of: dict[str, str]
     """Bus of the network for each bus of the grid that a source feeds."""
 
 
-def radial_network(
+def reduced_network(
     grid: BusBranchGrid,
     report: Report,
     *,
     source: str | None = None,
     allow: Collection[str] = (),
     source_of_facts: str = "",
-) -> Radial:
-    """Reduce a grid to the tables of a balanced radial feeder.
+) -> Reduced:
+    """Reduce a grid to the tables of a balanced feeder, radial or with up to ``MOST_LOOPS`` loops.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ def radial_network(
     Raises
     ------
     FeederError
-        For loops, several sources, branches of negative impedance and unlike transformers in parallel, naming them;
-        for what is lost and not allowed.
+        For too many loops, loops with a ratio or phase shift around them, several sources, branches of negative
+        impedance and unlike transformers in parallel, naming them; for what is lost and not allowed.
     """
     _check_branches(grid, report)
     first = _one_bus_for_each_closed_switch(grid, report)
@@ -81,7 +81,7 @@ def radial_network(
     report.refuse_unless(grid.name, allow)
     network = _tables(grid, root, first, found, shunts)
     bus_of = {bus: grid.buses[i] for bus, i in zip(grid.buses, first.tolist(), strict=True) if i in found.fed}
-    return Radial(replace(network, source_of_facts=source_of_facts), bus_of)
+    return Reduced(replace(network, source_of_facts=source_of_facts), bus_of)
 
 
 def _check_branches(grid: BusBranchGrid, report: Report) -> None:
@@ -185,13 +185,15 @@ def _report_sources(
 
 
 def _report_branches(grid: BusBranchGrid, found: Supplied, report: Report) -> None:
-    for joint in found.joints:
+    for position, joint in enumerate(found.joints):
         for b in joint.members[:1]:
             texts = ["one branch"]
             if b.tap != 1.0 or grid.base_kv[b.from_bus] != grid.base_kv[b.to_bus]:
                 texts = ["one branch, referred to the source by its turns ratio"]
             if b.shift_deg:
                 texts.append("its phase shift turns all beyond it alike and is left out")
+            if position in found.loops:
+                texts.append(f"it closes a loop with {found.loops[position]}, which is solved by compensation")
             report.add("taken", b.kind, b.name, "; ".join(texts))
         z = joint.branch.z_pu
         if z.real < 0 or z.imag < 0:

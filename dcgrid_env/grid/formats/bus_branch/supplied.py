@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dcgrid_env.grid.formats.bus_branch.parallel_branches import Joint
+from dcgrid_env.grid.formats.bus_branch.description import Branch
+from dcgrid_env.grid.formats.bus_branch.parallel_branches import SAME, Joint
 from dcgrid_env.grid.formats.import_report import Report
+from dcgrid_env.grid.topology import MOST_LOOPS, breadth_first
 
 _LOOPS_NAMED = 5
 _NAMES_IN_A_LOOP = 12
@@ -19,48 +21,63 @@ class Supplied:
     fed: dict[int, float]
     """Voltage referred to the source over the bus's own, each per unit, for the row of every bus that is fed."""
     joints: list[Joint]
-    """What feeds each bus but the source's, in the order of the grid's branches."""
+    """Joints between the buses that are fed, in the order of the grid's branches."""
+    loops: dict[int, str]
+    """Names of the others in its loop, for the position in ``joints`` of each that closes a loop of the feeder."""
     unsupplied: list[Joint]
     """Joints of which no end is fed."""
 
 
 def supplied_by(root: int, n_bus: int, all_joints: Sequence[Joint], report: Report) -> Supplied:
-    """Walk from the source's bus; a joint that closes a loop is refused, with what it closes it with."""
-    at_bus: list[list[int]] = [[] for _ in range(n_bus)]
-    for k, joint in enumerate(all_joints):
-        at_bus[joint.branch.from_bus].append(k)
-        at_bus[joint.branch.to_bus].append(k)
-    fed, fed_by, queue, seen = {root: 1.0}, {root: (-1, -1)}, [root], set()
-    closing: list[tuple[int, int, int]] = []
-    for i in queue:
-        for k in at_bus[i]:
-            if k in seen:
-                continue
-            seen.add(k)
-            branch = all_joints[k].branch
-            forward = branch.from_bus == i
-            j = branch.to_bus if forward else branch.from_bus
-            if j in fed:
-                closing.append((k, i, j))
-                continue
-            fed[j] = fed[i] * branch.tap if forward else fed[i] / branch.tap
-            fed_by[j] = (i, k)
-            queue.append(j)
-    for number, (k, i, j) in enumerate(closing):
-        text = "it closes a loop as well: open one of its branches"
-        if number < _LOOPS_NAMED:
-            others = [all_joints[m].text for m in _path(i, j, fed_by)]
+    """Walk from the source's bus as ``Feeder`` does, so both take the same joints to close the loops.
+
+    A joint that closes one loop too many, or a loop with a ratio or a phase shift around it, is refused.
+    """
+    walk = breadth_first(root, n_bus, [(joint.branch.from_bus, joint.branch.to_bus) for joint in all_joints])
+    fed, shift_deg = {root: 1.0}, {root: 0.0}
+    for j, (i, k) in walk.fed_by.items():
+        if k >= 0:
+            fed[j], shift_deg[j] = _beyond(all_joints[k].branch, i, fed[i], shift_deg[i])
+    loops: dict[int, str] = {}
+    for number, (k, i, j) in enumerate(walk.closing):
+        member, named = all_joints[k].members[0], ""
+        if number < max(MOST_LOOPS, _LOOPS_NAMED):
+            others = [all_joints[m].text for m in _path(i, j, walk.fed_by)]
             more = len(others) - _NAMES_IN_A_LOOP
             named = ", ".join(others[:_NAMES_IN_A_LOOP]) + (f" and {more} more" if more > 0 else "")
-            text = f"it closes a loop with {named}: open one of them by a switch"
-        member = all_joints[k].members[0]
-        report.add("refused", member.kind, member.name, text)
-    in_tree = {k for _, k in fed_by.values()}
+        ratio, shift = _beyond(all_joints[k].branch, i, fed[i], shift_deg[i])
+        turned = (shift - shift_deg[j] + 180.0) % 360.0 - 180.0
+        if len(walk.closing) > MOST_LOOPS:
+            text = "it closes a loop as well: open one of its branches"
+            if number < _LOOPS_NAMED:
+                text = (
+                    f"it closes a loop with {named}: at most {MOST_LOOPS} loops are solved and there are "
+                    f"{len(walk.closing)}; open one of them by a switch"
+                )
+            report.add("refused", member.kind, member.name, text)
+        elif abs(ratio - fed[j]) > SAME * fed[j] or abs(turned) > SAME:
+            text = (
+                f"it closes a loop with {named}, around which the ratios or phase shifts differ from 1 and 0, so that "
+            )
+            report.add(
+                "refused", member.kind, member.name, text + "a current circulates: give both sides the same taps"
+            )
+        else:
+            loops[k] = named
+    kept = [k for k, joint in enumerate(all_joints) if joint.branch.from_bus in fed]
     return Supplied(
         fed,
-        [joint for k, joint in enumerate(all_joints) if k in in_tree],
+        [all_joints[k] for k in kept],
+        {position: loops[k] for position, k in enumerate(kept) if k in loops},
         [joint for joint in all_joints if joint.branch.from_bus not in fed],
     )
+
+
+def _beyond(branch: Branch, bus: int, ratio: float, shift_deg: float) -> tuple[float, float]:
+    """Ratio and phase shift behind a branch, from those of the bus at one of its ends."""
+    if branch.from_bus == bus:
+        return ratio * branch.tap, shift_deg + branch.shift_deg
+    return ratio / branch.tap, shift_deg - branch.shift_deg
 
 
 def _path(i: int, j: int, fed_by: dict[int, tuple[int, int]]) -> list[int]:

@@ -1,4 +1,4 @@
-"""Read a radial feeder from a MATPOWER case file (version 2), which is never executed."""
+"""Read a balanced feeder from a MATPOWER case file (version 2), which is never executed."""
 
 from __future__ import annotations
 

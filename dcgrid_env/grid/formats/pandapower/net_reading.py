@@ -1,4 +1,4 @@
-"""A radial feeder from a pandapower net.
+"""A balanced feeder from a pandapower net.
 
 Branches, loads and shunts come from the per-unit model that pandapower builds for its power flow. Every description of
 a line, a transformer or its taps is therefore interpreted as in pandapower.

@@ -1,4 +1,4 @@
-"""Read a radial feeder from a power-grid-model JSON file."""
+"""Read a balanced feeder from a power-grid-model JSON file."""
 
 from __future__ import annotations
 

@@ -243,9 +243,15 @@ def test_toml_that_does_not_parse(folder):
         Feeder.from_csv(folder(feeder='name = "hand"\nbase_kv = = 3\n'))
 
 
-def test_a_feeder_that_is_not_radial_in_files(folder):
-    with pytest.raises(FeederError, match=r"branch \d-\d closes a loop over the buses \['[357]', '[357]', '[357]'\]"):
-        Feeder.from_csv(folder(branches="from_bus,to_bus,r_ohm,x_ohm\n3,5,1,1\n7,3,1,2\n5,7,1,1\n"))
+def test_a_feeder_with_a_loop_in_files(folder, tmp_path):
+    branches = "from_bus,to_bus,r_ohm,x_ohm,rating_a\n3,5,1,1,\n7,3,1,2,90\n5,7,1,1,80\n"
+    feeder = Feeder.from_csv(folder(branches=branches))
+    assert feeder.branch_names == ("branch 7-3", "branch 7-5", "branch 3-5")
+    feeder.to_csv(tmp_path / "again")
+    again = Feeder.from_csv(tmp_path / "again")
+    assert again.bus_ids == feeder.bus_ids
+    for field in ("parent", "loop_ends", "r_ohm", "x_ohm", "rating_a"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(feeder, field))
 
 
 def test_a_bus_name_with_two_minus_signs_is_text(folder):

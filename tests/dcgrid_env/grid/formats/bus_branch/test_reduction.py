@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import Feeder, FeederError
-from dcgrid_env.grid.formats.bus_branch import Branch, ClosedSwitch, Source, described, radial_network
+from dcgrid_env.grid.formats.bus_branch import Branch, ClosedSwitch, Source, described, reduced_network
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.matpower.case_newton import CaseModel, solved
@@ -19,7 +19,7 @@ def grid(n=5, base_kv=20.0):
 
 
 def reduced(made, **options):
-    return radial_network(made, Report("net"), **options)
+    return reduced_network(made, Report("net"), **options)
 
 
 def volts(feeder):
@@ -95,10 +95,10 @@ def test_closed_switches_join_buses_and_open_ends_leave_their_charging():
     ]
     made.switches = [ClosedSwitch("7", 1, 2), ClosedSwitch("8", 3, 2)]
     report = Report("net")
-    radial = radial_network(made, report)
-    feeder = Feeder.from_network(radial.network)
+    found = reduced_network(made, report)
+    feeder = Feeder.from_network(found.network)
     assert feeder.bus_ids == ("a", "b")
-    assert radial.bus_of == {"a": "a", "b": "b", "c": "b", "d": "b"}
+    assert found.bus_of == {"a": "a", "b": "b", "c": "b", "d": "b"}
     assert feeder.p_load_kw[1] == 150.0
     whole = 0.1j + 0.1j / (1 + (0.5 + 0.5j) * 0.1j)
     assert feeder.shunt_kvar is not None
@@ -120,7 +120,8 @@ def test_a_line_beside_a_closed_switch_carries_nothing():
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda g: g.branches.append(Branch("line", "9", 0, 4, 0.1j)), "line 2: it closes a loop with line 1, "),
+        (lambda g: g.branches.append(Branch("trafo", "9", 0, 4, 0.1j, tap=1.1)), "a loop with line 1, line 0, "),
+        (lambda g: g.branches.append(Branch("trafo", "9", 4, 0, 0.1j, shift_deg=30.0)), "phase shifts differ from"),
         (lambda g: g.sources.append(Source("ext_grid", "5", 4, 1.0)), "ext_grid 5: it feeds the same island"),
         (lambda g: g.branches.append(Branch("trafo", "9", 0, 1, 0.1j, tap=1.1)), "with another ratio or phase shift"),
         (lambda g: g.branches.append(Branch("trafo", "9", 0, 1, 0.1j, shift_deg=30.0)), "ratio or phase shift"),
@@ -138,6 +139,38 @@ def test_what_no_radial_feeder_has_is_refused_by_name(change, told):
     with pytest.raises(FeederError, match=r"net") as refused:
         reduced(made)
     assert told in str(refused.value)
+
+
+def ring():
+    """A ring over two transformers of one ratio, one of which is drawn backwards, and a chord."""
+    made = grid(6)
+    made.base_kv[1:3], made.base_kv[3:] = 20.0, 10.0
+    made.p_kw[:], made.q_kvar[:] = [0, 400, 300, -200, 500, 300], [0, 100, -50, 100, 150, 80]
+    made.shunt_kvar[4] = 200.0
+    made.branches = [
+        Branch("line", "0", 0, 1, 0.02 + 0.03j, 0.01j, 0.01j),
+        Branch("line", "1", 2, 0, 0.03 + 0.02j, 0.005j, 0.005j),
+        Branch("trafo", "0", 1, 3, 0.01 + 0.06j, -0.001j, -0.001j, tap=0.95, shift_deg=150.0),
+        Branch("trafo", "1", 5, 2, 0.02 + 0.05j, tap=1 / 0.95, shift_deg=210.0, rating_pu=0.4),
+        Branch("line", "2", 3, 4, 0.05 + 0.02j),
+        Branch("line", "3", 5, 4, 0.03 + 0.04j, rating_pu=0.3),
+        Branch("line", "4", 1, 2, 0.05 + 0.05j),
+    ]
+    return made
+
+
+def test_voltages_of_a_ring_over_transformers():
+    made, report = ring(), Report("net")
+    feeder = Feeder.from_network(reduced_network(made, report).network)
+    assert feeder.n_loop == 2
+    wanted, found = mesh_volts(made), volts(feeder)
+    assert max(wanted.values()) - min(wanted.values()) > 0.02
+    assert max(abs(wanted[bus] - v) for bus, v in found.items()) < 1e-8
+    texts = {row.names: row.text for row in report.findings}
+    assert texts["4",] == "one branch; it closes a loop with line 0, line 1, which is solved by compensation"
+    assert feeder.rating_a is not None
+    # A rating of line 3 at its own 10 kV is referred to the source, like that of the other branches.
+    assert feeder.rating_a[-1] == pytest.approx(0.3 * 0.95**-1 * 10e3 / (np.sqrt(3) * 20.0))
 
 
 def test_one_of_several_islands_is_chosen_by_its_source():

@@ -128,7 +128,6 @@ def test_other_code_is_refused_with_its_line(tmp_path, code, told):
         ("\t900\t", "\t9_0\t", "column 3 is '9_0'"),
         ("mpc.baseMVA", "mpc.bus(:, [PD, QD]) = mpc.bus(:, [PD, QD]) / 1e3;\nmpc.baseMVA", "line 4: the MATLAB code"),
         ("'2'", "'1'", "is of version 1"),
-        ("\t9.0\t1.0\t0\t0\t0\t0\t0\t0\t0", "\t9.0\t1.0\t0\t0\t0\t0\t0\t0\t1", "it closes a loop with line"),
         ("\t20\t1\t900", "\t20\t3\t900", "reference bus 20 has no generator"),
         ("[10 0 0", "[20 0 0 10 -10 1 10 1 10 0; 10 0 0", ""),
     ],
@@ -141,6 +140,15 @@ def test_a_figure_that_cannot_be_is_refused_with_its_place(tmp_path, old, new, t
     with pytest.raises(FeederError, match=r"small\.m") as refused:
         read_matpower(path)
     assert told in str(refused.value)
+
+
+def test_a_closed_tie_line_is_solved_by_compensation(tmp_path):
+    imported = read_matpower(
+        case(tmp_path, CASE.replace("\t9.0\t1.0\t0\t0\t0\t0\t0\t0\t0", "\t9.0\t1.0\t0\t0\t0\t0\t0\t0\t1", 1))
+    )
+    assert Feeder.from_network(imported.network).n_loop == 1
+    assert apart_pu(imported) < 1e-7
+    assert sum("it closes a loop with line" in row.text for row in imported.findings) == 1
 
 
 def test_generators_that_keep_a_voltage_are_refused_or_fixed(tmp_path):
