@@ -20,6 +20,7 @@ _PROTECTION = {
 _X_PERCENT = 1e-5
 """Reactance of a regulator, which has none in GridLAB-D, on OpenDSS's default base of 1000 kVA, which is no rating."""
 _BASE_KVA = 1000.0
+_CONTROLS = {"1": "MANUAL", "2": "OUTPUT_VOLTAGE", "3": "LINE_DROP_COMP", "4": "REMOTE_NODE"}
 _RATINGS = ("rating.summer.continuous", "rating.winter.continuous")
 _NEVER = 1e9
 """Time constant of GridLAB-D's settings beyond which a rating is not a rating."""
@@ -125,7 +126,11 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
     }  # fmt: skip
     control = _control(script, regulator, config, buses.base_v[second])
     by_current = model.word(config, "Type", "B").upper() in ("B", "2")
-    banked = model.word(config, "control_level", "INDIVIDUAL").upper() in ("BANK", "2") and len(set(taps.values())) == 1
+    banked = model.word(config, "control_level", "INDIVIDUAL").upper() in ("BANK", "2")
+    if banked and (len(phases) < 3 or len(set(taps.values())) > 1):
+        banked = False
+        text = "its bank has fewer than three phases or unlike taps: each phase is controlled separately"
+        script.report.add("lost", "regulator", regulator.name, text)
     if by_current and control.get("enabled") == "no":
         control = {}  # a fixed tap is exact as a transformer
     if by_current and control:
@@ -152,20 +157,23 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
             script.new("RegControl", name, transformer=name, winding=2, **controls, **sensed)
 
 
+def _kind_of_control(script: CircuitScript, config: GlmObject) -> str:
+    kind = script.model.word(config, "Control", "MANUAL").upper()
+    kind = _CONTROLS.get(kind, kind)
+    if kind not in _CONTROLS.values():
+        wrong(config, "Control", f"must be one of {', '.join(_CONTROLS.values())}")
+    return kind
+
+
 def _ldc(script: CircuitScript, config: GlmObject, letter: str, phase: str) -> float:
-    if script.model.word(config, "Control", "MANUAL").upper() not in ("LINE_DROP_COMP", "MANUAL"):
+    if _kind_of_control(script, config) not in ("LINE_DROP_COMP", "MANUAL"):
         return 0.0
     return script.model.real(config, f"compensator_{letter}_setting_{phase}", "voltage", 0.0)
 
 
 def _control(script: CircuitScript, regulator: GlmObject, config: GlmObject, volts: float) -> dict[str, object]:
     """Properties of the RegControls; empty for a regulator whose taps are set by hand and that has no band."""
-    model = script.model
-    kind = model.word(config, "Control", "MANUAL").upper()
-    known = {"1": "MANUAL", "2": "OUTPUT_VOLTAGE", "3": "LINE_DROP_COMP", "4": "REMOTE_NODE"}
-    kind = known.get(kind, kind)
-    if kind not in known.values():
-        wrong(config, "Control", f"must be one of {', '.join(known.values())}")
+    model, kind = script.model, _kind_of_control(script, config)
     center = model.real(config, "band_center", "voltage", 0.0)
     band = model.real(config, "band_width", "voltage", 0.0)
     if kind == "MANUAL" and not (center > 0.0 and band > 0.0):

@@ -101,7 +101,7 @@ def _report_objects(model: Model, report: Report) -> None:
         elif "from" in item.properties and "to" in item.properties:
             report.add("refused", item.kind, item.name, "a link of this class cannot be represented")
         else:
-            report.add("lost", item.kind, item.name, "what it draws, injects or controls is left out")
+            report.add("lost", item.kind.lower(), item.name, "what it draws, injects or controls is left out")
 
 
 def _commands(model: Model, report: Report, path: Path) -> list[str]:
