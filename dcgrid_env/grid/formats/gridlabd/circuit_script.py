@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.grid.formats.gridlabd.buses import Buses, Names
+from dcgrid_env.grid.formats.gridlabd.glm_buses import Buses, Names
 from dcgrid_env.grid.formats.gridlabd.glm_model import Model
 from dcgrid_env.grid.formats.import_report import Report
 

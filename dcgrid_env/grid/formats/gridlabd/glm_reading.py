@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dcgrid_env.grid.formats.gridlabd.buses import LINKS, Buses, Names
 from dcgrid_env.grid.formats.gridlabd.circuit_script import CircuitScript, line_to_line
+from dcgrid_env.grid.formats.gridlabd.glm_buses import LINKS, Buses, Names
+from dcgrid_env.grid.formats.gridlabd.glm_links import add_lines, add_regulators, add_switches
+from dcgrid_env.grid.formats.gridlabd.glm_loads import add_capacitors, add_loads
 from dcgrid_env.grid.formats.gridlabd.glm_model import NODES, Model
 from dcgrid_env.grid.formats.gridlabd.glm_text import GlmFile
-from dcgrid_env.grid.formats.gridlabd.links import add_lines, add_regulators, add_switches
-from dcgrid_env.grid.formats.gridlabd.loads import add_capacitors, add_loads
-from dcgrid_env.grid.formats.gridlabd.transformers import add_transformers
+from dcgrid_env.grid.formats.gridlabd.glm_transformers import add_transformers
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss import Imported, read_opendss
 from dcgrid_env.grid.topology import FeederError
@@ -72,7 +72,7 @@ def read_gridlabd(file: str | Path, *, allow: Collection[str] = (), root: str | 
     kinds = (*_ALWAYS, *(row.kind for row in report.findings if row.fate == "lost"))
     if unknown := [kind for kind in allow if kind.lower() not in kinds]:
         raise FeederError(f"allow: {unknown[0]!r} is no kind of loss; choose among {', '.join(dict.fromkeys(kinds))}")
-    commands = _commands(model, report, path)
+    commands = circuit_commands(model, report, path)
     report.refuse_unless(path.name, allow)
     with tempfile.TemporaryDirectory() as folder:
         master = Path(folder) / f"{path.stem}.dss"
@@ -104,7 +104,7 @@ def _report_objects(model: Model, report: Report) -> None:
             report.add("lost", item.kind.lower(), item.name, "what it draws, injects or controls is left out")
 
 
-def _commands(model: Model, report: Report, path: Path) -> list[str]:
+def circuit_commands(model: Model, report: Report, path: Path) -> list[str]:
     """The OpenDSS commands of the equivalent circuit."""
     names = Names(report)
     buses = Buses(model, names)
@@ -122,9 +122,9 @@ def _commands(model: Model, report: Report, path: Path) -> list[str]:
     for bus, volts in buses.base_v.items():
         script.commands.append(f"SetkVBase Bus={bus} kVLN={volts / 1000.0!r}")
         item = buses.objects[bus]
-        if "longitude" in item.properties and "latitude" in item.properties:
-            x, y = (model.word(item, name) for name in ("longitude", "latitude"))
-            script.commands.append(f"SetBusXY Bus={bus} X={x} Y={y}")
+        if {"longitude", "latitude"} <= set(item.properties):
+            x, y = (model.real(item, name, "ratio") for name in ("longitude", "latitude"))
+            script.commands.append(f"SetBusXY Bus={bus} X={x!r} Y={y!r}")
     return script.commands
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dcgrid_env.grid.formats.gridlabd.buses import LINES, SWITCHES
 from dcgrid_env.grid.formats.gridlabd.circuit_script import CircuitScript, line_to_line, matrices
+from dcgrid_env.grid.formats.gridlabd.glm_buses import LINES, SWITCHES
 from dcgrid_env.grid.formats.gridlabd.glm_model import wrong
 from dcgrid_env.grid.formats.gridlabd.glm_text import GlmObject
 from dcgrid_env.grid.formats.gridlabd.line_impedances import line_matrices

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from dcgrid_env.grid.formats.gridlabd.buses import connection, turns_ratio
 from dcgrid_env.grid.formats.gridlabd.circuit_script import CircuitScript, line_to_line
+from dcgrid_env.grid.formats.gridlabd.glm_buses import connection, turns_ratio
 from dcgrid_env.grid.formats.gridlabd.glm_model import Model, wrong
 from dcgrid_env.grid.formats.gridlabd.glm_text import GlmObject
 
