@@ -39,7 +39,7 @@ class CircuitScript:
     commands: list[str] = field(default_factory=list)
 
     def new(self, kind: str, name: str, **properties: object) -> None:
-        """Add an element with its properties in order; ``words`` of numbers are made by :func:`text`."""
+        """Add an element with its properties in order."""
         words = [f"{key}={text(value)}" for key, value in properties.items()]
         self.commands.append(" ".join([f"New {kind}.{name}", *words]))
 

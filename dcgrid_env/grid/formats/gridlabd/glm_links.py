@@ -23,7 +23,7 @@ _BASE_KVA = 1000.0
 _CONTROLS = {"1": "MANUAL", "2": "OUTPUT_VOLTAGE", "3": "LINE_DROP_COMP", "4": "REMOTE_NODE"}
 _RATINGS = ("rating.summer.continuous", "rating.winter.continuous")
 _NEVER = 1e9
-"""Time constant of GridLAB-D's settings beyond which a rating is not a rating."""
+"""Rating, A, from which on a line has none."""
 
 
 def add_lines(script: CircuitScript, frequency_hz: float, charging: bool) -> None:
