@@ -15,6 +15,7 @@ LINES = ("overhead_line", "underground_line", "triplex_line")
 SWITCHES = ("switch", "fuse", "recloser", "sectionalizer")
 LINKS = (*LINES, *SWITCHES, "transformer", "regulator")
 """Classes of objects that connect two buses."""
+_OPEN = ("OPEN", "0")
 _NODES = {"A": 1, "B": 2, "C": 3, "1": 1, "2": 2}
 _CONNECTIONS = {
     "1": "WYE_WYE", "2": "DELTA_DELTA", "3": "DELTA_GWYE", "4": "SINGLE_PHASE", "5": "SINGLE_PHASE_CENTER_TAPPED",
@@ -99,6 +100,11 @@ class Buses:
         links: dict[str, list[tuple[str, float, float]]] = {}
         for link in self._model.of_kind(*LINKS):
             first, second = self.ends(link)
+            if (
+                link.kind in ("transformer", "regulator")
+                and self._model.word(link, "status", "CLOSED").upper() in _OPEN
+            ):
+                wrong(link, "status", "cannot be represented; add an open switch in series")
             ratio, shift_deg = 1.0, 0.0
             if link.kind == "transformer":
                 ratio = turns_ratio(self._model, link)

@@ -18,7 +18,7 @@ _PROTECTION = {
     "sectionalizer": "it never opens",
 }
 _X_PERCENT = 1e-5
-"""Reactance of a regulator, which has none in GridLAB-D, on OpenDSS's default base of 1000 kVA, which is no rating."""
+"""Reactance of a regulator, which has none in GridLAB-D, percent of OpenDSS's default base of 1000 kVA."""
 _BASE_KVA = 1000.0
 _CONTROLS = {"1": "MANUAL", "2": "OUTPUT_VOLTAGE", "3": "LINE_DROP_COMP", "4": "REMOTE_NODE"}
 _RATINGS = ("rating.summer.continuous", "rating.winter.continuous")

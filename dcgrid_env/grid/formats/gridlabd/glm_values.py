@@ -54,7 +54,7 @@ def number(text: str, quantity: str) -> complex:
     Raises
     ------
     ValueError
-        If the text is no finite number, or if its unit does not belong to the quantity.
+        If the text is not a finite number, or if its unit does not belong to the quantity.
     """
     plain, factors = "".join(text.split()), UNITS[quantity]
     found = _REAL.fullmatch(plain)
