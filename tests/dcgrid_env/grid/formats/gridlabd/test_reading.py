@@ -140,7 +140,7 @@ def test_what_is_lost_must_be_allowed(model):
         (TRANSFORMERS.replace("connect_type WYE_WYE", "connect_type OPEN_WYE"), "connect_type 'OPEN_WYE' cannot be"),
         (TRANSFORMERS.replace("primary_voltage 12470", "primary_voltage 0"), "primary_voltage '0' must be positive"),
         (TRANSFORMERS.replace("reactance 0.05", "reactance 0"), "needs a positive reactance"),
-        (TRANSFORMERS.replace("to low2;", "to low2; status OPEN;"), "transformer t2: status 'OPEN' cannot be represented"),
+        (TRANSFORMERS.replace("to low2;", "to low2; status OPEN;"), "t2: status 'OPEN' cannot be represented"),
         (REGULATOR.replace("MORE", "Control SOMEHOW;"), "Control 'SOMEHOW' must be one of MANUAL"),
         (LDC.replace("connect_type WYE_WYE", "connect_type CLOSED_DELTA"), "connect_type 'CLOSED_DELTA' cannot be"),
     ],
