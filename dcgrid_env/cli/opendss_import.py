@@ -1,7 +1,8 @@
-"""The command ``dcgrid import opendss``."""
+"""The commands ``dcgrid import opendss`` and ``gridlabd``."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,8 +28,45 @@ if TYPE_CHECKING:
     from dcgrid_env.grid.formats.opendss import Imported
 
 
+@dataclass(frozen=True, kw_only=True)
+class _ThreePhaseImport(Command):
+    """Base class of the imports of three-phase grids."""
+
+    out: Path
+    """Folder for the tables. It must be new or empty."""
+    allow: str = ""
+    """Types of elements to omit even if this changes the grid, separated by commas, for example isource,isolated."""
+    root: Path | None = None
+    """Folder below which the file may read others, for example that of a whole repository. Default: the folder of
+    the file."""
+
+    @abstractmethod
+    def read(self, allow: list[str]) -> Imported:
+        """Read the grid."""
+
+    def run(self) -> None:
+        """Read, compile, solve, report the outcome for each element, and write; write nothing on an error."""
+        from dcgrid_env import ThreePhaseFeeder
+        from dcgrid_env.core.files import whole_folder
+
+        if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
+            raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
+        check_folder(self.out)
+        imported = self.read([kind.strip() for kind in self.allow.split(",") if kind.strip()])
+        feeder = ThreePhaseFeeder.from_network(imported.network)
+        record = recorded(imported, feeder)
+        with whole_folder(self.out) as folder:
+            feeder.to_csv(folder)
+            write_report(record, folder)
+        console = plain_console()
+        console.print(findings_table(record.findings))
+        for line in record.lines:
+            say(console, line)
+        say(console, f"wrote {self.out}: {record.size}; {HTML_FILE} has the report")
+
+
 @dataclass(frozen=True)
-class ImportOpenDss(Command):
+class ImportOpenDss(_ThreePhaseImport):
     """Read a three-phase feeder from an OpenDSS master file.
 
     Writes the feeder as a folder of tables with a report, and compares the voltages.
@@ -40,37 +78,35 @@ class ImportOpenDss(Command):
 
     master: tyro.conf.Positional[Path]
     """Master file. It may redirect to other files in the root folder or below."""
-    out: Path
-    """Folder for the tables. It must be new or empty."""
-    allow: str = ""
-    """Types of elements to omit even if this changes the grid, separated by commas, for example isource,vccs."""
-    root: Path | None = None
-    """Folder below which the script may read files, for example that of a whole repository. Default: the folder of
-    the master file."""
     trust: bool = False
     """Run the script without the check, with all its effects on this machine. Use it only for trusted files."""
 
-    def run(self) -> None:
-        """Read, compile, solve, report the outcome for each element, and write; write nothing on an error."""
-        from dcgrid_env import ThreePhaseFeeder
-        from dcgrid_env.core.files import whole_folder
+    def read(self, allow: list[str]) -> Imported:
+        """Read the circuit."""
         from dcgrid_env.grid.formats.opendss import read_opendss
 
-        if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
-        check_folder(self.out)
-        allow = [kind.strip() for kind in self.allow.split(",") if kind.strip()]
-        imported = read_opendss(self.master, allow=allow, trust=self.trust, root=self.root)
-        feeder = ThreePhaseFeeder.from_network(imported.network)
-        record = recorded(imported, feeder)
-        with whole_folder(self.out) as folder:
-            feeder.to_csv(folder)
-            write_report(record, folder)
-        console = plain_console()
-        console.print(findings_table(record.findings))
-        for line in record.lines:
-            say(console, line)
-        say(console, f"wrote {self.out}: {record.size}; {HTML_FILE} has the report")
+        return read_opendss(self.master, allow=allow, trust=self.trust, root=self.root)
+
+
+@dataclass(frozen=True)
+class ImportGridlabd(_ThreePhaseImport):
+    """Read a three-phase feeder from a GridLAB-D model.
+
+    Writes the feeder as a folder of tables with a report, and compares the voltages with OpenDSS.
+
+    Only the network is read. The command executes nothing, omits recorders and settings of the simulation, and
+    reports an error for directives that start programs, files outside the root folder, and elements that it cannot
+    represent (docs/gridlabd.md).
+    """
+
+    file: tyro.conf.Positional[Path]
+    """Model file (.glm). It may include other files in the root folder or below."""
+
+    def read(self, allow: list[str]) -> Imported:
+        """Read the model."""
+        from dcgrid_env.grid.formats.gridlabd import read_gridlabd
+
+        return read_gridlabd(self.file, allow=allow, root=self.root)
 
 
 def recorded(imported: Imported, feeder: ThreePhaseFeeder) -> ImportRecord:

@@ -10,6 +10,7 @@ _IMPORT = Group(
     {
         "Formats": {
             "opendss": Entry("Read a three-phase feeder from an OpenDSS master file.", "opendss_import:ImportOpenDss"),
+            "gridlabd": Entry("Read a three-phase feeder from a GridLAB-D model.", "opendss_import:ImportGridlabd"),
             "pandapower": Entry("Read a balanced feeder from a pandapower net.", "grid_import:ImportPandapower"),
             "matpower": Entry("Read a balanced feeder from a MATPOWER case file.", "grid_import:ImportMatpower"),
             "power-grid-model": Entry(

@@ -19,6 +19,7 @@ PACKAGES = (
     "dcgrid_env.agents",
     "dcgrid_env.traces",
     "dcgrid_env.rendering",
+    "dcgrid_env.grid.formats.gridlabd",
     "dcgrid_env.grid.formats.matpower",
     "dcgrid_env.grid.formats.opendss",
     "dcgrid_env.grid.formats.pandapower",

@@ -96,6 +96,7 @@ ELSEWHERE = {
     "python -m docs.studies fit-paper": "tests/docs/studies/test_fit_paper.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid study": "tests/dcgrid_env/cli/test_study.py",
+    "dcgrid import gridlabd": "tests/dcgrid_env/cli/test_gridlabd_import.py",
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
     "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",
     "dcgrid import power-grid-model": "tests/dcgrid_env/cli/test_grid_import.py",

@@ -11,7 +11,8 @@ multiplied by t^2, a current by 1 / t, and an admittance of the bus by 1 / t^2.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+import shlex
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,14 +69,15 @@ def reduced_network(
     _check_branches(grid, report)
     first = _one_bus_for_each_closed_switch(grid, report)
     shunts = _shunts(grid, first, report)
-    root = _chosen(grid, source)
     alive = [
         replace(b, from_bus=int(first[b.from_bus]), to_bus=int(first[b.to_bus]))
         for b in grid.branches
         if b.from_closed and b.to_closed and first[b.from_bus] != first[b.to_bus]
     ]
-    found = supplied_by(int(first[root.bus]), grid.n_bus, joints(alive, report), report)
-    _report_sources(grid, root, first, found, named=source is not None, report=report)
+    all_joints = joints(alive, report)
+    root = _chosen(grid, source, first, all_joints, report.what)
+    found = supplied_by(int(first[root.bus]), grid.n_bus, all_joints, report)
+    _report_sources(grid, root, first, found, report)
     _report_branches(grid, found, report)
     _report_unsupplied(grid, first, found, report)
     report.refuse_unless(grid.name, allow)
@@ -150,22 +152,48 @@ def _behind(z_pu: complex, y_pu: complex) -> complex:
     return y_pu / (1.0 + z_pu * y_pu)
 
 
-def _chosen(grid: BusBranchGrid, source: str | None) -> Source:
-    """The source whose island is taken."""
+def _chosen(
+    grid: BusBranchGrid, source: str | None, first: np.ndarray, all_joints: Sequence[Joint], what: str
+) -> Source:
+    """The source whose island is taken; FeederError with all candidates if it is not clear which."""
     if not grid.sources:
         raise FeederError(f"grid {grid.name!r} has no source in service; add an external grid or a slack bus")
-    if source is None:
-        return grid.sources[0]
     named = [s for s in grid.sources if source in (s.name, grid.buses[s.bus])]
-    if not named:
-        there = ", ".join(f"{s.name} at bus {grid.buses[s.bus]}" for s in grid.sources)
-        raise FeederError(f"source: {source!r} is no source of grid {grid.name!r}; there are {there}")
-    return named[0]
+    if named:
+        return named[0]
+    islands = list(_islands(grid, first, all_joints))
+    if source is None and len(islands) == 1:
+        return islands[0][0]
+    choices = " or ".join(
+        f"--source {_words_for(grid, s)} ({len(fed)} buses, {kw:.1f} kW of load)" for s, fed, kw in islands
+    )
+    if source is None:
+        raise FeederError(f"{what} {grid.name!r} has sources of {len(islands)} islands; choose one by {choices}")
+    raise FeederError(f"source: {source!r} is no source of {what} {grid.name!r}; choose {choices}")
 
 
-def _report_sources(
-    grid: BusBranchGrid, root: Source, first: np.ndarray, found: Supplied, *, named: bool, report: Report
-) -> None:
+def _islands(
+    grid: BusBranchGrid, first: np.ndarray, all_joints: Sequence[Joint]
+) -> Iterator[tuple[Source, set[int], float]]:
+    """Each island with a source: its first source, the buses that are fed, and their load in kW."""
+    seen: set[int] = set()
+    for source in grid.sources:
+        start = int(first[source.bus])
+        if start in seen:
+            continue
+        fed = set(supplied_by(start, grid.n_bus, all_joints, Report()).fed)
+        seen |= fed
+        yield source, fed, float(grid.p_kw[np.isin(first, list(fed))].sum())
+
+
+def _words_for(grid: BusBranchGrid, source: Source) -> str:
+    """What to write after --source: its bus, or its name where the bus would choose another source."""
+    bus = grid.buses[source.bus]
+    hit = next(s for s in grid.sources if bus in (s.name, grid.buses[s.bus]))
+    return shlex.quote(bus if hit is source else source.name)
+
+
+def _report_sources(grid: BusBranchGrid, root: Source, first: np.ndarray, found: Supplied, report: Report) -> None:
     report.add("taken", root.kind, root.name, f"the substation, bus {grid.buses[first[root.bus]]}")
     for other in grid.sources:
         if other is root:
@@ -177,11 +205,8 @@ def _report_sources(
                 f"it feeds the same island as {root.kind} {root.name}: a feeder has one source; open a switch between"
             )
             report.add("refused", other.kind, other.name, text)
-        elif named:
-            report.add("nothing lost", other.kind, other.name, "it feeds an island of its own, which is left out")
         else:
-            text = f"it feeds an island of its own: choose one source, such as --source {root.name}"
-            report.add("refused", other.kind, other.name, text)
+            report.add("nothing lost", other.kind, other.name, "it feeds an island of its own, which is left out")
 
 
 def _report_branches(grid: BusBranchGrid, found: Supplied, report: Report) -> None:

@@ -113,7 +113,7 @@ def read_circuit(
         _per_unit(before, names),
         _per_unit(after, names),
         effects,
-        _digests(circuit.files, folder or Path(master).parent),
+        digests(circuit.files, folder or Path(master).parent),
         circuit.engine.Basic.Version().partition(" revision")[0],
     )
 
@@ -140,9 +140,9 @@ def _per_unit(found: Solved | None, names: dict[str, tuple[str, float]]) -> dict
     return v_pu if all(math.isfinite(abs(v)) for v in v_pu.values()) else {}
 
 
-def _digests(files: Iterable[Path], folder: Path) -> tuple[tuple[str, str], ...]:
+def digests(files: Iterable[Path], folder: str | Path) -> tuple[tuple[str, str], ...]:
     """Name below the folder and SHA-256 of each file."""
-    folder = folder.resolve()
+    folder = Path(folder).resolve()
     return tuple((path.resolve().relative_to(folder).as_posix(), sha256_of(path)) for path in files)
 
 
