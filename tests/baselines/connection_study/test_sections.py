@@ -7,7 +7,7 @@ from dcgrid_env import load_feeder
 from dcgrid_env.baselines.connection_study import sections
 from dcgrid_env.baselines.connection_study.report import answers, page, plain, sections_of
 from dcgrid_env.baselines.connection_study.sections import Job
-from dcgrid_env.baselines.connection_study.study_request import StudyRequest
+from dcgrid_env.baselines.connection_study.study_request import FluctuationLimits, StudyRequest
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 from dcgrid_env.powerflow import distflow
@@ -76,10 +76,8 @@ def test_the_report_is_whole_escaped_and_says_what_was_left_out(job, tmp_path):
 
 
 def test_a_day_and_fluctuation_of_a_small_site(job):
-    small = Job(
-        StudyRequest(feeder="ieee33", bus="12", mw=0.2, controllers=("none",), limits={"ramp_kw_per_s": 20.0}),
-        job.study,
-    )
+    limits = FluctuationLimits(ramp_kw_per_s=20.0)
+    small = Job(StudyRequest(feeder="ieee33", bus="12", mw=0.2, controllers=("none",), limits=limits), job.study)
     (day,) = sections.day(small).tables
     loss = next(row for row in day.rows if row[0] == "mean loss")
     assert float(loss[3]) > float(loss[2])

@@ -112,10 +112,9 @@ def test_losses_limit_by_their_mean_over_the_window():
 
 def test_taps_limit_by_the_regulator_that_makes_the_most():
     scenario = make_scenario("ieee13-3ph", split="test")
-    wide = {"max_mw": 2.0, "tolerance_mw": 0.05, "v_min_pu": 0.8, "v_max_pu": 1.2, "loading_max_pct": 1000.0}
     study = Study(
         scenario=scenario, others=False, buses=("671",), samples=2, window_s=300.0, settle_s=60.0,
-        taps_max_per_hour=20.0, **wide,
+        taps_max_per_hour=20.0, max_mw=2.0, tolerance_mw=0.05, v_min_pu=0.8, v_max_pu=1.2, loading_max_pct=1000.0,
     )  # fmt: skip
     (free,) = hosting_capacity(dataclasses.replace(study, taps_max_per_hour=None), ["none"]).by_controller["none"]
     (found,) = hosting_capacity(study, ["none"]).by_controller["none"]
