@@ -59,7 +59,7 @@ NEEDING_A_DEVICE = (
 
 def has_policy(preset: str) -> bool:
     """Whether policies that were trained on a preset ship."""
-    return not preset.endswith("-published") and preset != "load-target"
+    return not preset.endswith("-published")
 
 
 def ships(law: str, preset: Scenario) -> bool:
