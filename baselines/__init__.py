@@ -8,6 +8,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
+from dcgrid_env.baselines.laws.request_sharing import RequestSharing
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
@@ -49,6 +50,7 @@ __all__ = [
     "PeakShaving",
     "PlacementRule",
     "Published",
+    "RequestSharing",
     "ReturnByHand",
     "RouteToStrongest",
     "StaggeredReturn",

@@ -18,6 +18,7 @@ from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import PROFILES, FixedSmoothing
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving
+from dcgrid_env.baselines.laws.request_sharing import RequestSharing
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest
 from dcgrid_env.baselines.laws.site_return import ReturnByHand, StaggeredReturn
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
@@ -65,6 +66,10 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
     "route-to-strongest": (
         "work goes to the sites whose voltage will be high, the paper's droop beside it",
         RouteToStrongest,
+    ),
+    "request-sharing": (
+        "sites meet a utility's request together, those with more queued work draw more; the paper's droop beside it",
+        RequestSharing,
     ),
     "return-by-hand": (
         "sites that left the grid all return at once, a while after they are locked out; the paper's droop beside",

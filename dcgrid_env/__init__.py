@@ -73,6 +73,7 @@ from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, volta
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.grid_request import GridRequest, LoadTarget
 from dcgrid_env.scenario.on_feeder import scenario_on
 from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
@@ -112,10 +113,12 @@ __all__ = [
     "FeederError",
     "Forecast",
     "GridControl",
+    "GridRequest",
     "HugeObservationWarning",
     "Inverters",
     "JoinedRecorder",
     "LinearDvfs",
+    "LoadTarget",
     "Metric",
     "ParquetCourse",
     "PartSink",

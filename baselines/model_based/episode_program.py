@@ -12,7 +12,7 @@ On the power flow linearised around a trajectory:
 
 so nothing is served before it arrives, and what is left at the end is charged as the environment charges it. Storages
 add the unknowns and rows of ``storage_rows``; their draws follow the served work in d. Work that may be moved, or
-has a time to be served by, adds those of ``work_rows``.
+has a time to be served by, adds those of ``work_rows``, and requests of a utility those of ``request_rows``.
 ``voltage_rows`` leaves out the e and w that are not needed. Where built-in controls move the regulators, demands on
 relay volts lead them along a ``TapTrajectory``; z is the deviation from a demand. Solved with HiGHS (Q. Huangfu and
 J. A. J. Hall, "Parallelizing the dual revised simplex method", Mathematical Programming Computation 10, 2018).
@@ -27,6 +27,7 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from dcgrid_env import Forecast, Scenario, acting_relays, voltage_targets
+from dcgrid_env.baselines.model_based.request_rows import RequestRows
 from dcgrid_env.baselines.model_based.storage_rows import StorageRows
 from dcgrid_env.baselines.model_based.tap_trajectory import Demands, TapTrajectory
 from dcgrid_env.baselines.model_based.trajectory import Trajectory
@@ -47,7 +48,7 @@ class EpisodeProgram(Trajectory):
     """The linear program of an episode, around the trajectory of its last solution.
 
     Unknowns, each (T, ...) and flattened: d (n_dc, then storages), b (n_dc), q, g (n_agent), e, w (buses but the
-    substation), z (relays); behind them those of ``storage_rows`` and ``work_rows``.
+    substation), z (relays); behind them those of ``storage_rows``, ``work_rows`` and ``request_rows``.
     """
 
     def __init__(self, scenario: Scenario, episode: Forecast, keep_band: bool, leads_relays: bool = False) -> None:
@@ -62,10 +63,14 @@ class EpisodeProgram(Trajectory):
         self.tap_price = 0.0 if self.relays is None else s.cost.weights.switching / len(self.relays.rows) / s.horizon
         """Share of J that each tap costs."""
         self.sizes["z"] = 0 if self.relays is None else s.horizon * len(self.relays.rows)
-        self.sizes |= self.storage_rows.sizes | self.work_rows.sizes
+        self.request_rows = RequestRows(s, episode, self.base_kw)
+        self.sizes |= self.storage_rows.sizes | self.work_rows.sizes | self.request_rows.sizes
         of_storages = [(self._rows(**parts), most) for parts, most in self.storage_rows.limits(ANGLES)]
-        of_work = [(self._rows(**parts), most) for parts, most in self.work_rows.limits(self._in_d(0, n_dc))]
-        self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability(), *of_storages, *of_work]
+        in_d = self._in_d(0, n_dc)
+        of_work = [(self._rows(**parts), most) for parts, most in self.work_rows.limits(in_d)]
+        of_requests = [(self._rows(**parts), most) for parts, most in self.request_rows.limits(in_d)]
+        self.same = [self._magnitude(1.0), self._magnitude(-1.0), *self._capability()]
+        self.same += [*of_storages, *of_work, *of_requests]
 
     def solve(self) -> tuple[float, np.ndarray]:
         """Optimum and the actions (T, n_action) behind it; the next program is around them."""
@@ -169,6 +174,7 @@ class EpisodeProgram(Trajectory):
         n_bus = len(s.feeder.load_nodes)
         prices = {"b": backlog.ravel(), "g": effort, "e": w.voltage / n_bus, "w": w.violation / n_bus}
         prices |= {"z": OFF_DEMAND * s.horizon, **self.storage_rows.prices(), **self.work_rows.prices()}
+        prices |= self.request_rows.prices()
         return (
             np.concatenate([np.broadcast_to(prices.get(name, 0.0), size) for name, size in self.sizes.items()])
             / s.horizon

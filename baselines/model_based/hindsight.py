@@ -344,6 +344,8 @@ def _check(scenario: Scenario) -> None:
     weights, searches = scenario.cost.weights, searches_taps(scenario)
     others = _has_controlled_banks(scenario) or (planned and _has_controlled_regulators(scenario))
     priced = [name for name in weights.unmodelled if name != "switching" or others or not (planned or searches)]
+    if not planned and "grid_request" in priced:
+        priced.remove("grid_request")
     if priced == ["switching"] and (planned or searches):
         what = "taps of built-in controls" if searches else "moves of agents"
         raise ValueError(

@@ -22,6 +22,7 @@ from dcgrid_env.baselines.laws.deadband import DeadbandDroop
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.fixed_smoothing import FixedSmoothing, has_smoothing_channels, smoothing_of
 from dcgrid_env.baselines.laws.peak_shaving import PeakShaving, has_storages
+from dcgrid_env.baselines.laws.request_sharing import RequestSharing, has_requests
 from dcgrid_env.baselines.laws.route_to_strongest import RouteToStrongest, has_routing
 from dcgrid_env.baselines.laws.site_return import (
     SLOWEST_PACE,
@@ -30,6 +31,7 @@ from dcgrid_env.baselines.laws.site_return import (
     has_return_channel,
     return_rule,
 )
+from dcgrid_env.baselines.laws.stability import largest_stable
 from dcgrid_env.baselines.laws.static import ConstantQ, PlacementRule
 
 Parameters = dict[str, Any]
@@ -68,6 +70,12 @@ def _routing(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
     return _droop(x[:3], scenarios) | {"route_gain_per_pu": _power(x[3]), "look_ahead": _rounded(x[4])}
 
 
+def _request(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
+    """Gains of the droop, the weight of the queue, and the ramp in advance as a share of the notice."""
+    notice_s = min(s.grid_request.notice_s for s in scenarios)
+    return _droop(x[:3], scenarios) | {"backlog_weight_per_s": _power(x[3]), "advance_s": _rounded(x[4] * notice_s)}
+
+
 def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
     """Bounds of log10 k_q, an integral gain: the longer an episode, the slower it may be, and the longer a step, the
     sooner it oscillates.
@@ -79,6 +87,16 @@ def _k_q_bounds(scenarios: Sequence[Scenario]) -> tuple[float, float]:
 
 def _droop_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
     return [(0.0, 20.0), _k_q_bounds(scenarios), (-3.0, 0.3)]
+
+
+def _request_bounds(scenarios: Sequence[Scenario]) -> list[tuple[float, float]]:
+    """Bounds of the droop's gains, with k_q up to its largest stable value, of the queue's weight and of the ramp.
+
+    A faster reactive axis would oscillate at its limits, which the cost hardly charges.
+    """
+    k_p, (low, high), alpha = _droop_bounds(scenarios)
+    stable = min(largest_stable(s, k_p_mw_per_pu=0.0) for s in scenarios)
+    return [k_p, (low, max(low, min(high, float(np.log10(stable))))), alpha, (-3.0, 1.0), (0.0, 1.0)]
 
 
 def _constant(x: np.ndarray, scenarios: Sequence[Scenario]) -> Parameters:
@@ -226,6 +244,7 @@ TUNABLE: dict[str, Tunable] = {
     "route-to-strongest": Tunable(
         RouteToStrongest, _routing, lambda s: [*_droop_bounds(s), (0.0, 3.0), (0.0, 1.5)], fits=has_routing
     ),
+    "request-sharing": Tunable(RequestSharing, _request, _request_bounds, fits=has_requests),
     # Trips make steps of the cost, in which a method that follows slopes stays where it begins.
     "return-by-hand": Tunable(ReturnByHand, _by_hand, _return_bounds, 6, has_return_channel),
     "staggered-return": Tunable(

@@ -20,6 +20,7 @@ from dcgrid_env import (
     PRESETS,
     Background,
     Cost,
+    GridRequest,
     RegulatorControl,
     Scenario,
     Sensing,
@@ -158,6 +159,7 @@ def _grid(scenario: Scenario) -> Scenario:
     """Reduce a scenario to its grid: other fields get their defaults, numbers are floats, ratings are per device."""
     plain = {f.name: f.default for f in dataclasses.fields(scenario) if f.default is not dataclasses.MISSING}
     parts: dict[str, Any] = {"workload": Workload(), "sensing": Sensing(), "cost": Cost()}
+    parts["grid_request"] = GridRequest()
     parts["background"] = Background(capacitors=scenario.background.capacitors)
     if scenario.power_flow == "sweep":
         parts["power_flow"] = "sweep"

@@ -11,7 +11,7 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 
-PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT, HOUR, SAG = range(1, 11)
+PLACEMENT, TRACE_ROW, TRACE_START, LOAD, MEASUREMENT, CORRELATION, SUN, FAULT, HOUR, SAG, LOAD_TARGET = range(1, 12)
 """Random streams, one for each purpose of a draw."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

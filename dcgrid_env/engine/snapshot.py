@@ -67,7 +67,7 @@ class Snapshot(NamedTuple):
         return self.transition.terminated | self.transition.truncated
 
 
-_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault", "sag")
+_DRAWN = ("key", "buses", "start", "sun", "begin_h", "fault", "sag", "request")
 """Fields of an episode that ``episode.assemble`` takes."""
 
 

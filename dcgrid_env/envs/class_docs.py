@@ -37,6 +37,13 @@ RANGES = {
     "upstream_tap": ("all (c)", "-1 .. 1"),
     "upstream_relay": ("all (c)", "-20 .. 20"),
     "upstream_timer": ("all (c)", "0 .. 1"),
+    "request_draw": ("sites (d)", "0 .. boost_share"),
+    "request_lower": ("sites (d)", "0 .. boost_share"),
+    "request_upper": ("sites (d)", "0 .. boost_share"),
+    "request_left": ("sites (d)", "0 .. 1"),
+    "request_wait": ("sites (d)", "0 .. 1"),
+    "coming_lower": ("sites (d)", "0 .. boost_share"),
+    "coming_upper": ("sites (d)", "0 .. boost_share"),
 }
 """Agents that observe each field of the grid, and its range."""
 FIELDS = (
@@ -49,6 +56,12 @@ FEATURES = (
     ("three-phase feeder", "", "v_lowest, v_highest", "unbalance, switching"),
     ("sensing.loading", "", "loading", ""),
     ("sensing.regulator", "", "upstream_tap, upstream_relay, upstream_timer", ""),
+    (
+        "grid_request",
+        "",
+        "request_draw, request_lower, request_upper, request_left, request_wait, coming_lower, coming_upper",
+        "",
+    ),
     ("clock_law of two classes", "", "p_ref_next_compute, backlog_compute", ""),
     (
         "ride_through (data centre)",
@@ -88,6 +101,9 @@ INFO = (
     ("unbalance_max_pct", "largest voltage unbalance factor (three-phase feeders)"),
     ("tap_moves, capacitor_switchings", "moves in the step (three-phase feeders)"),
     ("tap_NAME, capacitor_NAME", "position of each regulator and capacitor bank (three-phase feeders)"),
+    ("grid_request_lower_kw", "least total draw of the sites that is requested, kW (grid_request)"),
+    ("grid_request_upper_kw", "most total draw of the sites that is requested, kW (grid_request)"),
+    ("grid_request_missed_kw", "distance of that draw from it, kW (grid_request)"),
 )
 """Keys of ``info`` and their meaning; features and further devices add theirs."""
 
@@ -135,7 +151,8 @@ agents believe (``sensing.r_model_share``, ``sensing.x_model_share``).
 
 {table(("field", "agents", "range", "meaning"), FIELDS, (14, 11, 18, 42))}
 
-(a) on a three-phase feeder, (b) with ``sensing.loading``, (c) with ``sensing.regulator``.
+(a) on a three-phase feeder, (b) with ``sensing.loading``, (c) with ``sensing.regulator``,
+(d) data centres with ``grid_request``.
 
 ``observe="neighbours"`` adds v_deviation, p and q of the three electrically nearest
 agents. ``observe="feeder"`` adds v_deviation of every bus.

@@ -9,6 +9,7 @@ import numpy as np
 
 from dcgrid_env.engine.cost.reward import constraint
 from dcgrid_env.engine.physics.state import Equipment
+from dcgrid_env.scenario.costs.load_requests import columns, missed, rated_kw
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -50,6 +51,11 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     for i, its_state in enumerate(state.devices):
         if its_state:
             figures.update(scenario.devices[i].totals(its_state))
+    if state.request is not None:
+        request, rated = columns(state.request), rated_kw(scenario)
+        figures["grid_request_lower_kw"] = rated * request.lower
+        figures["grid_request_upper_kw"] = rated * request.upper
+        figures["grid_request_missed_kw"] = rated * missed(scenario, state)
     figures["loss_kw"] = transition.loss_kw
     return figures
 

@@ -54,6 +54,7 @@ class Outside(NamedTuple):
     capacitor_on: Array | None
     sags: Array | None
     offset_v: Array | None
+    request: Array | None
 
 
 class TensorEnv:
@@ -203,7 +204,7 @@ class TensorEnv:
         return Exogenous(
             now(o.p_load_kw), now(o.q_load_kvar), now(o.p_ref_kw), now(o.p_inverter_kw), self._placed.nodes,
             now(o.compute_share), now(o.available), self._placed.legs, now(o.capacitor_on),
-            now(o.sags), self._trip_widths, offset_v=now(o.offset_v),
+            now(o.sags), self._trip_widths, offset_v=now(o.offset_v), request=now(o.request),
         )  # fmt: skip
 
     def _measure(self) -> Array:
@@ -268,6 +269,6 @@ def drawn_outside(scenario: Scenario, seeds: np.ndarray) -> tuple[Outside, np.nd
         stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
         stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
         stacked("available"), np.stack(noise_pu) if noise_pu else None, stacked("capacitor_on"),
-        stacked("sags"), stacked("offset_v"),
+        stacked("sags"), stacked("offset_v"), stacked("request"),
     )  # fmt: skip
     return course, drawn.buses

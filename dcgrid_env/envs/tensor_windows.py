@@ -72,7 +72,7 @@ class TensorWindows:
         o = Outside(*(None if field is None else field[step_and_episode] for field in self._outside))
         return Exogenous(
             o.p_load_kw, o.q_load_kvar, o.p_ref_kw, o.p_inverter_kw, self._nodes, o.compute_share, o.available,
-            self._legs, o.capacitor_on, o.sags, offset_v=o.offset_v,
+            self._legs, o.capacitor_on, o.sags, offset_v=o.offset_v, request=o.request,
         )  # fmt: skip
 
     def _as_like(self, values: np.ndarray) -> Array:

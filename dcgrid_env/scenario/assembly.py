@@ -17,6 +17,7 @@ from dcgrid_env.scenario.cost import Cost, changed_weights
 from dcgrid_env.scenario.errors import ScenarioError, UnknownArgumentError, located
 from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.grid_request import GridRequest
 from dcgrid_env.scenario.plain import faults_from_plain, feeder_from_plain
 from dcgrid_env.scenario.plain_sags import sags_from_plain
 from dcgrid_env.scenario.sensing import Sensing
@@ -28,6 +29,7 @@ PARTS: dict[str, type[Any]] = {
     "sensing": Sensing,
     "cost": Cost,
     "grid_control": GridControl,
+    "grid_request": GridRequest,
 }
 GROUPS = {"datacenters": DataCenters.kind, "inverters": Inverters.kind}
 """Kinds of the groups of devices that every scenario has, by attribute; in their order."""

@@ -46,6 +46,7 @@ from dcgrid_env.grid.network import (
 from dcgrid_env.scenario.assembly import GROUPS, PARTS
 from dcgrid_env.scenario.cost import CostWeights
 from dcgrid_env.scenario.field_names import ALIASES, FORMER
+from dcgrid_env.scenario.grid_request import LoadTarget
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -108,6 +109,7 @@ _SITE_STORAGE = """
     ageing_price missing_price
 """
 _BATCHING = "lowest highest reference batch_energy_share gather_s batch_weight"
+_LOAD_TARGET = "kind value_share value_mw begin_s ramp_s duration_s priority"
 _SERVICE = "target_s deadline_s interactive_share order late_weight"
 
 SCHEMA_1: dict[type[Any], Kind] = {
@@ -138,6 +140,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     RegulatorTable: Kind("RegulatorTable", tuple(_REGULATOR.split())),
     PhaseLoadTable: Kind("PhaseLoadTable", tuple(_PHASE_LOAD.split())),
     RegulatorControl: Kind("RegulatorControl", ("timer", "offset_v", "hold_s")),
+    LoadTarget: Kind("LoadTarget", tuple(_LOAD_TARGET.split())),
     PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
 }
 

@@ -6,11 +6,13 @@
 | feeder | a mapping of the fields of random feeders ``{"n_bus": 60, "style": "urban", ..}`` | RandomFeeders |
 | devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
 | workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
+| grid_request | a mapping of its fields | GridRequest |
 | datacenters, inverters | a mapping of their fields | DataCenters, Inverters |
 | regulators, capacitors of ``grid_control`` | a word, or a mapping from banks to words | pairs of bank and word |
 | capacitor_settings, regulator_settings | a mapping of fields | CapacitorControl, RegulatorControl |
 | offset_v of ``regulator_settings`` | a number, or a mapping from regulators to numbers | pairs of name and number |
 | profile_pu of ``cost`` | a number, or a mapping from buses or nodes to numbers | pairs of bus or node and number |
+| targets of ``grid_request`` | a list of mappings of the fields of LoadTarget | tuple of LoadTarget |
 | weights | a mapping of names to numbers; weights that it leaves out keep their value | CostWeights |
 | faults | a list of mappings ``{"among": [..], "begin_s": [low, high], "duration_s": [low, high]}`` | tuple of Fault |
 | sags | the name of a recorded sequence, or a list of mappings of the fields of Sag | tuple of Sag |
@@ -56,6 +58,7 @@ from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.grid_request import GridRequest, LoadTarget
 from dcgrid_env.scenario.plain_sags import sag_to_plain
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
@@ -71,11 +74,11 @@ def to_plain(value: object) -> Plain:
         return {key: to_plain(v) for key, v in fields.items() if v != (math.inf, math.inf)}
     if isinstance(value, Sag):
         return sag_to_plain(value)
-    if isinstance(value, SiteStorage | PowerSmoothing | Cooling | Routing | Batching | ServiceLevels):
+    if isinstance(value, SiteStorage | PowerSmoothing | Cooling | Routing | Batching | ServiceLevels | LoadTarget):
         return {name: to_plain(field) for name, field in changed_fields(value).items()}
     if isinstance(value, RideThrough):
         return plain_rule(value)
-    if isinstance(value, Workload | Background | Sensing | CapacitorControl):
+    if isinstance(value, Workload | Background | Sensing | CapacitorControl | GridRequest):
         return _fields_to_plain(value)
     if isinstance(value, Cost | GridControl | RegulatorControl):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}

@@ -158,6 +158,12 @@ TABLE = (
         sites.routing,
     ),
     Preset(
+        "load-target",
+        "dcgrid/LoadTarget-v0",
+        "ieee33-weak with sites of 600 kW that a utility asks to draw less for 40 to 50 s",
+        sites.load_target,
+    ),
+    Preset(
         "zero-shot",
         "dcgrid/ZeroShot-v0",
         "random feeders of 60 buses, another in each batch of training and 64 to be tested on; 4 sites of 1 MW",

@@ -6,7 +6,7 @@ from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
 from dcgrid_env.devices.datacenter.work_routing import Routing
 from dcgrid_env.scenario.cost import CostWeights
-from dcgrid_env.scenario.presets_balanced import bursty, training
+from dcgrid_env.scenario.presets_balanced import bursty, ieee33_weak, training
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -49,4 +49,23 @@ def routing() -> Scenario:
         },
         horizon=60,
         weights=CostWeights(backlog=0.0),
+    )
+
+
+def load_target() -> Scenario:
+    """Make the preset ``load-target``.
+
+    docs/load-target.md says why it has these numbers.
+    """
+    return ieee33_weak().replace(
+        name="load-target",
+        datacenters={"p_rated_kw": 600.0},
+        trace="mixed",
+        grid_request={
+            "targets": [
+                {"value_share": (0.38, 0.46), "begin_s": (30.0, 45.0), "ramp_s": 10.0, "duration_s": (40.0, 50.0)}
+            ],
+            "notice_s": 20.0,
+        },
+        weights={"grid_request": 30.0},
     )

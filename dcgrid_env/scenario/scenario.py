@@ -27,6 +27,7 @@ from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.events import check_events
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
+from dcgrid_env.scenario.grid_request import GridRequest, check_grid_request
 from dcgrid_env.scenario.joint_checks import (
     check_feeder_kind,
     check_groups,
@@ -68,6 +69,7 @@ class Scenario(PickledByFields):
     sensing: Sensing
     cost: Cost
     grid_control: GridControl
+    grid_request: GridRequest
     faults: tuple[Fault, ...] = ()
     """Devices lost in an episode, see :class:`Fault`."""
     sags: tuple[Sag, ...] = ()
@@ -109,6 +111,7 @@ class Scenario(PickledByFields):
         check_ramp_limit(self)
         check_ratings(self)
         check_regulator_sensing(self)
+        check_grid_request(self)
         with located(self.name, "workload"):
             check_trace_scale(self)
         for device in self.devices:

@@ -120,7 +120,8 @@ FAMILIES = (
     ),
     Family(
         "Sites with more than a clock",
-        "Agents that also control a battery, power smoothing, the location of work or reconnection after a sag.",
+        "Agents that also control a battery, power smoothing, the location of work or reconnection after a sag, or "
+        "that meet a utility's request.",
         {
             "ieee33-weak-ups": (
                 "Each data centre has a small battery. It covers short peaks, but has to be charged again before "
@@ -134,12 +135,16 @@ FAMILIES = (
                 "Four sites can move up to half of their work to each other, with latency and deadlines. Work "
                 "should run where the feeder is strong at that moment."
             ),
+            "load-target": (
+                "A utility asks the data centres to draw a quarter less for less than a minute. They have to defer "
+                "work in time, share the reduction, and serve their queues afterwards without a new peak."
+            ),
             "ride-through": (
                 "Six voltage sags disconnect data centres, which then run on their UPS. Agents decide when to "
                 "reconnect. If all reconnect at once, the voltage drops again."
             ),
         },
-        ("storage", "smoothing", "routing", "ride-through", "sag-study"),
+        ("storage", "smoothing", "routing", "load-target", "ride-through", "sag-study"),
     ),
     Family(
         "Unseen feeders",

@@ -15,7 +15,7 @@ from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation
 from dcgrid_env.engine.physics.disconnection import leaving
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import nema_unbalance, three_phase_nodes
-from dcgrid_env.scenario.costs import overload
+from dcgrid_env.scenario.costs import load_requests, overload
 from dcgrid_env.scenario.scenario import Scenario
 
 VOLTAGES = (
@@ -86,6 +86,7 @@ class StreamingGrid:
 
     def __init__(self, scenario: Scenario):
         self._combined = self._phases = Combined(PHASES)
+        self._requests = Combined(load_requests.METRICS)
         self._fluctuation = StreamingFluctuation(scenario)
         self._order: dict[str, Any] = {}
         self._steps, self._mean, self._variance = 0, 0.0, 0.0
@@ -102,6 +103,8 @@ class StreamingGrid:
         std, self._outside = figures.pop("voltage_deviation_std_pu"), self._outside | figures.pop("outside_buses_pct")
         self._combined.add(figures, steps)
         self._phases.add(_phase_figures(part), steps)
+        requests, requested = load_requests.request_figures(part.scenario, part.p_kw, part.request)
+        self._requests.add(requests, steps, {"grid_request_compliance_pct": requested})
         self._fluctuation.add(part.v_pu, part.p_kw_from_reset)
         self._steps += steps
         share, off = steps / self._steps, figures["voltage_deviation_mean_pu"] - self._mean
@@ -115,7 +118,7 @@ class StreamingGrid:
             "outside_buses_pct": 100.0 * self._outside.mean(),
         }
         figures = self._order | self._combined.figures() | over_all
-        return figures | self._fluctuation.figures() | self._phases.figures()
+        return figures | self._fluctuation.figures() | self._phases.figures() | self._requests.figures()
 
 
 def _grid_figures(series: Any) -> dict[str, Any]:

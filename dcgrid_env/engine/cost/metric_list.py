@@ -1,8 +1,8 @@
 """Every metric of an episode. The records are next to the functions that compute them.
 
 Metrics of requests are over those that arrived in the episode at any site; all are 0 if none did. Metrics of storage,
-of devices that may leave the grid, of smoothing, routing, batching and service levels are there where a scenario has
-such. Names that begin with ``site_`` are of storage behind the converters of data centres.
+of devices that may leave the grid, of smoothing, routing, batching, service levels and requests of a utility are there
+where a scenario has such. Names that begin with ``site_`` are of storage behind the converters of data centres.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dcgrid_env.devices.datacenter import feature_settings, site_metrics
 from dcgrid_env.devices.ride_through import riding_inverter
 from dcgrid_env.devices.storage.figures import metrics_of
 from dcgrid_env.engine.cost import fluctuation, grid_metrics
-from dcgrid_env.scenario.costs import overload
+from dcgrid_env.scenario.costs import load_requests, overload
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 _METRICS = (
@@ -26,6 +26,7 @@ _METRICS = (
     *feature_settings.METRICS,
     *riding_inverter.METRICS,
     *grid_metrics.AFTER_LOSS,
+    *load_requests.METRICS,
     *fluctuation.METRICS,
     *grid_metrics.END,
 )

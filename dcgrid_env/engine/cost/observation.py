@@ -1,9 +1,9 @@
 """Observations of an agent: local fields only, unless the scenario widens the scope.
 
-``FIELDS`` are those of the grid, one record each. Then come the fields of an agent's device (``Device.fields``),
-voltages among them in bands and without noise or delay. Two scopes add fields at the end: `neighbours` v_deviation, p
-and q of the 3 electrically nearest agents, nearest first; `feeder` v_deviation of every node but the substation's, as
-in node_ids.
+``FIELDS`` are those of the grid, one record each; those of requests of a utility are observed by sites alone. Then come
+the fields of an agent's device (``Device.fields``), voltages among them in bands and without noise or delay. Two scopes
+add fields at the end: `neighbours` v_deviation, p and q of the 3 electrically nearest agents, nearest first; `feeder`
+v_deviation of every node but the substation's, as in node_ids.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, take_at, take_last
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.devices import Field
+from dcgrid_env.devices import Device, Field
 from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, upstream_view
 from dcgrid_env.engine.cost.measurement import of_agents
 from dcgrid_env.engine.physics.connections import N_NEIGHBOURS, Placement, distance_in_bands
@@ -26,8 +26,10 @@ from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
+from dcgrid_env.scenario.costs.load_requests import columns, sites_share
 from dcgrid_env.scenario.costs.overload import loading_of_agents
 from dcgrid_env.scenario.errors import ScenarioError
+from dcgrid_env.scenario.grid_request import draw_range
 from dcgrid_env.scenario.scenario import Scenario
 
 _LARGEST_LOADING = 4.0
@@ -37,6 +39,7 @@ _LARGEST_RELAY = 20.0
 class Seen(NamedTuple):
     """Input of the fields of the grid."""
 
+    scenario: Scenario
     n_agents: int
     state: State
     placed: Placement
@@ -63,6 +66,8 @@ class ObservationField(NamedTuple):
     """Lowest and highest value."""
     is_observed: Callable[[Scenario], bool] = lambda _: True
     """Whether agents of a scenario observe it."""
+    of_sites: bool = False
+    """Whether the agents that the workload drives observe it alone."""
 
 
 def _per_band(scenario: Scenario) -> float:
@@ -88,6 +93,24 @@ def _has_phases(scenario: Scenario) -> bool:
 
 def _sees_regulator(scenario: Scenario) -> bool:
     return scenario.sensing.regulator
+
+
+def _has_requests(scenario: Scenario) -> bool:
+    return bool(scenario.grid_request.targets)
+
+
+def _request_field(name: str, unit: str, column: str, bounds: Callable[[Scenario], tuple[float, float]]) -> Any:
+    """Return the record of a column of ``State.request``."""
+
+    def raw(seen: Seen) -> Array:
+        return _to_all(getattr(columns(seen.state.request), column), seen)
+
+    return ObservationField(name, unit, raw, lambda _: 1.0, bounds, _has_requests, of_sites=True)
+
+
+def _to_all(values: Array, seen: Seen) -> Array:
+    """Return figures of an environment, (row,), for each agent, (row, n_agent)."""
+    return 0.0 * seen.state.p_kw + values[..., None]
 
 
 _IN_BANDS = "(V - 1) / band, 1 is the edge of the band"
@@ -140,6 +163,32 @@ FIELDS = (
         "upstream_timer", "share of its delay that has passed, out of band or since the last tap of a sequence",
         attrgetter("regulators.timer"), lambda _: 1.0, lambda _: (0.0, 1.0), _sees_regulator,
     ),
+    ObservationField(
+        "request_draw", "total draw of all sites, share of the sum of their ratings",
+        lambda seen: _to_all(sites_share(seen.scenario, seen.state.p_kw), seen), lambda _: 1.0, draw_range,
+        _has_requests, of_sites=True,
+    ),
+    _request_field(
+        "request_lower", "least total draw that the utility requests in the coming step, the same share", "lower_next",
+        draw_range,
+    ),
+    _request_field("request_upper", "most total draw, the same share", "upper_next", draw_range),
+    _request_field(
+        "request_left", "time until this request ends, share of the notice, 1 at most; 0 without one", "left",
+        lambda _: (0.0, 1.0),
+    ),
+    _request_field(
+        "request_wait", "time until the next request starts, share of the notice; 1 if none is announced", "wait",
+        lambda _: (0.0, 1.0),
+    ),
+    _request_field(
+        "coming_lower", "least total draw of that request, share of the ratings", "lower_announced",
+        draw_range,
+    ),
+    _request_field(
+        "coming_upper", "most total draw of that request, share of the ratings", "upper_announced",
+        draw_range,
+    ),
 )  # fmt: skip
 """Fields of the grid, in order."""
 
@@ -160,15 +209,19 @@ def field_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
         wider = tuple(f"v_deviation_{node}" for node in scenario.feeder.node_ids[scenario.feeder.load_slice])
     agents = iter(scenario.agents)
     return {
-        next(agents): (*common_fields(scenario), *(field.name for field in fields), *wider)
+        next(agents): (*_of_grid(scenario, device), *(field.name for field in fields), *wider)
         for device, fields in zip(scenario.devices, device_fields(scenario), strict=True)
         for _ in range(device.count)
     }
 
 
-def common_fields(scenario: Scenario) -> tuple[str, ...]:
-    """Names of the fields that every agent observes, whatever its device, in order."""
-    return tuple(field.name for field in grid_fields(scenario))
+def _of_grid(scenario: Scenario, device: Device) -> tuple[str, ...]:
+    """Names of the fields of the grid that agents of a device observe, in order."""
+    return tuple(field.name for field in grid_fields(scenario) if _observes(device, field))
+
+
+def _observes(device: Device, field: ObservationField) -> bool:
+    return device.input == "workload" or not field.of_sites
 
 
 @cached_on_owner
@@ -247,7 +300,8 @@ def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
     n = scenario.n_agents
     near = min(N_NEIGHBOURS, n - 1) if scenario.sensing.observe == "neighbours" else 0
-    blocks = [field.scale(scenario) * np.ones(n) for field in grid_fields(scenario)]
+    of_grid = grid_fields(scenario)
+    blocks = [field.scale(scenario) * np.ones(n) for field in of_grid]
     common = len(blocks)
     for fields in device_fields(scenario):
         blocks += [1.0 / f.share_of * (scenario.sensing.preview if f.of_preview else True) for f in fields]
@@ -256,7 +310,7 @@ def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object
     column, agent, block = [], 0, common
     for device, fields in zip(scenario.devices, device_fields(scenario), strict=True):
         for slot in range(device.count):
-            column += [starts[k] + agent for k in range(common)]
+            column += [starts[k] + agent for k in range(common) if _observes(device, of_grid[k])]
             column += [starts[block + k] + slot for k in range(len(fields))]
             if scenario.sensing.observe == "neighbours":
                 column += range(len(scale) + 3 * near * agent, len(scale) + 3 * near * (agent + 1))
@@ -269,7 +323,7 @@ def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object
     elif scenario.sensing.observe == "feeder":
         scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), _per_band(scenario))))
     return _Layout(
-        tuple(field.raw for field in grid_fields(scenario)),
+        tuple(field.raw for field in of_grid),
         xp.asarray(scale, dtype=dtype, device=device_of),
         xp.asarray(np.array(column, dtype=np.int64), device=device_of),
     )
@@ -324,7 +378,7 @@ def _raw(
     if state.regulator_views is not None:
         by_node = upstream_view(scenario.feeder, state.regulator_views[0])  # pyright: ignore[reportArgumentType]
         regulators = RegulatorView(*(from_nodes(figures, placed.nodes) for figures in by_node))
-    seen = Seen(scenario.n_agents, state, placed, v_now - 1.0, v_now - v_before, phases, regulators)
+    seen = Seen(scenario, scenario.n_agents, state, placed, v_now - 1.0, v_now - v_before, phases, regulators)
     raw = [of_field(seen) for of_field in layout.raw]
     for i, its_state in enumerate(state.devices):
         if its_state:

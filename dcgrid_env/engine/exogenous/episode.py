@@ -12,6 +12,7 @@ from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work
 from dcgrid_env.engine.exogenous.drawn_events import drawn_faults, drawn_sags, sags_in_interval
+from dcgrid_env.engine.exogenous.drawn_requests import drawn_requests, request_columns
 from dcgrid_env.engine.exogenous.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
 from dcgrid_env.engine.physics import connections
 from dcgrid_env.engine.physics.loads import drawn
@@ -53,6 +54,8 @@ class Episode(NamedTuple):
     int64, (row, n_fault, 3)."""
     sag: np.ndarray
     """Beginning, duration and share left of each sag, ``drawn_events.drawn_sags``, (row, n_sag, 3)."""
+    request: np.ndarray
+    """Start, ramp, duration and value of each request, ``drawn_requests.drawn_requests``, (row, n_request, 4)."""
 
 
 def prepare(scenario: Scenario, episode: Episode) -> None:
@@ -85,6 +88,7 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: Epis
         begin_h,
         drawn_faults(scenario, key),
         drawn_sags(scenario, key),
+        drawn_requests(scenario, key),
     )
     episode = assemble(scenario, key, buses, *drawn)
     prepare(scenario, episode)
@@ -150,10 +154,12 @@ def assemble(
     begin_h: np.ndarray,
     fault: np.ndarray,
     sag: np.ndarray,
+    request: np.ndarray,
 ) -> Episode:
     """An episode from what was drawn: adds the positions that depend on which rows are together in the batch."""
     still = np.ones(len(key))
-    return Episode(key, buses, connections.placement(scenario, buses), start, sun, begin_h, still, fault, sag)
+    placed = connections.placement(scenario, buses)
+    return Episode(key, buses, placed, start, sun, begin_h, still, fault, sag, request)
 
 
 def lost(scenario: Scenario, fault: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -258,7 +264,7 @@ def exogenous(
         offset_v = settings.scheduled_v(scenario.feeder.network.regulator, begin_h)
     return Exogenous(
         None, None, p_ref, injection, placed.nodes, compute, available, legs, capacitor_on, sags, None, to_draw,
-        offset_v,
+        offset_v, request_columns(scenario, episode.request, step, p_ref),
     )  # fmt: skip
 
 

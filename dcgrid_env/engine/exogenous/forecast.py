@@ -31,6 +31,9 @@ class Forecast(NamedTuple):
     """``Exogenous.capacitor_on`` in each step, (T, n_capacitor); None where all can be on."""
     sags: np.ndarray | None = None
     """Sags in time: beginning, s from the episode's, duration, s, and share of the voltage left, (n_sag, 3)."""
+    request: np.ndarray | None = None
+    """Least and most total draw of the sites that the utility requests, shares of the sum of their ratings, (T, 2);
+    None where a scenario has no requests."""
 
 
 def forecast(scenario: Scenario, seed: int) -> Forecast:
@@ -44,17 +47,20 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
         raise ScenarioError(f"scenario is {scenario!r}; give a Scenario, for instance make_scenario('ieee123')")
     seeds, scenario = np.array([whole_seed(seed) % 2**64], np.uint64), scenario.member(seed)
     drawn = episode.draw(scenario, seeds, np.zeros(1, np.uint64))
-    steps, capacitors = [], []
+    steps, capacitors, requests = [], [], []
     for _, outside in episode.unroll(scenario, drawn):
         available = np.ones(scenario.n_agents) if outside.available is None else outside.available[0]
         fields = (outside.p_load_kw, outside.q_load_kvar, outside.p_ref_kw, outside.p_inverter_kw)
         steps.append((*(values[0] for values in fields), available))
         if outside.capacitor_on is not None:
             capacitors.append(outside.capacitor_on[0])
+        if outside.request is not None:
+            requests.append(outside.request[0, :2])
     columns = (np.array(column[1:]) for column in zip(*steps, strict=True))
     capacitor_on = np.array(capacitors[1:]) if capacitors else None
     sags = drawn.sag[0] if scenario.sags else None
-    return Forecast(drawn.buses[0], *columns, capacitor_on=capacitor_on, sags=sags)
+    request = np.array(requests[1:]) if requests else None
+    return Forecast(drawn.buses[0], *columns, capacitor_on=capacitor_on, sags=sags, request=request)
 
 
 def sag_times(scenario: Scenario, seed: int) -> np.ndarray:

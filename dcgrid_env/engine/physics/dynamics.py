@@ -158,6 +158,7 @@ def _step(
         p_window_kw=None if state.p_window_kw is None else (*state.p_window_kw[1:], state.p_kw),
         loading=loading,
         regulator_views=views,
+        request=exogenous.request,
     ), grid
 
 

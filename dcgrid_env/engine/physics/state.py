@@ -61,6 +61,9 @@ class Exogenous(NamedTuple):
     """Inputs of loads that are not drawn yet, which are None then; None once they are drawn."""
     offset_v: Array | None = None
     """Offsets of regulators' set points by schedules, V, (row, n_regulator); None where a scenario has none."""
+    request: Array | None = None
+    """The utility's request over the interval and what is announced at its end, ``load_requests.RequestColumns``,
+    (row, n_column); None where a scenario has none."""
 
 
 class GridStep(NamedTuple):
@@ -131,6 +134,8 @@ class State(NamedTuple):
     regulator_views: tuple[RegulatorView, ...] | None = None
     """What is reported of the feeder's regulators, the report that agents observe now first, and the last step's
     last; None where agents do not observe them."""
+    request: Array | None = None
+    """``Exogenous.request`` of the interval, which is charged and observed."""
 
     def __getattr__(self, name: str) -> Any:
         return field_of_devices(self.devices, name)

@@ -43,10 +43,12 @@ class Series:
 
     def _take(self, scenario: Scenario, course: _Course, env_index: int) -> None:
         self.scenario = scenario
-        self.v_pu, self.p_kw_from_reset, self.devices, self.three_phase, self.loading = course.from_reset
+        self.v_pu, self.p_kw_from_reset, self.devices, self.three_phase, self.loading, request = course.from_reset
         """``devices`` are the states of each device over time, and ``three_phase`` is ``State.three_phase``, None on a
         balanced feeder, from the reset on; so is ``loading``, ``State.loading``, None where no rating is known."""
         self.p_kw = self.p_kw_from_reset[1:]
+        self.request = None if request is None else request[1:]
+        """``State.request``, (T, n_column); None where a scenario has no requests of a utility."""
         self.q_kvar, self.loss_kw, self.cost_j, converged, costs = course.of_steps
         self.costs = costs._asdict()
         self.trace_start, self.buses, self.fault = (drawn[env_index] for drawn in course.drawn)
@@ -100,7 +102,7 @@ class _Course(NamedTuple):
     """Contents of a series, arrays with time as the first axis."""
 
     from_reset: tuple[Any, ...]
-    """Voltages, draws, states of the devices and of three phases, loading, from the reset on."""
+    """Voltages, draws, states of the devices and of three phases, loading, requests, from the reset on."""
     of_steps: tuple[Any, ...]
     """Reactive injections, losses, costs, whether the power flow had a solution, and the terms of the cost."""
     drawn: tuple[np.ndarray, ...]
@@ -114,7 +116,7 @@ def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]
         return over_arrays(lambda *values: stack(values), *parts)
 
     states = [t.state for t in transitions]
-    from_reset = [(s.v_pu, s.p_kw, s.devices, s.three_phase, s.loading) for s in states]
+    from_reset = [(s.v_pu, s.p_kw, s.devices, s.three_phase, s.loading, s.request) for s in states]
     of_steps = [(t.state.q_kvar, t.loss_kw, t.cost_j, t.converged, t.costs) for t in transitions[1:]]
     begun = transitions[0]
     return _Course(over_time(from_reset), over_time(of_steps), (begun.trace_start, begun.buses, begun.fault))

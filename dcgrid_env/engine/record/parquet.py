@@ -17,6 +17,7 @@ from dcgrid_env.core.install import from_clone
 from dcgrid_env.devices.device import DeviceState
 from dcgrid_env.engine.physics.dynamics import device_slices
 from dcgrid_env.engine.record.episode_record import Series
+from dcgrid_env.scenario.costs.load_requests import RequestColumns
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -122,8 +123,9 @@ def course_table(part: Series, first_step: int) -> dict[str, np.ndarray]:
 
     ``step`` (from 1 on) and ``t_s``; ``cost_j``, the step's share of J times T, and its terms ``cost.NAME``;
     ``loss_kw``; ``v_pu.NODE`` of every node; ``p_kw.AGENT``, the draw, and ``q_kvar.AGENT``, the reactive injection;
-    ``FIELD.AGENT`` for each field of a device's state that is one number an agent, as ``f_mhz.dc_0``; and of a
-    three-phase feeder ``tap.REGULATOR`` and ``capacitor_on.BANK``.
+    ``FIELD.AGENT`` for each field of a device's state that is one number an agent, as ``f_mhz.dc_0``; of a
+    three-phase feeder ``tap.REGULATOR`` and ``capacitor_on.BANK``; and with requests of a utility ``request.lower``,
+    ``request.upper`` and the other columns of ``load_requests.RequestColumns``.
     """
     s = part.scenario
     step = np.arange(first_step + 1, first_step + 1 + len(part.cost_j), dtype=np.int32)
@@ -142,6 +144,8 @@ def course_table(part: Series, first_step: int) -> dict[str, np.ndarray]:
         regulators, banks = part.three_phase.equipment
         columns |= _of_each("tap", range(regulators.tap.shape[1]), regulators.tap[1:])
         columns |= _of_each("capacitor_on", range(banks.on.shape[1]), banks.on[1:])
+    if part.request is not None:
+        columns |= _of_each("request", RequestColumns._fields, part.request)
     return columns
 
 

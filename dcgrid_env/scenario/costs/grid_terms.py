@@ -16,7 +16,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.metric import Table
-from dcgrid_env.scenario.costs import equipment_moves, overload, utility_limits
+from dcgrid_env.scenario.costs import equipment_moves, load_requests, overload, utility_limits
 from dcgrid_env.scenario.costs.voltage_reference import agents_deviation
 
 
@@ -254,6 +254,15 @@ TERMS = (
         amount=lambda step: overload.mean_overload(step.scenario, step.state.loading),
         largest=lambda _: overload.MOST_EXCESS,
         needs="ratings",
+        is_always_listed=False,
+        is_constraint=True,
+    ),
+    GridTerm(
+        "grid_request",
+        "request cost",
+        "distance of the sites' total draw from the utility's request, as a share of the sum of their ratings",
+        amount=lambda step: load_requests.missed(step.scenario, step.state),
+        largest=load_requests.largest_missed,
         is_always_listed=False,
         is_constraint=True,
     ),

@@ -168,7 +168,7 @@ def test_the_schema_lists_every_published_field():
     later_of_feeder = {"shunt_kw", "shunt_kvar", "voltage_ratio", "bus_base_kv", "rating_a", "loop_ends"}
     listed_of_feeder = set(fingerprint.SCHEMA_1[Feeder].fields)
     assert listed_of_feeder | later_of_feeder == {field.name for field in dataclasses.fields(Feeder)}
-    later_weights = ("unbalance", "switching", "ramp_excess", "voltage_step_excess", "overload")
+    later_weights = ("unbalance", "switching", "ramp_excess", "voltage_step_excess", "overload", "grid_request")
     assert (*fingerprint.SCHEMA_1[CostWeights].fields, *later_weights) == CostWeights._fields
 
 

@@ -12,6 +12,7 @@ from dcgrid_env import (
     CostWeights,
     Fault,
     FeederError,
+    LoadTarget,
     PowerSmoothing,
     RandomFeeders,
     Routing,
@@ -73,6 +74,7 @@ TABLE = {
     ),
     "smoothing": ("ieee33", 1.05, 3, 600.0, 1.02, (18, 33, 25), WEAK, 100.0, "training", 0.05, 6000),
     "routing": ("ieee33", 1.05, 4, 1000.0, 1.02, (18, 33, 25, 12), WEAK, 100.0, "code", 0.05, 60),
+    "load-target": ("ieee33", 1.05, 3, 600.0, 1.02, (18, 33, 25), WEAK, 100.0, "mixed", 0.05, 120),
     "zero-shot": (
         RandomFeeders(n_bus=60, style="us-mv", load_kw=4000.0, ood="rural", batch=128), 1.05, 4, 1000.0, 1.02, None,
         (9, 19, 29, 39, 49, 59), 400.0, "inference", 0.05, 120,
@@ -151,6 +153,13 @@ BEYOND = {
         "datacenters.routing": Routing(movable_share=0.5, move_latency_s=0.1),
         "datacenters.service": ServiceLevels(target_s=2.0, deadline_s=20.0, interactive_share=0.6),
         "cost.weights": CostWeights(backlog=0.0),
+    },
+    "load-target": {
+        "grid_request.targets": (
+            LoadTarget(value_share=(0.38, 0.46), begin_s=(30.0, 45.0), ramp_s=(10.0, 10.0), duration_s=(40.0, 50.0)),
+        ),
+        "grid_request.notice_s": 20.0,
+        "cost.weights": CostWeights(grid_request=30.0),
     },
     "toy6": {"workload.window": "start"},
     "sync": {"workload.site_correlation": 1.0},

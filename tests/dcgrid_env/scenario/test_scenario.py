@@ -49,11 +49,11 @@ def test_defaults_are_the_designs():
     assert (s.background.load_sigma, s.background.load_rho, s.cost.band_pu) == (0.05, 0.9, 0.05)
     assert (s.cost.voltage, s.cost.reward, s.sensing.observe, s.sensing.preview) == ("l1", "shared", "local", True)
     assert (s.sensing.noise_pu, s.sensing.delay_steps, s.background.capacitors) == (0.0, 0, True)
-    assert s.cost.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, *[0.0] * 8)
+    assert s.cost.weights == (100.0, 1000.0, 0.3, 0.02, 9.0, *[0.0] * 9)
     assert (s.cost.ramp_limit_kw_per_s, s.cost.ramp_window_s, s.cost.voltage_step_limit_pu) == (None, None, None)
     assert s.cost.weights._fields[:5] == ("voltage", "violation", "backlog", "effort", "leftover")
     assert s.cost.weights._fields[5:10] == ("clock", "step", "loss", "unbalance", "switching")
-    assert s.cost.weights._fields[10:] == ("ramp_excess", "voltage_step_excess", "overload")
+    assert s.cost.weights._fields[10:] == ("ramp_excess", "voltage_step_excess", "overload", "grid_request")
     assert (s.datacenters.phases, s.inverters.phases) == (None, None)
     assert isinstance(s.datacenters.clock_law, LinearDvfs)
     assert s.work_classes == 1

@@ -45,6 +45,20 @@ VARIANTS = {
             "horizon": 8,
         },
     ),
+    "requests of a utility": (
+        "ieee33-weak",
+        {
+            "grid_request": {
+                "targets": [
+                    {"value_share": [0.2, 0.3], "begin_s": [2, 6], "ramp_s": 3, "duration_s": 8},
+                    {"kind": "target", "value_mw": [0.8, 1.5], "begin_s": 14, "duration_s": 9, "priority": 1},
+                ],
+                "notice_s": 5.0,
+            },
+            "weights": {"grid_request": 2.0},
+            "horizon": 20,
+        },
+    ),
     "other costs": ("ieee33", {"weights": CostWeights(clock=1.0, step=10.0, loss=2.0), "horizon": 8}),
 }
 """By name a preset and overrides, short, so that every option that changes what is computed comes up."""

@@ -6,6 +6,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.laws.constant_set_points import agents_choose_set_points, has_set_points
 from dcgrid_env.baselines.laws.fixed_smoothing import has_smoothing_channels
 from dcgrid_env.baselines.laws.peak_shaving import has_storages
+from dcgrid_env.baselines.laws.request_sharing import has_requests
 from dcgrid_env.baselines.laws.route_to_strongest import has_routing
 from dcgrid_env.baselines.laws.site_return import has_return_channel
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
@@ -27,6 +28,11 @@ def is_known_to_models(scenario: Scenario) -> bool:
     return can_be_planned(scenario) and not has_storages(scenario)
 
 
+def is_priced_by_models(scenario: Scenario) -> bool:
+    """Whether controllers that minimise the cost know all its terms; of requests hindsight alone knows."""
+    return is_known_to_models(scenario) and not scenario.cost.weights.grid_request
+
+
 NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "peak-shaving": has_storages,
     "return-by-hand": has_return_channel,
@@ -35,17 +41,18 @@ NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "smoothing-light": has_smoothing_channels,
     "smoothing-strong": has_smoothing_channels,
     "route-to-strongest": has_routing,
+    "request-sharing": has_requests,
     "set-points": has_set_points,
     "static": has_set_points,
     "two-timescale": has_set_points,
-    "mpc": is_known_to_models,
-    "mpc-one-step": is_known_to_models,
-    "feedback": is_known_to_models,
+    "mpc": is_priced_by_models,
+    "mpc-one-step": is_priced_by_models,
+    "feedback": is_priced_by_models,
     "model-aided": is_known_to_models,
 }
 NEEDING_A_DEVICE = (
     "peak-shaving", "return-by-hand", "staggered-return", "smoothing", "smoothing-light", "smoothing-strong",
-    "route-to-strongest", "set-points", "static", "two-timescale",
+    "route-to-strongest", "request-sharing", "set-points", "static", "two-timescale",
 )  # fmt: skip
 """Controllers that refuse a scenario of data centres and inverters alone."""
 

@@ -15,7 +15,7 @@ def state_of(fields: dict[str, Any]) -> State:
 
 def fields_of(state: State) -> dict[str, Any]:
     """Every array of a balanced feeder's state by its name, where no ramp is charged and no rating is known."""
-    apart = ("devices", "three_phase", "p_window_kw", "loading", "regulator_views")
+    apart = ("devices", "three_phase", "p_window_kw", "loading", "regulator_views", "request")
     found = {name: getattr(state, name) for name in State._fields if name not in apart}
     for device in state.devices:
         found |= device._asdict() if hasattr(device, "_asdict") else {}

@@ -21,6 +21,7 @@ LIMITED = {
     "cost.voltage_step_limit_pu": 0.02,
     "weights": {"ramp_excess": 1.0, "voltage_step_excess": 1.0},
 }
+ASKED = {"grid_request": {"targets": [{"value_share": 0.5}]}, "weights": {"grid_request": 1.0}}
 RATED = dataclasses.replace(load_feeder("toy6"), rating_a=np.full(5, 100.0))
 SITES = {f"datacenters.{name}": {} for name in ("smoothing", "cooling", "routing", "batching", "service")} | {
     "datacenters.storage": {"p_rated_kw": 300.0, "energy_kwh": 5.0}
@@ -28,6 +29,7 @@ SITES = {f"datacenters.{name}": {} for name in ("smoothing", "cooling", "routing
 GROUPS = {
     "requests": named("requests", "ttft", "e2e"),
     "phases": named("unbalance", "nema", "tap_moves", "capacitor_switchings", "cost_unbalance", "cost_switching"),
+    "requests of a utility": named("grid_request", "cost_grid_request"),
     "limits": named("ramp", "voltage_step_max", "voltage_step_excess", "cost_ramp", "cost_voltage_step"),
     "ratings": named("loading_max", "overloaded", "cost_overload"),
     "tenths": named("pst", "swing"),
@@ -50,6 +52,7 @@ OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind si
     [
         (make_scenario("toy6", horizon=3), set()),
         (make_scenario("toy6", horizon=3, **LIMITED), {"limits"}),
+        (make_scenario("toy6", horizon=3, **ASKED), {"requests of a utility"}),
         (make_scenario("toy6", horizon=3, feeder=RATED, weights={"overload": 1.0}), {"ratings"}),
         (make_scenario("toy6", horizon=6000, dt_s=0.1), {"tenths"}),
         (make_scenario("ieee33", horizon=3, trace="deepseek-v3"), {"requests"}),
@@ -61,6 +64,7 @@ OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind si
     ids=[
         "balanced",
         "limits",
+        "requests of a utility",
         "ratings",
         "tenths of a second",
         "requests",
