@@ -71,7 +71,7 @@ COMMANDS = Group(
             "import": _IMPORT,
             "check": Entry("Check in a minute whether a scenario is worth learning on.", "check:Check"),
             "capacity": Entry("Find the largest data centre that each bus can carry.", "capacity:Capacity"),
-            "study": Entry("Answer a connection request with one report.", "study:ConnectionStudy"),
+            "study": Entry("Answer a connection request with one report.", "connection_study:ConnectionStudy"),
             "export": _EXPORT,
         },
         "Train and evaluate": {

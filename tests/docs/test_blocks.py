@@ -95,7 +95,7 @@ ELSEWHERE = {
     "dcgrid reproduce": "tests/dcgrid_env/cli/test_reproduce.py",
     "python -m docs.studies fit-paper": "tests/docs/studies/test_fit_paper.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
-    "dcgrid study": "tests/dcgrid_env/cli/test_study.py",
+    "dcgrid study": "tests/dcgrid_env/cli/test_connection_study.py",
     "dcgrid import gridlabd": "tests/dcgrid_env/cli/test_gridlabd_import.py",
     "dcgrid import opendss": "tests/dcgrid_env/cli/test_opendss_import.py",
     "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",

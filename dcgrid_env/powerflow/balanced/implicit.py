@@ -14,8 +14,8 @@ import torch
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.torch_threads import rest_of_backward_on
 from dcgrid_env.grid.feeder import Feeder
-from dcgrid_env.powerflow.balanced.adjoint_batch import distflow_adjoint
 from dcgrid_env.powerflow.balanced.batch import solve_rows
+from dcgrid_env.powerflow.balanced.distflow_adjoint import distflow_adjoint
 from dcgrid_env.powerflow.solution import Solution
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from dcgrid_env import load_feeder
 from dcgrid_env.baselines.connection_study import sections
-from dcgrid_env.baselines.connection_study.report import answers, page, plain, sections_of
+from dcgrid_env.baselines.connection_study.connection_report import answers, page, plain, sections_of
 from dcgrid_env.baselines.connection_study.sections import Job
 from dcgrid_env.baselines.connection_study.study_request import FluctuationLimits, StudyRequest
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study

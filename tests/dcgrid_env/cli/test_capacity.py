@@ -80,7 +80,7 @@ def test_outages_and_sites_together_are_printed_and_written(capsys, tmp_path):
     more = ("--outages", "capacitor c83, regulator reg4", "--together", "equal")
     run("--feeder", "ieee123-3ph", "--buses", "66,76", *wide, *more)
     printed = capsys.readouterr().out
-    assert "capacity with one element out of service" in printed
+    assert "with an outage" in printed
     assert "Sites at once, rule equal" in printed
     rows = (tmp_path / "out/outages.csv").read_text().splitlines()
     assert rows[0].startswith("outage,controller,bus,capacity_mw")

@@ -40,7 +40,7 @@ class ConnectionStudy(OverWorkers):
 
     def run(self) -> None:
         """Compute all sections, then write; raise ValueError before anything is written if a setting is invalid."""
-        from dcgrid_env.baselines.connection_study.report import answers, page, plain, sections_of
+        from dcgrid_env.baselines.connection_study.connection_report import answers, page, plain, sections_of
         from dcgrid_env.baselines.connection_study.sections import BUILDERS
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
