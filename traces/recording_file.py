@@ -23,7 +23,7 @@ from dcgrid_env.traces.logs.wattameter_log import read_wattameter_log
 from dcgrid_env.traces.serving.hardware import replica
 from dcgrid_env.traces.serving.pool import serve
 from dcgrid_env.traces.serving.requests import Requests
-from dcgrid_env.traces.text.csv_file import RECORDED
+from dcgrid_env.traces.text.csv_file import RECORDED, csv_columns
 from dcgrid_env.traces.text.text_file import open_text
 from dcgrid_env.traces.trace import PowerTrace
 
@@ -95,6 +95,19 @@ def file_format(path: str | Path) -> FileFormat:
     if len(content) > 1 and any(is_date(cell) for cell in split(content[1])):
         return FORMATS["stamped-csv"]
     return FORMATS["csv"]
+
+
+def columns_line(path: str | Path, trace: PowerTrace, **options: Any) -> str:
+    """Return the format of a file and what was read from it, as text."""
+    form = file_format(path)
+    if form.name == "csv":
+        chosen = {name: options[name] for name in ("power_columns", "unit") if options.get(name) is not None}
+        read = ", ".join(f"{column} in {unit}" for column, unit in csv_columns(path, **chosen).items())
+    else:
+        read = ", ".join(
+            f"{name} {value}" for name, value in trace.provenance.parameters.items() if name != "served_by"
+        )
+    return f"{form.description}; {read or 'whole log'}"
 
 
 def read_file(path: str | Path, **options: Any) -> PowerTrace:
