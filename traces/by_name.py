@@ -25,9 +25,9 @@ def recorded_trace(name: str) -> PowerTrace:
 
 def _read(name: str) -> PowerTrace:
     if name in RECORDINGS:
-        if RECORDINGS[name].kind == "power":
-            return load_power(name)
-        return served(load_requests(name))
+        if RECORDINGS[name].kind == "requests":
+            return served(load_requests(name, part_s=RECORDINGS[name].part_s))
+        return load_power(name)
     path = Path(name)
     if not path.is_file():
         raise TraceError(

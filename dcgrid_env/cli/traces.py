@@ -150,7 +150,7 @@ class Fetch(Command):
         return GOES_ON
 
     def run(self) -> None:
-        """Download, and print the licence and the citation."""
+        """Download, and print the checksum, the licence and the citation."""
         from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
         from dcgrid_env.traces.recordings import RECORDINGS
@@ -164,7 +164,7 @@ class Fetch(Command):
             path = download(self.name, self.cache, lambda have, size: progress.update(task, completed=have, total=size))
         recording = RECORDINGS[self.name]
         say(console, f"{path}\n{recording.description}")
-        say(console, f"licence: {recording.licence}\ncite:    {recording.citation}")
+        say(console, f"sha256:  {recording.sha256}\nlicence: {recording.licence}\ncite:    {recording.citation}")
 
 
 @dataclass(frozen=True)

@@ -119,14 +119,15 @@ def read_request_log(
         if part_s is not None:
             parameters["part_s"] = [begin_s, end_s]
         provenance = Provenance(file.name, parameters=parameters, sha256=file.sha256())
-    if not arrival_s or arrival_s[-1] == 0:
+    duration_s = end_s - begin_s if goes_on else (arrival_s or [0.0])[-1]
+    if not arrival_s or duration_s == 0:
         what = "" if part_s is None else f" from {begin_s:g} to {end_s:g} s"
         raise TraceError(f"{file.name}: has {len(arrival_s)} requests{what}, none after the first time; give more")
     return Requests(
         np.frombuffer(arrival_s),
         np.frombuffer(context, dtype=np.int64),
         np.frombuffer(generated, dtype=np.int64),
-        end_s - begin_s if goes_on else arrival_s[-1],
+        duration_s,
         name or stem(path),
         provenance,
     )
