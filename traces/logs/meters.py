@@ -69,8 +69,10 @@ class Meters:
     def add(self, meter: str, time_s: float, reading: float, place: int) -> None:
         """Append a reading in the unit of the file; a reading that is not a number is missing and left out.
 
-        Raises TraceError for a negative reading, and for one above the limit.
+        Raises TraceError for a time that is not finite, a negative reading, and one above the limit.
         """
+        if not math.isfinite(time_s):
+            raise TraceError(f"{self._placed(meter, place)}: the time is {time_s}; repair or remove the reading")
         if math.isnan(reading):
             self.meters.setdefault(meter, Meter(meter))
             return

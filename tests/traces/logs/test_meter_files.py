@@ -183,6 +183,7 @@ def test_gaps_are_refused_held_or_filled(write):
         (read_power_json, prometheus(series({}, [1, 2]), series({}, [1, 2])), r"value 1: repeats the time"),
         (read_power_json, {"data": {"resultType": "matrix", "result": [{}]}}, r"has another form than expected"),
         (read_power_json, lines([{"PowerControl": []}] * 2), r"object 1 has no time; add a field Timestamp"),
+        (read_power_json, prometheus(series({}, [1, 2], step=float("inf"))), r"value 1: the time is nan; repair or"),
         (read_power_json, {"a": 1}, r"has the fields a; export a range query of Prometheus"),
         (read_power_json, "[1, 2]", r"is not a JSON object, or a list of them"),
         (read_power_json, '{"a": 1,\n "b"', r"line 2: is not JSON"),
