@@ -103,6 +103,8 @@ def columns_line(path: str | Path, trace: PowerTrace, **options: Any) -> str:
     if form.name == "csv":
         chosen = {name: options[name] for name in ("power_columns", "unit") if options.get(name) is not None}
         read = ", ".join(f"{column} in {unit}" for column, unit in csv_columns(path, **chosen).items())
+        dropped = trace.provenance.parameters.get("dropped", {})
+        read += "".join(f"; {count} samples dropped ({fault})" for fault, count in dropped.items())
     else:
         read = ", ".join(
             f"{name} {value}" for name, value in trace.provenance.parameters.items() if name != "served_by"

@@ -91,7 +91,7 @@ def read_power_json(
     for reading in readings:
         meters.add(*reading)
     time_s, power_kw, begin_s = meters.total()
-    parameters = {"began": clock_text(begin_s), "meters": len(meters.meters), "metric": what}
+    parameters = {"began": clock_text(begin_s), "meters": len(meters.meters), "metric": what or "an expression"}
     return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 

@@ -53,13 +53,11 @@ class _Form(NamedTuple):
 def read_request_log(
     path: str | os.PathLike[str], name: str | None = None, part_s: tuple[float, float] | None = None
 ) -> Requests:
-    """Read a log of requests; its first line shows the format.
+    """Read a log of requests, in the format that its first line shows.
 
-    | format | first line | time |
-    |---|---|---|
-    | Azure 2023, 2024 | `TIMESTAMP,ContextTokens,GeneratedTokens` | UTC, like `2023-11-16 18:15:46.6805900` |
-    | BurstGPT | a header with `Timestamp`, `Request tokens`, `Response tokens` | s |
-    | Mooncake | `{"timestamp": 0, "input_length": 6758, "output_length": 500, ...}` | ms |
+    - Azure 2023 and 2024: the header `TIMESTAMP,ContextTokens,GeneratedTokens`, times in UTC.
+    - BurstGPT: a header with `Timestamp`, `Request tokens` and `Response tokens`, times in s.
+    - Mooncake: `{"timestamp": 0, "input_length": 6758, "output_length": 500, ...}`, times in ms.
 
     Times count from the first request. `duration_s` ends at the last one, as a log does not contain the idle time after
     it. A part lasts as long as was asked for if the log continues after it. BurstGPT's requests without response tokens

@@ -129,6 +129,16 @@ def test_check_reports_a_recording_and_writes_the_files(tmp_path, capsys):
     assert "windows of 10 s: train 59, validation 20, test 20" in printed
 
 
+def test_check_counts_the_samples_that_it_drops(tmp_path, capsys):
+    (tmp_path / "site.csv").write_text(
+        "time_s,site_kw\n" + ROWS + "1000,NaN\n1001,\n1002,-5\n1003,1\n", encoding="utf-8"
+    )
+    main(["traces", "check", str(tmp_path / "site.csv"), "--invalid", "drop"])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "in kW; 2 samples dropped (not a number); 1 samples dropped (negative)" in printed
+    assert "gaps of more than 3 intervals: 1, the longest 4 s" in printed
+
+
 def test_check_with_power_as_recorded(tmp_path, capsys):
     (tmp_path / "site.csv").write_text("time_s,site_kw\n" + ROWS, encoding="utf-8")
     words = ["check", str(tmp_path / "site.csv"), "--scenario", "toy6", "--out", str(tmp_path / "s.json")]
