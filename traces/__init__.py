@@ -9,8 +9,12 @@ from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.day_course import load_share, sun_share
 from dcgrid_env.traces.inference import InferenceParams, generate_inference
 from dcgrid_env.traces.library import library, row_seed
+from dcgrid_env.traces.logs.dmon_log import read_dmon_log
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
+from dcgrid_env.traces.logs.power_json import read_power_json
 from dcgrid_env.traces.logs.request_log import read_request_log
+from dcgrid_env.traces.logs.stamped_csv import read_stamped_csv
+from dcgrid_env.traces.logs.wattameter_log import read_wattameter_log
 from dcgrid_env.traces.mixed import generate_mixed
 from dcgrid_env.traces.on_demand import RowsOnDemand, rows_on_demand
 from dcgrid_env.traces.provenance import Provenance
@@ -83,8 +87,12 @@ __all__ = [
     "load_requests",
     "load_share",
     "pv_rows",
+    "read_dmon_log",
     "read_gpu_log",
+    "read_power_json",
     "read_request_log",
+    "read_stamped_csv",
+    "read_wattameter_log",
     "record",
     "recorded_trace",
     "replica",

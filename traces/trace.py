@@ -1,5 +1,6 @@
 """A power trace: irregular samples, each held until the next one, and its exact average on a regular grid."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dcgrid_env.core.files import write_text
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.text.csv_file import read_csv
+from dcgrid_env.traces.text.csv_file import RECORDED, read_csv
 from dcgrid_env.traces.text.text_file import stem
 
 
@@ -117,10 +119,11 @@ class PowerTrace:
         max_gap_s: float | None = None,
         gaps: str = "error",
         limit_kw: float = 1e6,
+        invalid: str = "error",
         name: str | None = None,
     ) -> "PowerTrace":
         """Read a trace from a text file; see `dcgrid_env.traces.text.csv_file.read_csv`."""
-        time_s, power_kw, provenance = read_csv(
+        time_s, power_kw, rated_kw, provenance = read_csv(
             path,
             time_column,
             power_columns,
@@ -130,13 +133,31 @@ class PowerTrace:
             max_gap_s=max_gap_s,
             gaps=gaps,
             limit_kw=limit_kw,
+            invalid=invalid,
         )
-        return cls(time_s, power_kw, name=name or stem(path), provenance=provenance)
+        return cls(time_s, power_kw, name=name or stem(path), provenance=provenance, rated_kw=rated_kw)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the trace to a CSV file, which `from_csv` reads back exactly, with its rating and origin.
+
+        Power of a trace in shares of a rating of 1 kW is written as `site_share`, other power as `site_kw`. The file is
+        written whole or not at all.
+        """
+        is_noted = not self.is_share and self.rated_kw is not None
+        notes = {"source": self.provenance.record()} | ({"rated_kw": self.rated_kw} if is_noted else {})
+        rows = "".join(f"{t!r},{p!r}\n" for t, p in zip(self.time_s.tolist(), self.power_kw.tolist(), strict=True))
+        header = f"time_s,{'site_share' if self.is_share else 'site_kw'}\n"
+        write_text(Path(path), f"{RECORDED}{json.dumps(notes)}\n{header}{rows}")
 
     @property
     def asked_by(self) -> str | None:
         """Name or file that `recorded_trace` made it of; None for a trace made otherwise."""
         return self.__dict__.get("_asked_by")
+
+    @property
+    def is_share(self) -> bool:
+        """Whether the power is a share of a rating, which is then 1 kW."""
+        return self.rated_kw == 1.0
 
     @property
     def duration_s(self) -> float:
@@ -182,6 +203,17 @@ class PowerTrace:
     def rated_at(self, rating_kw: float) -> "PowerTrace":
         """Return the trace with another rating and the same power."""
         return replace(self, rated_kw=rating_kw)
+
+    def with_site_rating(self, rating_kw: float) -> "PowerTrace":
+        """Return the trace of a site of this rating: its shares times the rating, or its power in kW unchanged.
+
+        Raises TraceError if the rating is not above zero.
+        """
+        rating_kw = require_positive(rating_kw, "rating_kw", "give the rating of the site in kW")
+        if not self.is_share:
+            return self.rated_at(rating_kw)
+        compute_kw = None if self.compute_kw is None else self.compute_kw * rating_kw
+        return replace(self, power_kw=self.power_kw * rating_kw, compute_kw=compute_kw, rated_kw=rating_kw)
 
     def as_share(self) -> "PowerTrace":
         """Return the trace as a share of its rating, or of its highest power if the rating is unknown."""

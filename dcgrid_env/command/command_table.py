@@ -50,9 +50,10 @@ _TRAIN = Group(
     },
 )
 _TRACES = Group(
-    "Fetch, show and record power traces.",
+    "Fetch, check, show and record power traces.",
     {
         "Commands": {
+            "check": Entry("Check a recording of power and report how it would be used.", "traces:CheckRecording"),
             "fetch": Entry("Download a published recording and verify it.", "traces:Fetch"),
             "show": Entry("Plot a trace: power, ramps, spectrum and duration curve.", "traces:Show"),
             "record": Entry("Record the power of this machine's GPUs through NVML.", "traces:Record"),

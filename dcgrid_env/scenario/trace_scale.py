@@ -67,7 +67,7 @@ def as_shares_of(scenario: Any) -> tuple[tuple[PowerTrace, ...], np.ndarray]:
 
 
 def check_trace_scale(scenario: Any) -> None:
-    """Raise FieldError for power as recorded of a generator, or of a recording that exceeds a site's rating."""
+    """Raise FieldError for power as recorded of a generator, in shares, or of a recording above a site's rating."""
     if scenario.workload.trace_scale == "rated":
         return
     if isinstance(scenario.workload.trace, str):
@@ -77,6 +77,9 @@ def check_trace_scale(scenario: Any) -> None:
         raise refuse(scenario.workload, "trace_scale", remedy)
     most_kw = float(scenario.site_rated_kw.min(initial=np.inf))
     for trace in scenario.workload.trace:
+        if trace.is_share:
+            remedy = f"trace {trace.name!r} is in shares of a rating; give its rating (with_site_rating), or 'rated'"
+            raise refuse(scenario.workload, "trace_scale", remedy)
         if (peak_kw := float(trace.power_kw.max())) > most_kw:
             remedy = f"trace {trace.name!r} rises to {peak_kw:g} kW, above the rating of a site, {most_kw:g} kW; "
             raise refuse(scenario.workload, "trace_scale", f"{remedy}raise datacenters.p_rated_kw, or give 'rated'")

@@ -103,6 +103,7 @@ ELSEWHERE = {
     "dcgrid export": "tests/dcgrid_env/cli/test_grid_import.py",
     "python -m docs.studies.import_differences": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",
     "python tests/support/large_grid.py": "tests/dcgrid_env/grid/formats/test_large_grid.py",
+    "dcgrid traces check": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own
     "dcgrid traces show": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces record": "tests/dcgrid_env/cli/test_traces.py",  # there without a GPU
@@ -132,6 +133,7 @@ ELSEWHERE = {
     "python -m dcgrid_env.traces.timing": "tests/traces/test_timing.py",
     "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare_tasks": "tests/traces/test_readme.py",
+    "python -m dcgrid_env.traces.compare_power": "tests/traces/test_readme.py",
     "python -m dcgrid_env.traces.compare": "tests/traces/test_readme.py",
     "python -m docs.studies speed-sizes": "tests/docs/studies/speed/test_size_table.py",
     "python -m docs.studies speed": "tests/docs/studies/speed/test_rates.py",

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from dcgrid_env.traces import compare, compare_requests, compare_tasks
-from helpers.places import GPU_RECORDING, ROOT, require
+from dcgrid_env.traces import compare, compare_power, compare_requests, compare_tasks
+from helpers.places import GPU_RECORDING, ROOT, SHARED_TRACES, require
 
 README = ROOT / "traces" / "README.md"
 
@@ -23,10 +23,14 @@ def rows(text):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["recording", "requests", "tasks"])
+@pytest.mark.parametrize("command", ["recording", "power", "requests", "tasks"])
 def test_tables_are_what_the_command_prints(command, capsys):
     if command == "recording":
         compare.main([str(require(GPU_RECORDING))])
+    elif command == "power":
+        logs = {"chat": "azure_2023_conversation.csv", "code": "azure_2023_code.csv"}
+        files = {"inference": GPU_RECORDING} | {service: SHARED_TRACES / name for service, name in logs.items()}
+        compare_power.main([f"{source}={require(file)}" for source, file in files.items()])
     elif command == "requests":
         compare_requests.main([])
     else:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dcgrid_env.traces import TraceError
+from dcgrid_env.traces.by_name import recorded_trace
 from dcgrid_env.traces.recordings import RECORDINGS, cache_folder, fetch, load_power, load_requests
 from helpers.places import SHARED_TRACES, require
 
@@ -32,10 +33,13 @@ def cache(tmp_path, monkeypatch):
 
 
 def test_entries_are_pinned_and_credited():
-    assert set(RECORDINGS) == set(FILES)
+    assert set(FILES) < set(RECORDINGS)
     for name, recording in RECORDINGS.items():
         assert recording.name == name
-        assert re.fullmatch(r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/.+\.csv", recording.url)
+        commit = r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/.+\.(csv|jsonl)"
+        release = r"https://github\.com/[^/]+/[^/]+/releases/download/[^/]+/[^/]+\.csv"
+        assert re.fullmatch(rf"{commit}|{release}|https://data\.nlr\.gov/system/files/.+\.zip", recording.url)
+        assert recording.file_name == f"{name}.{recording.url.rpartition('.')[2]}"
         assert re.fullmatch("[0-9a-f]{64}", recording.sha256)
         assert recording.licence
         assert recording.citation
@@ -93,6 +97,38 @@ def test_requests_are_loaded_with_their_credit(cache):
     assert requests.provenance.sha256 == recording.sha256
     assert requests.provenance.licence == "CC-BY 4.0"
     assert "Splitwise" in requests.provenance.citation
+
+
+BURST = b"Timestamp,Model,Request tokens,Response tokens,Total tokens,Log Type\n" + b"".join(
+    b"%d,GPT-4,400,%d,500,API log\n" % (3600 * hour, 100 * (hour % 7 > 0)) for hour in range(60)
+)
+MOONCAKE = b"".join(
+    b'{"timestamp": %d, "input_length": 6758, "output_length": 500, "hash_ids": [0]}\n' % (3000 * i) for i in range(20)
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "n", "duration_s"),
+    [("burstgpt", BURST, 21, 86400.0), ("mooncake-conversation", MOONCAKE, 20, 57.0)],
+)
+def test_other_logs_are_loaded_and_served_by_name(cache, monkeypatch, name, content, n, duration_s):
+    recording = entry(name, content)
+    monkeypatch.setitem(RECORDINGS, name, recording)
+    (cache / recording.file_name).write_bytes(content)
+    trace = recorded_trace(name)
+    assert trace.duration_s == pytest.approx(duration_s, abs=0.2)
+    assert trace.requests is not None
+    assert len(trace.requests.arrival_s) == n
+    assert trace.provenance.licence == recording.licence
+    assert len(load_requests(name, part_s=(0.0, 30.0))) == (1 if name == "burstgpt" else 10)
+
+
+def test_an_archive_is_unpacked_by_its_user(cache):
+    for use in (load_power, load_requests, recorded_trace):
+        with pytest.raises(
+            TraceError, match=r"'nlr-2026-h100' is an archive; unpack .*nlr-2026-h100\.zip and give one"
+        ):
+            use("nlr-2026-h100")
 
 
 @pytest.mark.parametrize("use", [fetch, load_power, load_requests])

@@ -10,6 +10,7 @@ import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.logs.gpu_columns import QUERY, GpuColumns, find_columns, split
+from dcgrid_env.traces.logs.meters import held_total
 from dcgrid_env.traces.logs.timestamps import nanoseconds
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.gaps import GapRule
@@ -157,16 +158,11 @@ class _Log:
                 raise self._edge(s.early[0][0], s.gpu, "first", s.time_s[0] - log_begin_s, "after the first GPU")
             if self._rule.refuses(end_s - s.time_s[-1]):
                 raise self._edge(s.last_line, s.gpu, "last", end_s - s.time_s[-1], "before the end")
-        time_s = np.unique(np.concatenate([np.frombuffer(s.time_s) for s in series]))
-        time_s = time_s[time_s >= begin_s]
+        time_s, power_kw = held_total([(np.frombuffer(s.time_s), np.frombuffer(s.power_kw)) for s in series])
         if len(time_s) < 2:
             raise TraceError(
                 f"{self._name}: {len(time_s)} readings from when all {len(series)} GPUs have reported; give at least 2"
             )
-        power_kw = np.zeros_like(time_s)
-        for s in series:
-            latest = np.searchsorted(np.frombuffer(s.time_s), time_s, side="right") - 1
-            power_kw += np.frombuffer(s.power_kw)[latest]
         began = np.datetime64((self._origin_ns or 0) + round(begin_s * 1e9), "ns").astype("datetime64[ms]")
         return time_s - begin_s, power_kw, str(began)
 

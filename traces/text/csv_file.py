@@ -9,7 +9,7 @@ from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,27 @@ NOT_SECONDS = re.compile(
 )
 """Other units of time, as `casefold` leaves them."""
 
+SHARE = "share"
+"""Unit of power as a share of a rating."""
+HIGHEST_SHARE = 2.0
+INVALID_RULES = ("error", "drop")
+_NO_READING = ("", "na", "n/a", "nan", "none", "null", "-")
+"""Texts of a cell without a reading, in small letters."""
+
 Column = int | str
+
+
+class CsvSamples(NamedTuple):
+    """Samples of a file."""
+
+    time_s: FloatArray
+    """(n,) float64."""
+    power_kw: FloatArray
+    """(n,) float64, kW, or shares of a rating of 1 kW."""
+    rated_kw: float | None
+    """Rating that the recorder noted, kW; 1 for shares, and None if it is unknown."""
+    provenance: Provenance
+    """The file's name and hash, its recorder's notes, and the numbers of dropped samples if there are any."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +60,19 @@ class _Layout:
     """Indices, the time first."""
     fields: list[str]
     """What messages call them."""
-    kw: FloatArray
-    """kW for 1 in each power column, (n_power,)."""
+    units: tuple[str, ...]
+    """Unit of each power column."""
     first_line: int
+
+    @property
+    def is_share(self) -> bool:
+        """Whether the power is a share of a rating."""
+        return SHARE in self.units
+
+    @property
+    def kw(self) -> FloatArray:
+        """The kW for 1 in each power column, (n_power,)."""
+        return np.array([1.0 if unit == SHARE else KW_PER_UNIT[unit] for unit in self.units])
 
     @property
     def blank(self) -> str:
@@ -61,7 +91,8 @@ def read_csv(
     max_gap_s: float | None = None,
     gaps: str = "error",
     limit_kw: float = 1e6,
-) -> tuple[FloatArray, FloatArray, Provenance]:
+    invalid: str = "error",
+) -> CsvSamples:
     """Read times and the sum of the power columns, with 16 bytes of memory for each line and a few MB of text.
 
     Parameters
@@ -72,17 +103,18 @@ def read_csv(
     power_columns : indices or header names, summed; by default every column but the time (one for each GPU).
     unit : of the power columns: "W", "kW", "MW" or "mW"; by default what their names end in, for example `site [kW]`,
         `power (MW)`, `P/kW`, `gpu0_w`. Names without a unit are refused. A file without header is in W by default, as
-        the published recordings are.
+        the published recordings are. "share" is a share of the rating, for one column (`site_share`).
     header : whether the first line contains names; by default it does if none of its cells is a number.
     delimiter : character between cells.
     max_gap_s, gaps : rule for samples that are more than max_gap_s apart, see `dcgrid_env.traces.text.gaps.GapRule`;
         by default every distance is accepted.
     limit_kw : highest accepted power of one cell, kW; the default is 1 GW.
+    invalid : rule for samples whose power is missing, not a number or negative: "error", or "drop" to leave them out,
+        which makes a gap.
 
     Returns
     -------
-    time_s, power_kw : (n,) float64 each
-    provenance : the file's name and hash, and its recorder's notes
+    CsvSamples
 
     Raises
     ------
@@ -91,31 +123,47 @@ def read_csv(
         column, a text cell, a missing cell, an invalid sample, power above the limit, or a gap. The message contains
         the file and, if there is one, the line.
     """
+    if invalid not in INVALID_RULES:
+        raise TraceError(f"invalid = {invalid!r} is unknown; choose one of {', '.join(INVALID_RULES)}")
     rule = GapRule(max_gap_s, gaps)
     limit_kw = require_positive(limit_kw, "limit_kw", "give the highest power of one cell in kW")
     if len(delimiter) != 1:
         raise TraceError(f"delimiter = {delimiter!r} is not one character; give the one between cells")
     with open_text(path) as file:
-        require_unit(file.name, unit)
+        require_unit(file.name, None if unit == SHARE else unit)
         parameters, row, first = _first_row(file, delimiter)
         has_header = header if header is not None else not any(_is_number(cell) for cell in row)
         layout = _layout(file, row, has_header, time_column, power_columns, unit, delimiter)
-        samples = _Samples(file.name, layout, rule, limit_kw)
+        samples = _Samples(file.name, layout, rule, HIGHEST_SHARE if layout.is_share else limit_kw, invalid == "drop")
         for block in file.blocks() if has_header else chain([first], file.blocks()):
             samples.add(block)
+        rated_kw = 1.0 if layout.is_share else parameters.get("rated_kw")
+        dropped = {name: count for name, count in samples.dropped.items() if count}
+        parameters |= {"dropped": dropped} if dropped else {}
         provenance = Provenance(file.name, parameters=parameters, sha256=file.sha256())
     n = len(samples.time_s)
     if n < 2:
         raise TraceError(f"{file.name}: has {n} samples; give at least 2 (a sample holds until the next)")
-    return np.frombuffer(samples.time_s), np.frombuffer(samples.power_kw), provenance
+    return CsvSamples(np.frombuffer(samples.time_s), np.frombuffer(samples.power_kw), rated_kw, provenance)
+
+
+def csv_columns(
+    path: str | os.PathLike[str], power_columns: Sequence[Column] | None = None, unit: str | None = None
+) -> dict[str, str]:
+    """Return the columns that `read_csv` would read, with their units; "s" is the unit of the time."""
+    with open_text(path) as file:
+        _, row, _ = _first_row(file, ",")
+        layout = _layout(file, row, not any(map(_is_number, row)), 0, power_columns, unit, ",")
+    return dict(zip(layout.fields, ("s", *layout.units), strict=True))
 
 
 class _Samples:
     """Times and summed power of the blocks so far, and the last row for checks across their borders."""
 
-    def __init__(self, name: str, layout: _Layout, rule: GapRule, limit_kw: float) -> None:
+    def __init__(self, name: str, layout: _Layout, rule: GapRule, limit_kw: float, drops: bool) -> None:
         self.time_s, self.power_kw = array("d"), array("d")
-        self._name, self._layout, self._rule, self._limit_kw = name, layout, rule, limit_kw
+        self.dropped = {"not a number": 0, "negative": 0}
+        self._name, self._layout, self._rule, self._limit_kw, self._drops = name, layout, rule, limit_kw, drops
         self._last = np.empty((0, len(layout.columns)))
 
     def add(self, block: Block) -> None:
@@ -123,20 +171,33 @@ class _Samples:
         layout = self._layout
         table = _numbers(block, layout)
         if table is None:
-            table = _careful_numbers(self._name, block, layout)
+            table = _careful_numbers(self._name, block, layout, self._drops)
+        rows = np.arange(len(table))
+        if self._drops:
+            missing = ~np.isfinite(table[:, 1:]).all(axis=1)
+            negative = ~missing & (table[:, 1:] < 0).any(axis=1)
+            self.dropped["not a number"] += int(missing.sum())
+            self.dropped["negative"] += int(negative.sum())
+            rows = np.flatnonzero(~missing & ~negative)
+            table = table[rows]
         if not len(table):
             return
         n_before = len(self._last)
         table = np.concatenate([self._last, table])
 
         def where(i: int) -> str:
-            return f"{self._name}, line {block.line_of(i - n_before, layout.blank)}"
+            return f"{self._name}, line {block.line_of(int(rows[i - n_before]), layout.blank)}"
 
         check_samples(table[:, 0], table[:, 1:], where, layout.fields[0], layout.fields[1:])
         power_kw = table[:, 1:] * layout.kw
         high = np.argwhere(power_kw > self._limit_kw)
         if high.size:
             i, j = high[0]
+            if layout.is_share:
+                raise TraceError(
+                    f"{where(i)}: {layout.fields[1 + j]} is {table[i, 1 + j]:g}, above {HIGHEST_SHARE:g} of the "
+                    "rating; give shares from 0 to 1, not per cent"
+                )
             raise TraceError(
                 f"{where(i)}: {layout.fields[1 + j]} is {table[i, 1 + j]:g}, which is {power_kw[i, j]:g} kW and above "
                 f"limit_kw = {self._limit_kw:g}; is the unit right? If so, raise limit_kw"
@@ -163,8 +224,11 @@ def _numbers(block: Block, layout: _Layout) -> FloatArray | None:
     return table if table.shape[1] == len(layout.columns) else None
 
 
-def _careful_numbers(name: str, block: Block, layout: _Layout) -> FloatArray:
-    """The chosen cells, (n, n_chosen), read line by line; TraceError for the first that is not a number."""
+def _careful_numbers(name: str, block: Block, layout: _Layout, drops: bool) -> FloatArray:
+    """The chosen cells, (n, n_chosen), read line by line; TraceError for the first that is not a number.
+
+    If samples are dropped, cells of power without a reading are NaN.
+    """
     cells = array("d")
     for number, line in block.lines(layout.blank):
         row = next(csv.reader([line], delimiter=layout.delimiter)) if '"' in line else line.split(layout.delimiter)
@@ -178,6 +242,9 @@ def _careful_numbers(name: str, block: Block, layout: _Layout) -> FloatArray:
             try:
                 cells.append(float(row[c]))
             except ValueError:
+                if drops and c != layout.columns[0] and row[c].strip().casefold() in _NO_READING:
+                    cells.append(float("nan"))
+                    continue
                 first = number == layout.first_line
                 remedy = "pass header=True if this line holds names" if first else "repair the cell"
                 raise TraceError(f"{name}, line {number}: {field} is {row[c][:40]!r}, not a number; {remedy}") from None
@@ -206,6 +273,9 @@ def _noted(name: str, line: str) -> dict[str, Any]:
         raise TraceError(f"{name}, line 1: what follows {RECORDED!r} is not JSON ({error}); repair it") from error
     if not isinstance(noted, dict):
         raise TraceError(f"{name}, line 1: what follows {RECORDED!r} is {noted!r}; give a JSON object")
+    rated_kw = noted.get("rated_kw")
+    if rated_kw is not None and (isinstance(rated_kw, bool) or not isinstance(rated_kw, int | float) or rated_kw <= 0):
+        raise TraceError(f"{name}, line 1: rated_kw is {rated_kw!r}; give the rating of the site in kW, above 0")
     return noted
 
 
@@ -219,21 +289,35 @@ def _layout(
     if names is not None:
         where = f"{name}, line {file.line}"
         _require_seconds(where, names[columns[0]])
-        units = [column_unit(where, names[c], unit) for c in columns[1:]]
+        units = [_unit(where, names[c], unit) for c in columns[1:]]
         if None in units:
             column = names[columns[1 + units.index(None)]]
             raise TraceError(
                 f"{where}: {column!r} names no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}), write it "
                 "into the name like 'site [kW]' or 'site_kw', or leave the column out with power_columns="
             )
+    if SHARE in units and len(units) > 1:
+        raise TraceError(
+            f"{name}, line {file.line}: has {len(units)} columns of power, and shares of a rating are not summed; "
+            "choose one with power_columns="
+        )
     return _Layout(
         delimiter=delimiter,
         width=width,
         columns=columns,
         fields=[f"column {c}" if names is None else f"column {c} ({names[c]!r})" for c in columns],
-        kw=np.array([KW_PER_UNIT[u or "W"] for u in units]),
+        units=tuple(u or "W" for u in units),
         first_line=file.line,
     )
+
+
+def _unit(where: str, header: str, unit: str | None) -> str | None:
+    """Return the unit of a column, a share included; None if neither its name nor `unit` contains it."""
+    named_share = SHARE in (last_word(header).casefold(), bracketed(header)[0].casefold())
+    stated = SHARE if named_share else column_unit(where, header, None if unit == SHARE else unit)
+    if SHARE in (stated, unit) and None not in (stated, unit) and stated != unit:
+        raise TraceError(f"{where}: {header!r} is in {stated}, but unit = {unit!r} is given; leave unit out")
+    return stated or unit
 
 
 def _require_seconds(where: str, header: str) -> None:

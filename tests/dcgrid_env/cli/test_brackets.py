@@ -77,7 +77,7 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
     monkeypatch.setattr("dcgrid_env.cli.reproduce._origin", lambda runs: {})
     noted = {"samples": 2, "gpus": [1], "missed": 0, "jitter_s": {"mean": 0.0, "p99": 0.0}}
     monkeypatch.setattr("dcgrid_env.traces.recorder.record", lambda *given, **named: noted)
-    recording = SimpleNamespace(description="a recording", licence="[/]", citation="[/]")
+    recording = SimpleNamespace(description="a recording", sha256="0", licence="[/]", citation="[/]")
     monkeypatch.setattr("dcgrid_env.traces.recordings.RECORDINGS", {NAME: recording})
     monkeypatch.setattr("dcgrid_env.traces.recordings.fetch", lambda *given: f"{NAME}/file")
     words = command.removeprefix(PROG).split()

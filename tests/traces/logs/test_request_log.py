@@ -139,3 +139,67 @@ def test_what_is_written_is_read_whatever_the_block(tmp_path_factory, rows, bloc
         requests = read_request_log(path)
     np.testing.assert_array_equal(requests.arrival_s, ticks * 100 / 1e9)
     np.testing.assert_array_equal(np.column_stack([requests.context_tokens, requests.generated_tokens]), tokens)
+
+
+BURST = """\
+Timestamp,Model,Request tokens,Response tokens,Total tokens,Log Type
+5,ChatGPT,472,18,490,Conversation log
+45,ChatGPT,1087,0,1087,Conversation log
+118,GPT-4,417,276,693,API log
+118.5,GPT-4,417,27,444,API log
+"""
+BURST_SESSIONS = """\
+Timestamp,Session ID,Elapsed time,Model,Request tokens,Response tokens,Total tokens,Log Type
+5.0,,1.5,ChatGPT,472,18,490,API log
+118.0,7,2,GPT-4,417,276,693,Conversation log
+"""
+MOONCAKE = "".join(
+    f'{{"timestamp": {ms}, "input_length": {read}, "output_length": {written}, "hash_ids": [0, 1]}}\n'
+    for ms, read, written in ((0, 6758, 500), (0, 7322, 490), (3000, 13544, 71))
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "arrival_s", "context", "generated", "failed"),
+    [
+        (BURST, [0, 113, 113.5], [472, 417, 417], [18, 276, 27], 1),
+        (BURST_SESSIONS, [0, 113], [472, 417], [18, 276], 0),
+        (MOONCAKE, [0, 0, 3], [6758, 7322, 13544], [500, 490, 71], None),
+    ],
+)
+@pytest.mark.parametrize("block_chars", [1, 1 << 22])
+def test_logs_of_burstgpt_and_mooncake(write, text, arrival_s, context, generated, failed, block_chars):
+    with mock.patch.object(text_file, "BLOCK_CHARS", block_chars):
+        requests = read_request_log(write(text))
+    assert requests.arrival_s.tolist() == arrival_s
+    assert requests.context_tokens.tolist() == context
+    assert requests.generated_tokens.tolist() == generated
+    assert requests.provenance.parameters.get("without_response") == failed
+
+
+def test_a_part_of_a_log_has_times_from_its_beginning(write):
+    requests = read_request_log(write(BURST), part_s=(100.0, 113.5))
+    assert (requests.arrival_s.tolist(), requests.duration_s) == ([13.0], 13.5)
+    assert requests.provenance.parameters["part_s"] == [100.0, 113.5]
+    whole = read_request_log(write(HEADER + TWO), part_s=(0.0, 60.0))
+    np.testing.assert_allclose(whole.arrival_s, [0.0, 4.314579], atol=1e-12)
+    assert whole.provenance.sha256 == hashlib.sha256((HEADER + TWO).encode()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("text", "part_s", "message"),
+    [
+        (BURST.replace("472,", "many,"), None, r"line 2: Request tokens is 'many'; give a whole number"),
+        (BURST.replace("\n5,", "\nnoon,"), None, r"line 2: Timestamp is 'noon'; write times in s from the beginning"),
+        (BURST.replace("118,", "1,"), None, r"line 4: 1 comes before the time of the request above"),
+        (BURST + "1,2\n", None, r"line 6: has 2 cells, not 6"),
+        (MOONCAKE + "no\n", None, r"line 4: 'no' is not a JSON object"),
+        (MOONCAKE + '{"timestamp": 1}\n', None, r"line 4: input_length is 'None'; give a whole number"),
+        (MOONCAKE.replace("71", "0"), None, r"line 3: output_length is '0'; give a whole number"),
+        (BURST, (5.0, 1.0), r"part_s = \(5.0, 1.0\) is not a begin and a later end"),
+        (BURST, (500.0, 600.0), r"has 0 requests from 500 to 600 s"),
+    ],
+)
+def test_bad_logs_of_burstgpt_and_mooncake_are_named(write, text, part_s, message):
+    with pytest.raises(TraceError, match=message):
+        read_request_log(write(text), part_s=part_s)

@@ -306,3 +306,48 @@ def test_memory_is_bounded_by_what_is_kept(tmp_path):
             tracemalloc.stop()
     assert len(trace.time_s) == lines
     assert peak < 50 * lines + 2e6
+
+
+def test_shares_of_a_rating(write):
+    for text, unit in (("time_s,site_share\n0,0.5\n1,1.0\n", None), ("0,0.5\n1,1.0\n", "share")):
+        trace = PowerTrace.from_csv(write(text), unit=unit)
+        assert (trace.power_kw.tolist(), trace.rated_kw) == ([0.5, 1.0], 1.0)
+
+
+def test_the_rating_that_a_recorder_noted(write):
+    assert PowerTrace.from_csv(write('# dcgrid trace {"rated_kw": 800}\ntime_s,kw\n0,1\n1,2\n')).rated_kw == 800.0
+    assert PowerTrace.from_csv(write("time_s,kw\n0,1\n1,2\n")).rated_kw is None
+
+
+DIRTY = "time_s,a_kw,b_kw\n0,1,1\n1,NaN,1\n2,,1\n3,-5,1\n4,2,2\n5,inf,1\n6,3,3\n"
+
+
+def test_samples_without_a_valid_reading_are_dropped_on_request(write):
+    trace = PowerTrace.from_csv(write(DIRTY), invalid="drop")
+    assert trace.time_s.tolist() == [0.0, 4.0, 6.0]
+    assert trace.power_kw.tolist() == [2.0, 4.0, 6.0]
+    assert trace.provenance.parameters == {"dropped": {"not a number": 3, "negative": 1}}
+    with mock.patch.object(text_file, "BLOCK_CHARS", 1):
+        assert PowerTrace.from_csv(write(DIRTY), invalid="drop").provenance.parameters == trace.provenance.parameters
+    with pytest.raises(TraceError, match=r"line 6: comes 4 s after .* max_gap_s = 3;"):
+        PowerTrace.from_csv(write(DIRTY), invalid="drop", max_gap_s=3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        (DIRTY, {}, r"site.csv, line [34]: column 1 \('a_kw'\) is (nan; remove or repair|'', not a number; repair)"),
+        (DIRTY + "7,x,1\n", {"invalid": "drop"}, r"line 9: column 1 \('a_kw'\) is 'x', not a number; repair the cell"),
+        (DIRTY + "x,1,1\n", {"invalid": "drop"}, r"line 9: column 0 \('time_s'\) is 'x', not a number"),
+        (DIRTY + "5,1,1\n", {"invalid": "drop"}, r"line 9: column 0 \('time_s'\) 5.0 comes after 6.0; sort the"),
+        (DIRTY, {"invalid": "keep"}, r"invalid = 'keep' is unknown; choose one of error, drop"),
+        ("t_s,a_share\n0,1\n1,90\n", {}, r"line 3: column 1 \('a_share'\) is 90, above 2 of the rating; .* per cent"),
+        ("t_s,a_share,b_share\n0,1,1\n1,1,1\n", {}, r"line 1: has 2 columns of power, and shares .*; choose one with"),
+        ("t_s,a_share\n0,1\n", {"unit": "kW"}, r"'a_share' is in share, but unit = 'kW' is given; leave unit out"),
+        ("t_s,a_kw\n0,1\n", {"unit": "share"}, r"'a_kw' is in kW, but unit = 'share' is given; leave unit out"),
+        ('# dcgrid trace {"rated_kw": "x"}\n0,1\n', {}, r"line 1: rated_kw is 'x'; give the rating of the site in kW"),
+    ],
+)
+def test_shares_ratings_and_dropped_samples_are_checked(write, text, options, message):
+    with pytest.raises(TraceError, match=message):
+        PowerTrace.from_csv(write(text), **options)
