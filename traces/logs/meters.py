@@ -98,7 +98,7 @@ class Meters:
         Raises
         ------
         TraceError
-            If there is no reading, a meter never reports, the times of a meter repeat or go back, or there is a gap.
+            For a file without readings, a meter that never reports, times of a meter that repeat or go back, and a gap.
         """
         silent = next((meter.name for meter in self.meters.values() if not meter.time_s), None)
         if not self.meters or silent is not None:

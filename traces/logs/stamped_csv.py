@@ -46,8 +46,8 @@ def read_stamped_csv(
     Raises
     ------
     TraceError
-        If there is no column of times or power, a cell cannot be read, the times of a meter repeat or go back, or there
-        is a gap. The message contains the file, the line and the column.
+        For a file without a column of times or power, a cell that cannot be read, times of a meter that repeat or go
+        back, and a gap. The message contains the file, the line and the column.
     """
     with open_text(path) as file:
         require_unit(file.name, unit)

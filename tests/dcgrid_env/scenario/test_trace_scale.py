@@ -65,7 +65,7 @@ def test_the_default_changes_no_fingerprint():
 
 @pytest.mark.parametrize(("changes", "said"), [
     ({"trace": "inference"}, "workload.trace_scale is 'as-recorded'; the trace 'inference' is generated, in shares"),
-    ({"trace": recording(1.0)}, "trace 'hall' is in shares of a rating; give its rating .with_site_rating., or 'rated'"),
+    ({"trace": recording(1.0)}, "trace 'hall' is in shares of a rating; give its rating .with_site_rating."),
     ({"datacenters.p_rated_kw": 400.0}, "trace 'hall' rises to 450 kW, above the rating of a site, 400 kW; raise"),
     ({"workload.trace_scale": "kW"}, "workload.trace_scale is 'kW'; choose one of rated, as-recorded"),
 ])  # fmt: skip
