@@ -13,9 +13,9 @@ from dcgrid_env import rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC
 from dcgrid_env.baselines.connection_study.section import Section, png
-from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job, shown
+from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job
 from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
-from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, record
+from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
 from dcgrid_env.core.versions import meta
 from dcgrid_env.grid import AnyFeeder
@@ -126,12 +126,15 @@ def _capacity(found: Capacities) -> Section:
 
 def _not_checked(job: Job, found: Capacities | None) -> Section:
     coverage = rating_coverage(job.study.scenario.feeder)
-    texts = [NOT_MODELLED, f"Elements without a known rating, which were not checked: {shown(coverage.not_checked)}."]
+    texts = [
+        NOT_MODELLED,
+        f"Elements without a known rating, which were not checked: {first_of(coverage.not_checked)}.",
+    ]
     if found is not None and found.overloaded:
-        texts.append(f"Overloaded without the site: {shown(found.overloaded)}. They do not count elsewhere.")
+        texts.append(f"Overloaded without the site: {first_of(found.overloaded)}. They do not count elsewhere.")
     if "capacity" not in job.request.leave_out:
         left = job.study.left_out()
-        texts.append(f"Buses without an answer: {shown([f'{bus} ({why})' for bus, why in left.items()])}.")
+        texts.append(f"Buses without an answer: {first_of([f'{bus} ({why})' for bus, why in left.items()])}.")
     if job.request.leave_out:
         texts.append(f"Sections left out on request: {', '.join(job.request.leave_out)}.")
     return Section("not-checked", "What was not checked", tuple(texts))

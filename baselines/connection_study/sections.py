@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,10 +11,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import Feeder, metrics_in, rating_coverage
+from dcgrid_env import Feeder, Scenario, metrics_in, rating_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.section import Section, figure_of, png
-from dcgrid_env.baselines.connection_study.site_scenario import with_site
 from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
@@ -23,6 +22,7 @@ from dcgrid_env.baselines.hosting_capacity.hosting import (
     snapshot_capacity,
     study_controller,
 )
+from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
 from dcgrid_env.baselines.hosting_capacity.trial import branch_to, run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
@@ -31,8 +31,6 @@ from dcgrid_env.rendering import draw_feeder, positions, run_figure
 DAY_DT_S, DAY_STEPS = 60.0, 1440
 FLICKER_DT_S, FLICKER_STEPS = 0.1, 6000
 RIDE_THROUGH_S = 300.0
-_SHOWN = 10
-"""Elements of a list that the text names."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +45,10 @@ class Job:
         """The requested rating in steps of the study, rounded up."""
         return int(np.ceil(self.request.mw / self.study.step_mw - 1e-9))
 
+    def scenario(self, mw: float, **changes: Any) -> Scenario:
+        """The study's scenario with a site of a rating at the requested bus, 0 MW for none, and other changes."""
+        return with_sites(self.study, (self.request.bus,), (mw,), **changes)
+
     def controllers(self) -> list[tuple[str, Any]]:
         """The controllers of the request by name."""
         return [(name, study_controller(name, self.study.scenario, None)[0]) for name in self.request.controllers]
@@ -55,7 +57,7 @@ class Job:
 def base_case(job: Job) -> Section:
     """The feeder at nominal load without the site: voltages, loadings, losses, taps."""
     study, feeder = job.study, job.study.scenario.feeder
-    scenario = with_site(study, job.request.bus, 0.0, horizon=1, background={"load_sigma": 0.0, "start_hour": None})
+    scenario = job.scenario(0.0, horizon=1, background={"load_sigma": 0.0, "start_hour": None})
     steps = transitions(scenario, NoControl(), [0])
     start = next(steps)
     steps.close()
@@ -96,8 +98,8 @@ def worst_window(job: Job) -> Section:
     """The window in which the requested size comes nearest to a limit, under each controller."""
     study, bus = job.study, job.request.bus
     worst, margin = _worst_window(job)
-    changes = _at_hour(study, worst)
-    scenario = with_site(study, bus, job.request.mw, horizon=study.horizon, **changes)
+    at_hour = float(study.hours[worst]) if study.load == "day" else None
+    scenario = job.scenario(job.request.mw, **study.window_fields | {"background.start_hour": at_hour})
     series = {}
     for name, controller in job.controllers():
         series[name] = rollout(scenario, controller, [worst], name=name).series(0)
@@ -117,14 +119,14 @@ def worst_window(job: Job) -> Section:
 
 def day(job: Job) -> Section:
     """A day with and without the site at its full rating: voltages, losses, taps."""
-    study, bus = job.study, job.request.bus
+    study = job.study
     changes: dict[str, Any] = {
         "dt_s": DAY_DT_S, "horizon": DAY_STEPS, "background.start_hour": 0.0,
         "workload.full_load_s": (0.0, DAY_DT_S * DAY_STEPS),
     }  # fmt: skip
     series = {}
     for name, mw in (("without the site", 0.0), (f"with {job.request.mw:g} MW", job.request.mw)):
-        series[name] = rollout(with_site(study, bus, mw, **changes), NoControl(), [0]).series(0)
+        series[name] = rollout(job.scenario(mw, **changes), NoControl(), [0]).series(0)
     text = (
         "One day in steps of a minute. The other loads follow the hour of the day, and the site draws its full rating "
         "all day, without control: sites rarely do, so losses and taps are upper values."
@@ -138,8 +140,8 @@ def day(job: Job) -> Section:
 def ride_through(job: Job) -> Section:
     """Recorded sags, by which the site leaves the grid and comes back."""
     study, asked = job.study, job.request.ride_through
-    scenario = with_site(
-        study, job.request.bus, job.request.mw, horizon=round(RIDE_THROUGH_S / study.scenario.dt_s), sags=asked.sags,
+    scenario = job.scenario(
+        job.request.mw, horizon=round(RIDE_THROUGH_S / study.scenario.dt_s), sags=asked.sags,
         **{"datacenters.ride_through": {"curve": asked.curve}, "background.start_hour": None},
     )  # fmt: skip
     series = {name: rollout(scenario, controller, [0], name=name).series(0) for name, controller in job.controllers()}
@@ -153,12 +155,12 @@ def ride_through(job: Job) -> Section:
 
 def fluctuation(job: Job) -> Section:
     """Ramps, voltage steps and flicker in ten minutes of the trace, against the request's limits."""
-    study, limits = job.study, job.request.limits
+    limits = job.request.limits
     cost = {"ramp_window_s": limits.ramp_window_s, "voltage_step_limit_pu": limits.voltage_step_pct / 100.0}
     ramp = limits.ramp_kw_per_s
     cost["ramp_limit_kw_per_s"] = 1000.0 * job.request.mw if ramp is None else ramp
-    scenario = with_site(
-        study, job.request.bus, job.request.mw, dt_s=FLICKER_DT_S, horizon=FLICKER_STEPS, cost=cost,
+    scenario = job.scenario(
+        job.request.mw, dt_s=FLICKER_DT_S, horizon=FLICKER_STEPS, cost=cost,
         **{"background.start_hour": None},
     )  # fmt: skip
     rows = []
@@ -229,11 +231,6 @@ def _worst_window(job: Job) -> tuple[int, float]:
     return worst, float(margins[worst])
 
 
-def _at_hour(study: Study, sample: int) -> dict[str, Any]:
-    hour = float(study.hours[sample]) if study.load == "day" else None
-    return {"background.start_hour": hour, "workload.full_load_s": study.full_load_s}
-
-
 def _metrics(series: dict[str, Any], title: str) -> Table:
     """The metrics of some runs, a column for each."""
     figures = {name: run.metrics() for name, run in series.items()}
@@ -263,9 +260,3 @@ def _day_figure(study: Study, series: dict[str, Any]) -> Figure:
     ax.grid(alpha=0.25)
     ax.legend(frameon=False)
     return figure
-
-
-def shown(names: Sequence[str]) -> str:
-    """The first of some names, and how many there are beyond."""
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return f"{', '.join(names[:_SHOWN])}{more}" if names else "none"

@@ -1,4 +1,4 @@
-"""The request that a connection study answers, as it stands in the study's file."""
+"""The fields of a connection study's file."""
 
 from __future__ import annotations
 

@@ -9,10 +9,8 @@ import numpy as np
 
 from dcgrid_env import DcgridVectorEnv, Scenario
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
 from dcgrid_env.powerflow import n_loading
-
-_NOTHING_KW = 1e-3
-"""Rating that represents the absence of a site, since the rating of a device must be positive."""
 
 
 class AddedSite:
@@ -49,31 +47,18 @@ class AddedSite:
         return samples.tolist(), options
 
     def _scenario(self, size: int) -> Scenario:
-        study, base = self.study, self.study.scenario
-        kw = 1000.0 * self.mw(size) if size else _NOTHING_KW
-        changed: dict[str, Any] = {
-            "horizon": study.horizon,
-            "background.start_hour": "random" if study.load == "day" else None,
-            "workload.full_load_s": study.full_load_s,
-            "n_datacenters": self.slot + 1,
-            "datacenters.buses": self._datacenter_buses(),
-            "datacenters.p_rated_kw": (*(base.datacenters.parameters.p_rated_kw.tolist() if study.others else ()), kw),
-        }
-        if not study.others:
-            changed |= {"inverters.buses": (), "inverters.s_rated_kva": 0.0}
-        return base.replace(**changed)
+        return with_sites(self.study, self._free_bus(), (self.mw(size),), **self.study.window_fields)
 
-    def _datacenter_buses(self) -> tuple[str, ...] | None:
-        """Return the buses of the scenario's sites, and a free bus for the added site, whose bus each reset sets."""
+    def _free_bus(self) -> tuple[str] | None:
+        """Return a free bus for the added site, whose bus each reset sets; None if all buses are drawn."""
         scenario, others = self.study.scenario, self.study.others
-        there = scenario.datacenters.buses if others else ()
-        if there is None:
+        if others and scenario.datacenters.buses is None:
             return None
         taken = {str(bus) for device in scenario.devices for bus in getattr(device, "buses", None) or () if others}
         free = [bus for bus in scenario.feeder.bus_ids[1:] if bus not in taken]
         if not free:
             raise ValueError(f"scenario {scenario.name!r} has a device at every bus; leave one bus without")
-        return (*map(str, there), free[0])
+        return (free[0],)
 
     def _buses_of_samples(self, scenario: Scenario) -> np.ndarray:
         """Position of each agent's bus in each sample, (sample, n_agent): as fixed in the study's scenario or drawn."""

@@ -20,7 +20,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -165,6 +165,16 @@ class Study:
         steps = max(1, counted // 3)
         begin = self.settled + (counted - steps) // 2
         return begin * self.scenario.dt_s, (begin + steps) * self.scenario.dt_s
+
+    @property
+    def window_fields(self) -> dict[str, Any]:
+        """Fields of a scenario whose episodes are the windows."""
+        hour = "random" if self.load == "day" else None
+        return {
+            "horizon": self.horizon,
+            "background.start_hour": hour,
+            "workload.full_load_s": self.full_load_s,
+        }
 
     @property
     def allowed_seconds(self) -> int:

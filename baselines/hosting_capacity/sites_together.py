@@ -1,9 +1,8 @@
 """Several data centres at once: which sizes they can have together.
 
-``equal`` raises all sizes together until a limit is reached, then those that can still grow, and so on: no site can
-grow without one that is smaller or equal shrinking (max-min fairness). ``sum`` gives one site after the other all that
-is left, in every order of up to four sites, and takes the order with the largest sum. With more sites the order is that
-of their capacities alone. The sum is then a lower value of what is possible.
+``equal`` is max-min fairness. It raises all sizes together until a limit is reached, and then those that can still
+grow. ``sum`` gives each site in turn all that is left. Of up to four sites it tries every order and takes the largest
+sum. More sites are ordered by the capacity that each has alone, so that the sum is a lower bound.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import numpy as np
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_of
 from dcgrid_env.baselines.hosting_capacity.trial import Trial, run_trial
 from dcgrid_env.powerflow import n_loading
@@ -26,7 +26,6 @@ from dcgrid_env.powerflow import n_loading
 Rule = Literal["equal", "sum"]
 MOST_ORDERS = 4
 """Number of sites up to which every order is tried."""
-_NOTHING_KW = 1e-3
 
 
 @dataclass(frozen=True)
@@ -157,18 +156,6 @@ class _Sites:
         return samples.tolist(), {"begin_h": self.study.hours[samples]} if self.study.load == "day" else {}
 
     def _scenario(self, sizes: tuple[int, ...]) -> Scenario:
-        study, base = self.study, self.study.scenario
-        there = tuple(base.datacenters.buses or ()) if study.others else ()
-        ratings = base.datacenters.parameters.p_rated_kw.tolist() if study.others else []
-        kw = [1000.0 * size * study.step_mw if size else _NOTHING_KW for size in sizes]
-        changed: dict[str, Any] = {
-            "horizon": study.horizon,
-            "background.start_hour": "random" if study.load == "day" else None,
-            "workload.full_load_s": study.full_load_s,
-            "n_datacenters": len(there) + len(kw),
-            "datacenters.buses": (*map(str, there), *(base.feeder.bus_ids[bus] for bus in self.buses)),
-            "datacenters.p_rated_kw": (*ratings, *kw),
-        }
-        if not study.others:
-            changed |= {"inverters.buses": (), "inverters.s_rated_kva": 0.0}
-        return base.replace(**changed)
+        study, bus_ids = self.study, self.study.scenario.feeder.bus_ids
+        mw = [size * study.step_mw for size in sizes]
+        return with_sites(study, [bus_ids[bus] for bus in self.buses], mw, **study.window_fields)

@@ -5,9 +5,9 @@
     need_i    = a_i + g b_i                                 a: arriving work, kW; b: queued work, kW s
     d_i       = least_i + min(lambda need_i, ready_i - least_i)
 
-least is what a site serves at its lowest clock. Where base + sum ready lies above the most draw that is requested,
-lambda is such that base + sum d equals it: sites with more work keep more of their draw. Where it lies below the least
-draw that is requested, sites serve their queues beyond the droop, in proportion to what they can add.
+At its lowest clock a site serves least. If base + sum ready exceeds the upper bound of the request, lambda makes
+base + sum d equal to the bound, so sites with more work keep more of their draw. If it is less than the lower bound,
+sites serve more of their queues than under the droop, in proportion to what they can add.
 
 A request that is announced counts before it starts: over the time ``advance_s`` before its start the most draw falls
 linearly to its value. Where the scenario hides p_ref the rating replaces it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,8 +29,8 @@ class ConnectionStudy(OverWorkers):
 
     Reads the request from a TOML file. Writes one HTML page without external resources, which a browser also prints.
 
-    The report has the base case, the capacity of the buses, the worst window, a day, ride-through, ramps and flicker,
-    the sensitivity to assumptions, what was not checked, and all inputs with their hashes (docs/connection-study.md).
+    The report contains base case, capacity, worst window, a day, ride-through, fluctuation and sensitivity. It lists
+    what was not checked, and all inputs with their hashes (docs/connection-study.md).
     """
 
     file: tyro.conf.Positional[Path]
@@ -103,16 +103,16 @@ def make_job(request: StudyRequest, path: Path) -> Job:
         buses = scenario.feeder.bus_ids[1:]
     if buses is not None:
         buses = tuple(dict.fromkeys((*map(str, buses), request.bus)))
-    unknown = set(settings) - {"samples", "load", "window_s", "settle_s", "v_min_pu", "v_max_pu", "loading_max_pct",
-                               "allowed_pct", "tolerance_mw", "max_mw", "voltage_step_max_pct", "taps_max_per_hour",
-                               "loss_max_kw"}  # fmt: skip
+    unknown = set(settings) - {field.name for field in fields(Study)} | set(settings) & {"scenario", "others"}
     if unknown:
         raise ValueError(f"{path}: capacity has no field {min(unknown)!r}; see docs/connection-study.md")
     study = Study(scenario=scenario, others=request.scenario is not None, buses=buses, **settings)
     if buses is None and scenario.feeder.index(request.bus) not in study.candidates():
         names = tuple(scenario.feeder.bus_ids[i] for i in study.candidates())
         study = Study(scenario=scenario, others=study.others, buses=(*names, request.bus), **settings)
-    return Job(request, study)
+    job = Job(request, study)
+    job.scenario(request.mw)  # which names a bus that is taken, or drawn sites
+    return job
 
 
 def _scenario(request: StudyRequest, path: Path) -> Scenario:

@@ -202,7 +202,7 @@ def _of_scenario(feeder: ThreePhaseFeeder, row: int, control: CapacitorControl) 
 
 
 def _of_table(feeder: ThreePhaseFeeder, row: int) -> _Bank:
-    """A bank with settings of its own."""
+    """A bank with a row in the table of capacitor controls."""
     table, meter = feeder.network.capacitor_control, feeder.capacitor_meters[row]
     ends = [feeder.nodes_of(table.bus[row], leg) for leg in table.legs[row].split()]
     per_volt = table.pt_ratio[row] / (1000.0 * feeder.base_kv_ln[feeder.index(table.bus[row])])

@@ -1,4 +1,4 @@
-"""The figures of a report against power flows and studies of their own."""
+"""The figures of a report against separate power flows and studies."""
 
 import numpy as np
 import pytest

@@ -25,7 +25,7 @@ def study_of(feeder, buses, **fields):
 
 
 def fork(rating_a):
-    """Two buses behind branches of their own ratings, which carry what these say."""
+    """Two buses, each behind a rated branch that limits it."""
     return Feeder.from_tables(
         name="fork", base_kv=10.0, substation="a", v0_pu=1.0, bus_ids=["a", "b", "c"], p_load_kw=[0.0, 1.0, 1.0],
         q_load_kvar=[0.0, 0.0, 0.0], from_bus=["a", "a"], to_bus=["b", "c"], r_ohm=[0.01, 0.01], x_ohm=[0.01, 0.01],

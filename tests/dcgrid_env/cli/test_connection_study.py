@@ -70,3 +70,10 @@ def test_a_missing_file_is_named(capsys):
     with pytest.raises(SystemExit):
         main(["study", "none.toml"])
     assert "there is no study file none.toml" in capsys.readouterr().err
+
+
+def test_sites_of_a_scenario_that_are_drawn_are_refused(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text(FILE.replace('feeder = "ieee33"', 'scenario = "ieee123"'))
+    with pytest.raises(SystemExit):
+        main(["study", "s.toml", "--out", "out", "--workers", "1"])
+    assert "draws the buses of its data centres in each episode" in capsys.readouterr().err

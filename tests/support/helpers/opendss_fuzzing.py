@@ -199,7 +199,7 @@ def outcomes(seeds: range, folder: Path) -> dict[int, str]:
 
 
 def serve() -> None:
-    """Write the outcome of each seed among the arguments as a line of JSON; each has a process of its own."""
+    """Write the outcome of each seed among the arguments as a line of JSON; each in a separate process."""
     folder, *seeds = sys.argv[1:]
     path = Path(folder) / "Master.dss"
     for script in SCRIPTS:  # compiles the power flows before the processes are forked

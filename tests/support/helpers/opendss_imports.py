@@ -1,5 +1,7 @@
 """What is asked of an imported OpenDSS circuit: how far its voltages are from OpenDSS's, and what was reported."""
 
+import numpy as np
+
 from dcgrid_env import ThreePhaseFeeder
 from dcgrid_env.powerflow import solve_unbalanced
 
@@ -19,3 +21,18 @@ def apart_pu(found):
 
 def fates(found):
     return {(row.kind, name, row.fate) for row in found.findings for name in row.names}
+
+
+def by_opendss(path, factors, read):
+    """What ``read`` takes of OpenDSS's engine at the end of each second, the loads multiplied by factors."""
+    from opendssdirect import dss
+
+    engine = dss.NewContext()
+    engine.Text.Command(f'redirect "{path}"')
+    engine.Text.Command("set mode=duty stepsize=1s number=1 controlmode=time maxcontroliter=100")
+    found = []
+    for factor in factors:
+        engine.Text.Command(f"set loadmult={factor}")
+        engine.Solution.Solve()
+        found.append(read(engine))
+    return np.array(found)

@@ -1,4 +1,4 @@
-"""What changes in OpenDSS's power flow when the elements that an import leaves out are disabled."""
+"""Effects of the elements that an import omits: OpenDSS solves the circuit with and without them."""
 
 from __future__ import annotations
 

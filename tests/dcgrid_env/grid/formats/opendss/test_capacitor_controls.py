@@ -17,9 +17,9 @@ from dcgrid_env.devices.capacitor_bank.bank_switching import (
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from dcgrid_env.powerflow import Control, solve_unbalanced
-from helpers.opendss_imports import apart_pu
+from helpers.opendss_imports import apart_pu, by_opendss
 
-opendss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
+pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
 
 CIRCUIT = """
 New Line.l3 bus1=m bus2=e length=6 units=km r1=0.3 x1=0.4 r0=0.5 x0=1.2 c1=300 c0=150
@@ -62,21 +62,13 @@ def courses(n=900, hold_s=10):
     return np.array(found)
 
 
-def theirs(path, factors, n_step):
-    """Whether each step of the bank is on at the end of each second, from OpenDSS."""
-    dss = opendss.dss.NewContext()
-    dss.Text.Command(f'redirect "{path}"')
-    dss.Text.Command("set mode=duty stepsize=1s number=1 controlmode=time maxcontroliter=100")
-    found = []
-    for factor in factors:
-        dss.Text.Command(f"set loadmult={factor}")
-        dss.Solution.Solve()
-        dss.Capacitors.Name("c")
-        states = dss.Capacitors.States()
-        dss.Circuit.SetActiveElement("capacitor.c")
-        is_open = dss.CktElement.IsOpen(1, 0)
-        found.append([0.0 if is_open else float(state) for state in states[:n_step]])
-    return np.array(found)
+def states(engine):
+    """Whether each step of the bank is on."""
+    engine.Capacitors.Name("c")
+    steps = engine.Capacitors.States()
+    engine.Circuit.SetActiveElement("capacitor.c")
+    is_open = engine.CktElement.IsOpen(1, 0)
+    return [0.0 if is_open else float(step) for step in steps]
 
 
 def ours(feeder, factors):
@@ -104,7 +96,7 @@ def test_banks_switch_when_those_of_opendss_do(master, tmp_path, case):
     path = master(f"{CIRCUIT}{bank}New CapControl.k {AT} {control}\n")
     imported = read_circuit(path)
     feeder, factors = ThreePhaseFeeder.from_network(imported.network), courses()
-    opendss_has = theirs(path, factors, feeder.n_capacitor)
+    opendss_has = by_opendss(path, factors, states)
     assert np.abs(np.diff(opendss_has, axis=0)).sum() >= 7
     np.testing.assert_array_equal(ours(feeder, factors), opendss_has)
     feeder.to_csv(folder := tmp_path / "tables")

@@ -11,9 +11,9 @@ from dcgrid_env.devices.tap_changer.relay import RelayBand, relay_settings, rela
 from dcgrid_env.devices.tap_changer.timed_taps import next_taps
 from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from dcgrid_env.powerflow import Control, solve_unbalanced
-from helpers.opendss_imports import fates
+from helpers.opendss_imports import by_opendss, fates
 
-opendss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
+pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
 
 CIRCUIT = """
 New Transformer.reg phases=1 buses=[m.2 r.2] kvs=[7.2 7.2] kvas=[2000 2000] xhl=0.01 %loadloss=0.001
@@ -30,17 +30,9 @@ CASES = {
 }
 
 
-def theirs(path, factors):
-    dss = opendss.dss.NewContext()
-    dss.Text.Command(f'redirect "{path}"')
-    dss.Text.Command("set mode=duty stepsize=1s number=1 controlmode=time maxcontroliter=100")
-    found = []
-    for factor in factors:
-        dss.Text.Command(f"set loadmult={factor}")
-        dss.Solution.Solve()
-        dss.RegControls.Name("k")
-        found.append(dss.RegControls.TapNumber())
-    return np.array(found)
+def tap(engine):
+    engine.RegControls.Name("k")
+    return engine.RegControls.TapNumber()
 
 
 def ours(feeder, factors):
@@ -64,7 +56,7 @@ def test_taps_are_made_when_opendss_makes_them(master, tmp_path, case):
     path = master(f"{CIRCUIT}New RegControl.k {AT} {CASES[case]}\n")
     feeder = ThreePhaseFeeder.from_network(read_circuit(path).network)
     factors = 0.7 + 0.3 * np.sin(np.arange(600) / 80.0)
-    opendss_has = theirs(path, factors)
+    opendss_has = by_opendss(path, factors, tap)
     assert np.abs(np.diff(opendss_has)).sum() >= 4
     np.testing.assert_array_equal(ours(feeder, factors), opendss_has)
     feeder.to_csv(folder := tmp_path / "tables")
