@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
 
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.grid.formats.opendss.script_counts import Counts
@@ -153,6 +154,22 @@ class DssCircuit:
         except self.engine.DSSException as error:
             raise FeederError(f"OpenDSS cannot solve the circuit: {_one_line(error)}") from None
         return bool(self.engine.Solution.Converged())
+
+    def stray_sources(self) -> list[str]:
+        """Current sources, as class.name, of the solved circuit that are alone at nodes without admittance.
+
+        OpenDSS leaves at such a node what its memory holds, and may then find no solution anywhere.
+        """
+        diagonal = csc_matrix(self.engine.YMatrix.getYsparse()).diagonal()  # without the last nodes, if these have none
+        joined = {name for name, y in zip(self.engine.Circuit.YNodeOrder(), diagonal, strict=False) if y}
+        found = []
+        for kind in ("isource", "vccs"):
+            for name in self.names(kind):
+                self.activate(kind, name)
+                nodes = {f"{end.bus}.{node}".upper() for end in self.terminals() for node in end.nodes}
+                if joined.isdisjoint(nodes):
+                    found.append(f"{kind}.{name}")
+        return found
 
     def _set_snapshot(self) -> None:
         """Choose the mode that solves the present; OpenDSS then puts switches into their normal states: undo that."""

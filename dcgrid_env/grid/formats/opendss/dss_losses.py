@@ -56,7 +56,11 @@ class Solved:
 
 def solved(circuit: DssCircuit) -> Solved | None:
     """Solve the circuit with controls off; None if OpenDSS finds no solution, or one that is not finite."""
-    found = Solved(circuit.volts(), circuit.source_kva()) if circuit.solve() else None
+    converged, stray = circuit.solve(), circuit.stray_sources()
+    if stray:
+        with circuit.without(stray):
+            return solved(circuit)
+    found = Solved(circuit.volts(), circuit.source_kva()) if converged else None
     return found if found and cmath.isfinite(found.source_kva) else None
 
 
@@ -91,8 +95,6 @@ def effects_of_losses(
             _without_draw(circuit, lost["isolated"] if "isolated" in kinds else ()),
         ):
             after = solved(circuit)
-        if after and list(after.volts) != list(before.volts):  # OpenDSS errs where several buses vanish at once
-            after = None
         effects.append(_effect(kinds, number, before, after, names_of_nodes))
     return tuple(effects), after
 

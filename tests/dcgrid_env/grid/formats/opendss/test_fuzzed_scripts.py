@@ -113,7 +113,9 @@ def test_isolated_buses_do_not_disturb_the_comparison_without_lost_elements(tmp_
     assert apart_pu(dataclasses.replace(found, v_pu=found.v_pu_without)) < 1e-8
 
 
-def test_the_effect_is_not_known_where_a_bus_vanishes_with_a_lost_element(master):
-    found = read_circuit(master(end=f"{END}New ISource.i bus1=away amps=0\nSolve"), allow=["isource"])
-    assert [effect.node for effect in found.effects] == [""]
-    assert found.v_pu_without == {}
+def test_a_current_source_at_a_node_without_admittance_disturbs_nothing(master):
+    stray = "New ISource.i bus1=away amps=5\nNew VCCS.v bus1=there phases=1 ppct=1\n"
+    found = read_circuit(master(end=f"{END}{stray}Solve"), allow=["isource", "vccs"])
+    assert [effect.kinds for effect in found.effects] == [("isource",), ("vccs",), ("isource", "vccs")]
+    assert [effect.change_kw for effect in found.effects] == pytest.approx([0.0] * 3, abs=1e-6)
+    assert apart_pu(found) < 1e-8
