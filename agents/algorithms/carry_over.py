@@ -216,7 +216,7 @@ def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> P
                 judged: Corrections = mean.module  # pyright: ignore[reportAssignmentType]
                 validated = judge(judged)  # pyright: ignore[reportArgumentType] (a mapping in all but name)
                 if validated["J"] < best:
-                    best = validated["J"]
+                    best = float(validated["J"])  # a number that a checkpoint may contain
                     card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
                     judged.policy().save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
                 run.record(validated | figures | {"env_steps": update * cfg.feeders * cfg.num_envs * cfg.steps})

@@ -6,6 +6,7 @@ import pytest
 
 from dcgrid_env import scenario_hash
 from dcgrid_env.agents import ModelAidedPolicy, Policy
+from dcgrid_env.agents.algorithms import carry_over as algorithm
 from dcgrid_env.agents.algorithms.carry_over import CarryOver, CommissionedEnv, Corrections, drawn_on, main, moments
 from dcgrid_env.agents.training import drawn_feeders
 from dcgrid_env.agents.training.drawn_feeders import drawn_scenario
@@ -16,7 +17,7 @@ TINY = {"updates": 2, "feeders": 1, "num_envs": 2, "steps": 3, "hidden": (4,), "
 
 
 @pytest.mark.slow
-def test_it_begins_as_the_law_and_learns(tmp_path):
+def test_it_begins_as_the_law_and_learns_and_a_killed_run_goes_on_with_the_same_curve(tmp_path, monkeypatch):
     cfg = CarryOver(**TINY, out=tmp_path)
     env = CommissionedEnv(drawn_on(cfg, 0))
     networks: Any = Corrections(moments(cfg), cfg.hidden)
@@ -28,7 +29,18 @@ def test_it_begins_as_the_law_and_learns(tmp_path):
     policy = Policy.load(tmp_path / "policy.safetensors")
     assert isinstance(policy, ModelAidedPolicy)
     assert policy.trained_on == "drawn-feeders"
-    main(CarryOver(**TINY, out=tmp_path / "again"))
+    updated = algorithm._update
+
+    def killed(cfg, run, networks, optimiser, update):
+        if update == 2:
+            raise KeyboardInterrupt
+        return updated(cfg, run, networks, optimiser, update)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(algorithm, "_update", killed)
+        with pytest.raises(KeyboardInterrupt):
+            main(CarryOver(**TINY, out=tmp_path / "again"))
+    main(CarryOver(**TINY, out=tmp_path / "again", resume=True))
     assert [row["J"] for row in read_curve(tmp_path / "again")] == [first["J"], second["J"]]
 
 

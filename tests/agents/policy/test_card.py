@@ -20,9 +20,6 @@ from dcgrid_env.baselines import NeedsPlacement
 SCORED = Scored("toy6", "test", 100, "7b9bd19834108981", 0.27, 0.0, 0.0, (0.5, 0.4, 0.6), (0, 1), (0.5, 0.3))
 CARD = Card("0.1.0", 12, "0" * 64, "ppo", "toy6", "dcgrid train ppo", 0, 1.5, 0.3, SCORED)
 
-WITHOUT_VALIDATION_COSTS = Path(__file__).with_name("without_validation_costs.txt").read_text(encoding="utf-8").split()
-"""Policies whose other seeds' validation costs were not recorded; whoever ships one again takes its line out."""
-
 
 def belongs(folder, name):
     """Check that a policy and the card next to it belong together."""
@@ -150,11 +147,8 @@ def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
     assert card.scored.seed_J is not None
     assert card.scored.seed_J[own] == pytest.approx(card.scored.J)
     assert card.scored.droop_J is not None
-    if name in WITHOUT_VALIDATION_COSTS:
-        assert card.scored.seed_validation_J is None
-    else:
-        assert card.scored.seed_validation_J is not None
-        assert card.scored.seed_validation_J[own] == card.validation_J == min(card.scored.seed_validation_J)
+    assert card.scored.seed_validation_J is not None
+    assert card.scored.seed_validation_J[own] == card.validation_J == min(card.scored.seed_validation_J)
     assert card.scored.scenario_hash == scenario_hash(make_scenario(card.scored.scenario, split="test"))
 
 
