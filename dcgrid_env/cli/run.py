@@ -67,9 +67,9 @@ class Run(Command):
     trace: str | None = None
     """Workload of the data centres: a generator, or recordings and files separated by commas. Default: the
     scenario's."""
-    dvfs: Literal["linear", "prefill-decode"] | None = None
-    """Clock model: linear slows all work alike; prefill-decode slows prefill and training, but hardly decode. Default:
-    the scenario's."""
+    dvfs: Literal["linear", "prefill-decode", "power-cap"] | None = None
+    """Clock model: linear slows all work alike; prefill-decode slows prefill and training, but hardly decode; with
+    power-cap the setpoint is a power cap. Default: the scenario's."""
     tuned: Path | None = None
     """File of dcgrid tune with the gains of tuned controllers. Default: results/tuned.json if it was tuned for this
     scenario, else the bundled gains."""
@@ -170,14 +170,13 @@ def controller_names(cfg: Run, scenario: Scenario) -> list[str]:
 
 def scenario_of(cfg: Run) -> Scenario:
     """Make the scenario that a command names; raise ValueError if it is invalid."""
-    from dcgrid_env import LinearDvfs, PrefillDecodeDvfs
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.traces import TRACE_SOURCES
     from dcgrid_env.traces.by_name import recorded_trace
 
     chosen: dict[str, Any] = {}
     if cfg.dvfs is not None:
-        chosen["datacenters.clock_law"] = PrefillDecodeDvfs() if cfg.dvfs == "prefill-decode" else LinearDvfs()
+        chosen["datacenters.clock_law"] = cfg.dvfs
     if cfg.trace in TRACE_SOURCES:
         chosen["trace"] = cfg.trace
     elif cfg.trace is not None:

@@ -3,6 +3,7 @@
 from dcgrid_env.devices import converter
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
 from dcgrid_env.devices.datacenter.data_centers import DataCenters
+from dcgrid_env.devices.datacenter.power_cap import PowerCapDvfs
 from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
 from dcgrid_env.devices.device import Channel, CostTerm, Device, Field, GridChange, Q, Work, may_leave
 from dcgrid_env.devices.inverter import Inverters
@@ -24,6 +25,7 @@ __all__ = [
     "InverterParams",
     "Inverters",
     "LinearDvfs",
+    "PowerCapDvfs",
     "PrefillDecodeDvfs",
     "Q",
     "StorageParams",

@@ -19,7 +19,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from dcgrid_env.core.digest import digest
-from dcgrid_env.devices import DataCenters, Inverters, PrefillDecodeDvfs, Storages
+from dcgrid_env.devices import DataCenters, Inverters, PowerCapDvfs, PrefillDecodeDvfs, Storages
 from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
@@ -110,6 +110,7 @@ _SITE_STORAGE = """
 """
 _BATCHING = "lowest highest reference batch_energy_share gather_s batch_weight"
 _LOAD_TARGET = "kind value_share value_mw begin_s ramp_s duration_s priority"
+_PREFILL_DECODE = "decode_clock_share decode_memory_share compute_linear_share"
 _SERVICE = "target_s deadline_s interactive_share order late_weight"
 
 SCHEMA_1: dict[type[Any], Kind] = {
@@ -141,7 +142,8 @@ SCHEMA_1: dict[type[Any], Kind] = {
     PhaseLoadTable: Kind("PhaseLoadTable", tuple(_PHASE_LOAD.split())),
     RegulatorControl: Kind("RegulatorControl", ("timer", "offset_v", "hold_s")),
     LoadTarget: Kind("LoadTarget", tuple(_LOAD_TARGET.split())),
-    PrefillDecodeDvfs: Kind("PhaseDvfs", ("decode_clock_share", "decode_memory_share", "compute_linear_share")),
+    PrefillDecodeDvfs: Kind("PhaseDvfs", tuple(_PREFILL_DECODE.split())),
+    PowerCapDvfs: Kind("PowerCapDvfs", (*_PREFILL_DECODE.split(), "decode_draw_share")),
 }
 
 

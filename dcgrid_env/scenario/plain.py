@@ -19,7 +19,7 @@
 | ride_through | a curve's name, or a mapping of the rule's fields | UpsRideThrough of sites, RideThrough of inverters |
 | storage, smoothing, cooling of sites | a mapping of its fields | SiteStorage, PowerSmoothing, Cooling |
 | storage, routing, batching, service of sites | a mapping of their fields | SiteStorage, Routing, .. |
-| clock_law | "linear", "prefill-decode", or ``{"law": "prefill-decode", ..}`` with parameters | a clock law |
+| clock_law | "linear", "prefill-decode", "power-cap", or ``{"law": .., ..}`` with parameters | a clock law |
 | trace | a generator's name, a recording's name or file, or a list of recordings | tuple of PowerTrace |
 | injection | "pv", a list of shares, or a recording's name or file | PowerTrace |
 | other sequences | a list | a tuple |

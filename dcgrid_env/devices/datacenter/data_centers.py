@@ -60,8 +60,9 @@ class DataCenters(PickledByFields):
     q_max_share: float = number(0.0, "s_rated_share")
     """Reactive limit as a share of the rated power."""
     clock_law: Dvfs = field(default_factory=LinearDvfs)
-    """Model of speed and power by the clock: LinearDvfs(), PrefillDecodeDvfs(), or a custom one. Plain form:
-    "linear", "prefill-decode", or a mapping such as ``{"law": "prefill-decode", "decode_clock_share": 0.03}``."""
+    """Model of speed and power by the clock: LinearDvfs(), PrefillDecodeDvfs(), PowerCapDvfs(), or a custom one. Plain
+    form: "linear", "prefill-decode", "power-cap", or a mapping such as ``{"law": "prefill-decode",
+    "decode_clock_share": 0.03}``."""
     boost_share: float = number(1.0, 2.0, default=1.0)
     """Highest short draw of a site as a share of its rating; values up to 1.3 have been observed."""
     phases: Phases | None = None
@@ -87,9 +88,8 @@ class DataCenters(PickledByFields):
         settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
         check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
-            raise refuse(
-                self, "clock_law", "give 'linear', 'prefill-decode', or a clock law such as PrefillDecodeDvfs()"
-            )
+            remedy = "give 'linear', 'prefill-decode', 'power-cap', or a clock law such as PrefillDecodeDvfs()"
+            raise refuse(self, "clock_law", remedy)
         if work_classes_of(self.clock_law) not in (1, 2):
             wrong = work_classes_of(self.clock_law)
             raise refuse(self, "clock_law", f"give a clock law of 1 or 2 work classes, not {wrong!r}")

@@ -8,9 +8,14 @@ from typing import Any
 
 from dcgrid_env.core.checked import Plain
 from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
+from dcgrid_env.devices.datacenter.power_cap import PowerCapDvfs
 from dcgrid_env.devices.datacenter.prefill_decode import PrefillDecodeDvfs
 
-CLOCK_LAWS: dict[str, type[Any]] = {"linear": LinearDvfs, "prefill-decode": PrefillDecodeDvfs}
+CLOCK_LAWS: dict[str, type[Any]] = {
+    "linear": LinearDvfs,
+    "prefill-decode": PrefillDecodeDvfs,
+    "power-cap": PowerCapDvfs,
+}
 """Clock laws by name."""
 
 

@@ -49,19 +49,21 @@ class PrefillDecodeDvfs:
         for field in fields(self):
             value = getattr(self, field.name)
             if not (isinstance(value, int | float) and 0.0 <= value <= 1.0):
-                raise ValueError(f"PrefillDecodeDvfs: {field.name} is {value!r}; give a share from 0 to 1")
+                raise ValueError(f"{type(self).__name__}: {field.name} is {value!r}; give a share from 0 to 1")
 
     def serve(self, params: DataCenterParams, f_mhz: Array, work_kw: Array) -> tuple[Array, Array]:
         """See :class:`Dvfs`: ``work_kw`` and what is served of it are (..., n_dc, 2), compute-bound first."""
         compute, memory = work_kw[..., 0], work_kw[..., 1]
-        x = f_mhz / params.f_max_mhz
-        slow = 1.0 / x
-        square = x * x
-        cube = square * x
+        x_c, x_m = self._clocks(f_mhz / params.f_max_mhz, params.f_min_mhz / params.f_max_mhz)
+        slow, square, cube = 1.0 / x_c, x_c * x_c, x_m * x_m * x_m
         # Time and energy of a unit of work, of which both work classes have 1 at the top clock, to the bit.
-        time_m = 1.0 + self.decode_clock_share * (slow - 1.0)
+        time_m = 1.0 + self.decode_clock_share * (1.0 / x_m - 1.0)
         energy_c = square + self.compute_linear_share * (1.0 - square)
         energy_m = (cube + self.decode_memory_share * (1.0 - cube)) * time_m
         tau = (compute * slow + memory * time_m) / params.p_dynamic_kw
         share = 1.0 / (1.0 + positive_part(tau - 1.0))
         return work_kw * share[..., None], (compute * energy_c + memory * energy_m) * share
+
+    def _clocks(self, setpoint: Array, lowest: Array) -> tuple[Array, Array]:
+        """Clock of compute-bound and of memory-bound work, as shares of the top clock."""
+        return setpoint, setpoint

@@ -266,7 +266,7 @@ def test_what_a_user_writes_into_stays_outside():
         ({"weights": {"volts": 1}}, "no cost.weights field 'volts'; did you mean voltage"),
         (
             {"datacenters.clock_law": None},
-            "datacenters.clock_law is None; give 'linear', 'prefill-decode', or a clock law",
+            "datacenters.clock_law is None; give 'linear', 'prefill-decode', 'power-cap', or a clock law",
         ),
         ({"background.capacitors": "no"}, "background.capacitors is 'no'; choose one of True, False"),
         ({"n_datacenters": 2}, "datacenters.count is 2, but .*buses None to have them drawn"),

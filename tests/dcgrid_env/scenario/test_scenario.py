@@ -309,7 +309,7 @@ def test_a_clock_law_has_one_work_class_or_two():
         scenario_of_ones_own(datacenters={"clock_law": _ThreeClasses()})
     with pytest.raises(
         ScenarioError,
-        match=r"datacenters.clock_law is 'fast'; give 'linear', 'prefill-decode', or a mapping with the key 'law'",
+        match=r"datacenters.clock_law is 'fast'; give 'linear', 'prefill-decode', 'power-cap', or a mapping",
     ):
         scenario_of_ones_own(datacenters={"clock_law": "fast"})
 

@@ -54,3 +54,26 @@ def test_larger_batches_draw_less_and_make_requests_wait():
 def test_no_site_draws_more_than_its_rating_at_small_batches():
     _, series = course(-1.0)
     assert series.p_kw[:, :3].max() <= 1000.0 + 1e-6
+
+
+def test_the_energy_is_fitted_to_measured_serving_points():
+    # 4 x 441 W at 470 tokens/s with batches of 8, 4 x 589 W at 4,915 tokens/s with 256; two points fit exactly.
+    energy = np.array([1764.0 / 470.0, 2356.0 / 4915.0])
+    fitted = Batching.fitted((8, 256), energy, reference=64.0)
+    c = fitted.batch_energy_share
+    e = 1.0 - c + c * 64.0 / np.array([8.0, 256.0])
+    np.testing.assert_allclose(e[0] / e[1], energy[0] / energy[1])
+
+
+@pytest.mark.parametrize(
+    ("batch", "energy", "said"),
+    [
+        ((8,), (1.0,), r"\(1,\) sizes and \(1,\) energies; give two or more of each"),
+        ((8, 8), (1.0, 1.0), "give two or more"),
+        ((8, 256), (1.0, 2.0), "do not fall towards a limit"),
+        ((8, float("nan")), (1.0, 2.0), "not a positive number"),
+    ],
+)
+def test_measurements_that_fit_no_curve_are_refused(batch, energy, said):
+    with pytest.raises(ValueError, match=said):
+        Batching.fitted(batch, energy)
