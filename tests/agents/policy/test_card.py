@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 import pytest
