@@ -74,6 +74,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest, LoadTarget
+from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.on_feeder import scenario_on
 from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
@@ -118,6 +119,7 @@ __all__ = [
     "Inverters",
     "JoinedRecorder",
     "LinearDvfs",
+    "LoadProfiles",
     "LoadTarget",
     "Metric",
     "ParquetCourse",
