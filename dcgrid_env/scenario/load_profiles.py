@@ -168,11 +168,11 @@ def _targets(feeder: AnyFeeder, by: str) -> dict[str, np.ndarray]:
     """Return the positions of the legs of each load or bus that has any, by its name."""
     if isinstance(feeder, Feeder):
         return {bus: np.array([i]) for i, bus in enumerate(feeder.bus_ids)}
-    found: dict[str, list[int]] = {}
     legs, names = feeder.load_legs, feeder.network.phase_load.name
+    found: dict[str, list[int]] = {name: [] for name in names} if by == "load" else {}
     for leg, (row, bus) in enumerate(zip(legs.row.tolist(), legs.bus.tolist(), strict=True)):
         found.setdefault(feeder.bus_ids[bus] if by == "bus" else names[row], []).append(leg)
-    return {name: np.array(positions) for name, positions in found.items()}
+    return {name: np.array(positions, np.int64) for name, positions in found.items()}
 
 
 class ProfileWeights:
