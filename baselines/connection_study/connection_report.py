@@ -13,7 +13,7 @@ from dcgrid_env import rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC
 from dcgrid_env.baselines.connection_study.section import Section, png
-from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job
+from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job, section_names
 from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
 from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
@@ -41,10 +41,8 @@ table,figure{break-inside:avoid}.wide{overflow:visible}}
 def sections_of(job: Job, found: Capacities | None, on_section: Callable[[], None]) -> list[Section]:
     """Compute the sections of the report that are not left out; ``on_section`` is called after each."""
     made = []
-    for name, build in BUILDERS.items():
-        if name in job.request.leave_out:
-            continue
-        made.append(build(job))
+    for name in section_names(job):
+        made.append(BUILDERS[name](job))
         if name == "base-case" and found is not None:
             made.append(_capacity(found))
         on_section()

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class LoadProfiles:
     start_h: float | None = None
     """Begin of all episodes, h since the midnight before the file's first sample; None for a begin by seed."""
     uncovered: Literal["refuse", "nominal"] = choice("refuse", "nominal", default="refuse")
-    """Loads without a profile: an error that names them, or nominal power that follows the time of day."""
+    """Loads without a profile: an error that names them, or constant nominal power."""
 
     def __post_init__(self) -> None:
         settle(self, file=_file, classes=_classes)
@@ -175,11 +175,26 @@ def _targets(feeder: AnyFeeder, by: str) -> dict[str, np.ndarray]:
     return {name: np.array(positions, np.int64) for name, positions in found.items()}
 
 
+class ProfileCoverage(NamedTuple):
+    """Loads of a feeder that follow a profile, and those that do not."""
+
+    with_profile: int
+    """Number of loads, or buses, that follow a profile."""
+    without: tuple[str, ...]
+    """Names of the loads, or buses, that stay at their nominal power."""
+
+    def __str__(self) -> str:
+        text = f"{self.with_profile} loads follow a profile"
+        if self.without:
+            text += f"; {len(self.without)} have none and stay at their nominal power: {_first(self.without)}"
+        return text
+
+
 class ProfileWeights:
     """How the columns of the profiles become the loads of a feeder.
 
     Leg ``legs[i]`` draws column ``p_column[i]`` times ``p_weight[i]``, kW, and reactive power in the same way, kvar.
-    ``p_rest_kw`` and ``q_rest_kvar`` (n_leg,) are the nominal loads without a profile, ``without`` their names.
+    ``p_rest_kw`` and ``q_rest_kvar`` (n_leg,) are the nominal loads without a profile.
     """
 
     def __init__(self, feeder: AnyFeeder, profiles: LoadProfiles):
@@ -223,30 +238,26 @@ class ProfileWeights:
         self.p_weight, self.q_weight = np.concatenate(p_weight), np.concatenate(q_weight)
         self.p_rest_kw, self.q_rest_kvar = p_kw, q_kvar
         p_kw[self.legs] = q_kvar[self.legs] = 0.0
-        self.without = tuple(
-            name for name, at in targets.items() if np.any(p_kw[at] != 0.0) or np.any(q_kvar[at] != 0.0)
-        )
-        self.with_profile = len(chosen)
-        if self.without and profiles.uncovered == "refuse":
+        without = tuple(name for name, at in targets.items() if np.any(p_kw[at] != 0.0) or np.any(q_kvar[at] != 0.0))
+        self.coverage = ProfileCoverage(len(chosen), without)
+        if without and profiles.uncovered == "refuse":
             remedy = (
-                f"{table.label} has no profile for {len(self.without)} loads: {_first(self.without)}; give them one, or "
+                f"{table.label} has no profile for {len(without)} loads: {_first(without)}; give them one, or "
                 "uncovered = 'nominal'"
             )
             raise FieldError("LoadProfiles", "uncovered", profiles.uncovered, remedy)
-
-    @property
-    def coverage(self) -> str:
-        """Number of loads with a profile, and the names of those without, in words."""
-        text = f"{self.with_profile} loads follow a profile"
-        if self.without:
-            text += f"; {len(self.without)} have none and stay at their nominal load: {_first(self.without)}"
-        return text
 
 
 @cached_on_owner
 def profile_weights(feeder: AnyFeeder, profiles: LoadProfiles) -> ProfileWeights:
     """Return how profiles become the loads of a feeder; FieldError for a name that fits no load, bus or class."""
     return ProfileWeights(feeder, profiles)
+
+
+def profile_coverage(scenario: Any) -> ProfileCoverage:
+    """Return the loads of a scenario that follow a profile, and those that do not; ValueError without profiles."""
+    _ = scenario.load_profiles.table
+    return profile_weights(scenario.feeder, scenario.load_profiles).coverage
 
 
 def _columns(feeder: AnyFeeder, profiles: LoadProfiles, targets: Mapping[str, np.ndarray]) -> dict[str, str]:

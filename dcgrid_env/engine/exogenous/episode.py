@@ -264,7 +264,7 @@ def exogenous(
     sags = sags_in_interval(scenario, episode.sag, step)
     to_draw = LoadsToDraw(episode.key, step, noise, share)
     if hour is not None and scenario.load_profiles.file is not None:
-        p_kw, q_kvar = profile_loads(scenario, hour, share)
+        p_kw, q_kvar = profile_loads(scenario, hour)
         to_draw = to_draw._replace(share=episode.still, p_kw=p_kw, q_kvar=q_kvar)
     offset_v, settings = None, scenario.grid_control.regulator_settings
     if settings.has_schedules:

@@ -9,7 +9,7 @@ from dcgrid_env.scenario.load_profiles import ProfileWeights, profile_weights, s
 from dcgrid_env.scenario.scenario import Scenario
 
 
-def profile_loads(scenario: Scenario, hour: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def profile_loads(scenario: Scenario, hour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the loads at times, kW and kvar, (row, n_leg).
 
     Parameters
@@ -18,12 +18,10 @@ def profile_loads(scenario: Scenario, hour: np.ndarray, share: np.ndarray) -> tu
         A scenario with load profiles.
     hour
         Time, h since the midnight before the file's first sample, (row,).
-    share
-        Share of the nominal power of loads without a profile, (row,).
     """
     profiles, weights = scenario.load_profiles, _weights(scenario)
     values = profiles.table.at(hour, linear=profiles.between == "linear", repeat=profiles.days == "repeat")
-    p_kw, q_kvar = share[:, None] * weights.p_rest_kw, share[:, None] * weights.q_rest_kvar
+    p_kw, q_kvar = (np.tile(rest, (len(hour), 1)) for rest in (weights.p_rest_kw, weights.q_rest_kvar))
     p_kw[:, weights.legs] = values[:, weights.p_column] * weights.p_weight
     q_kvar[:, weights.legs] = values[:, weights.q_column] * weights.q_weight
     return p_kw, q_kvar

@@ -5,8 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from dcgrid_env import LoadProfiles, ScenarioError, forecast, make_scenario, scenario_hash
-from dcgrid_env.scenario.load_profiles import profile_weights
+from dcgrid_env import LoadProfiles, ScenarioError, forecast, make_scenario, profile_coverage, scenario_hash
 from dcgrid_env.traces import ProfileTable
 
 QUIET = {"background": {"load_sigma": 0.0}}
@@ -43,13 +42,11 @@ def test_balanced_loads_by_hand():
     p, q = loads(s)
     assert p[:, at].tolist() == [20.0, -30.0]  # a load that feeds in
     assert (q[:, at] + fixed[at]).tolist() == [5.0, 6.0]
-    shares_of_day = p[:, 1:] / np.where(p_kw[1:] > 0, p_kw[1:], np.nan)
-    others = np.delete(shares_of_day, at - 1, axis=1)
-    expected = np.array([[0.66], [0.64]])  # of 0:15 and 0:30 on a line from 0.72 at 23:30 to 0.64 at 0:30
-    np.testing.assert_allclose((others - expected)[np.isfinite(others)], 0.0, atol=1e-6)  # they follow the time of day
-    weights = profile_weights(feeder, s.load_profiles)
-    assert weights.coverage.startswith("1 loads follow a profile;")
-    assert one not in weights.without
+    others = np.arange(feeder.n_bus) != at
+    np.testing.assert_array_equal(p[:, others], np.tile(p_kw[others], (2, 1)))  # those without a profile
+    coverage = profile_coverage(s)
+    assert str(coverage).startswith("1 loads follow a profile;")
+    assert one not in coverage.without
 
 
 def test_three_phase_loads_by_hand():

@@ -2,9 +2,10 @@
 
 In the modes daily, yearly and duty a load follows the shape that it names for this mode, or else its daily shape. At
 hour t a shape of points with an even interval has the value of point round(t / interval), counted from 1, and begins
-again after its last point; so the value at t = 0 is that of its last point. Those of the profiles are evaluated in this
-way at each of their times. A load whose ``status`` is fixed follows no shape. A shape with ``useactual`` has kW and
-kvar; without a ``qmult`` the reactive power is then that of the power factor, or 0 for a load with kvar.
+again after its last point; so the value at t = 0 is that of its last point. The profiles are evaluated by this rule at
+each of their times. A load whose ``status`` is fixed follows no shape. A shape with ``useactual`` has kW and kvar, which
+the load multiplier does not scale; without a ``qmult`` the reactive power is then that of the power factor, or 0 for a
+load with kvar.
 """
 
 from __future__ import annotations
@@ -175,17 +176,16 @@ def _shares(load: _ShapedLoad, shape: _Shape, mode: str) -> tuple[np.ndarray | N
     """Return a shape's points as shares of a load's nominal active and reactive power; None where there are none."""
     p, q = shape.p, shape.q
     if shape.actual:
-        if not load.kw:
+        mult = 1.0 if load.exempt else load.mult  # of the nominal power alone
+        if not load.kw * mult or (q is not None and q.any() and not load.kvar):
             return None, None
-        p = p / load.kw
-        if q is not None:
-            q = q / load.kvar if load.kvar else np.zeros_like(q) if not q.any() else None
-        else:
-            q = np.zeros_like(p) if load.fixed_q else p
+        p = p / (load.kw * mult)
         if q is None:
-            return None, None
-    elif q is None:
-        q = p
+            q = np.zeros_like(p) if load.fixed_q else p
+        elif q.any():
+            q = q / (load.kvar * mult)
+        return p, q
+    q = p if q is None else q
     if load.exempt and mode == "yearly" and load.mult != 1.0:  # OpenDSS applies the load multiplier in this mode alone
         scaled = load.mult * p
         return scaled, scaled if q is p else load.mult * q

@@ -76,7 +76,10 @@ def largest_difference(master, folder, mode, step_s, steps):
     return imported, largest
 
 
-@pytest.mark.parametrize(("mode", "step_s", "steps"), [("daily", 3600.0, 27), ("daily", 1800.0, 50), ("yearly", 3600.0, 80), ("duty", 900.0, 30)])
+@pytest.mark.parametrize(
+    ("mode", "step_s", "steps"),
+    [("daily", 3600.0, 27), ("daily", 1800.0, 50), ("yearly", 3600.0, 80), ("duty", 1800.0, 30)],
+)
 def test_voltages_over_time_are_opendss(master, tmp_path, mode, step_s, steps):
     folder = tmp_path / "feeder"
     path = master(SHAPES + LOADS)
