@@ -167,13 +167,39 @@ def _times(name: str, raw: _Raw) -> tuple[FloatArray, str]:
         place = f"{name}, {raw.unit} {raw.lines[i]}, column {head!r}"
         return TraceError(f"{place}: the time is {str(cells[i])[:40]!r}; {remedy}")
 
-    if scale:
-        times = _numbers(cells)
-        bad = np.flatnonzero(~np.isfinite(times))
-        if len(bad):
-            raise refuse(int(bad[0]), "give a finite number")
-        return times * scale, ""
-    dates = []
+    if not scale:
+        return _seconds(cells, refuse)
+    times = _numbers(cells)
+    bad = np.flatnonzero(~np.isfinite(times))
+    if len(bad):
+        raise refuse(int(bad[0]), "give a finite number")
+    return times * scale, ""
+
+
+def seconds_of_dates(name: str, cells: Sequence[Any]) -> tuple[FloatArray, str]:
+    """Return the times of dates, s since the midnight before the first one, (row,), and the date of the first one.
+
+    Parameters
+    ----------
+    name
+        Name of the file or table for messages.
+    cells
+        Dates and times as texts.
+
+    Raises
+    ------
+    TraceError
+        For a text that is no date, naming its row.
+    """
+
+    def refuse(i: int, remedy: str) -> TraceError:
+        return TraceError(f"{name}, row {i}, column 'time': the time is {str(cells[i])[:40]!r}; {remedy}")
+
+    return _seconds(cells, refuse)
+
+
+def _seconds(cells: Sequence[Any], refuse: Callable[[int, str], TraceError]) -> tuple[FloatArray, str]:
+    dates: list[datetime] = []
     for i, cell in enumerate(cells):
         try:
             dates.append(cell if isinstance(cell, datetime) else _date(str(cell)))
