@@ -123,7 +123,11 @@ def read_classes(path: str | Path) -> dict[str, str]:
 
 def _csv(path: Path) -> _Raw:
     with open_text(path) as file:
-        numbered = [(i, line) for i, line in enumerate(iter(file.readline, ""), start=1) if line.strip() and not line.startswith("#")]
+        numbered = [
+            (i, line)
+            for i, line in enumerate(iter(file.readline, ""), start=1)
+            if line.strip() and not line.startswith("#")
+        ]
     if len(numbered) < 2:
         raise TraceError(f"{path}: it has no header or no samples; give a header and a line for each sample")
     first = numbered[0][1]
@@ -296,8 +300,8 @@ def _long(name: str, raw: _Raw, times_s: FloatArray, day: str) -> ProfileTable:
         t, k = missing[0]
         there = int(line_of[t].max())
         raise TraceError(
-            f"{place(there)}, column {raw.header[1]!r}: {names[k]!r} has no sample at {raw.columns[0][there]}, and others "
-            "have; give one for each at each time"
+            f"{place(there)}, column {raw.header[1]!r}: {names[k]!r} has no sample at {raw.columns[0][there]}, and "
+            "others have; give one for each at each time"
         )
     # A row of each time, for messages; the columns are p of all, then q of all.
     columns = [_numbers(cells)[line_of] for cells in raw.columns[2:]]

@@ -168,8 +168,8 @@ def checked_table(
     if len(bad):
         row, column = bad[0]
         raise TraceError(
-            f"{file}, {where(int(row))}, column {names[column]!r}: the value is {said(int(row), int(column))!r}; give a "
-            "finite number"
+            f"{file}, {where(int(row))}, column {names[column]!r}: the value is {said(int(row), int(column))!r}; give "
+            "a finite number"
         )
     begin_h = float(times[0] % 86400.0) / 3600.0
     return ProfileTable(begin_h, step_s, tuple(names), values, day)

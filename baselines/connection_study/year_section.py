@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,8 +43,8 @@ def year_section(
     table = with_site.load_profiles.table
     texts = (
         f"{len(table.values)} power flows in steps of {table.step_s / 60.0:g} min by the load profiles of "
-        f"{table.label}, without control and without noise. The site draws its full rating all the time. Regulators "
-        "follow their control within a day and have settled at its begin. "
+        f"{Path(table.label).name}, without control and without noise. The site draws its full rating all the time. "
+        "Regulators follow their control within a day and have settled at its begin. "
         f"{profile_coverage(with_site)}.",
         "The worst hours are then simulated in steps of a second with the trace of the site, which draws its full "
         "rating in the middle third of the hour.",
@@ -55,9 +56,7 @@ def year_section(
 
 def _counts(flows: dict[str, YearFlow], limits: tuple[float, float, float]) -> Table:
     columns = [flow.hours_outside(*limits) for flow in flows.values()]
-    rows: list[tuple[str, ...]] = [
-        (f"hours {name}", *(f"{hours[name]:g}" for hours in columns)) for name in columns[0]
-    ]
+    rows: list[tuple[str, ...]] = [(f"hours {name}", *(f"{hours[name]:g}" for hours in columns)) for name in columns[0]]
     rows.append(("energy lost, MWh", *(figure_of(flow.loss_mwh, 5) for flow in flows.values())))
     return Table("Hours beyond limits, and losses", ("quantity", *flows), tuple(rows))
 

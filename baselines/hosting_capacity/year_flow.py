@@ -81,7 +81,10 @@ class YearFlow:
         """Return the sample of the lowest and highest voltage, highest loading and highest loss, by quantity."""
         if not self.solved.any():
             return {}
-        found = {"lowest voltage": int(np.nanargmin(self.v_min_pu)), "highest voltage": int(np.nanargmax(self.v_max_pu))}
+        found = {
+            "lowest voltage": int(np.nanargmin(self.v_min_pu)),
+            "highest voltage": int(np.nanargmax(self.v_max_pu)),
+        }
         if np.nanmax(self.loading) > 0.0:
             found["highest loading"] = int(np.nanargmax(self.loading))
         return found | {"highest loss": int(np.nanargmax(self.loss_kw))}
@@ -123,7 +126,8 @@ def year_flow(scenario: Scenario, on_step: Callable[[int, int], None] | None = N
     table = scenario.load_profiles.table
     if any(device.buses is None and device.count for device in scenario.devices):
         raise ValueError(
-            f"scenario {scenario.name!r} draws the buses of its devices in each episode; give them with datacenters.buses"
+            f"scenario {scenario.name!r} draws the buses of its devices in each episode; give them with "
+            "datacenters.buses"
         )
     n = len(table.values)
     per_day = min(round(86400.0 / table.step_s), n)

@@ -129,8 +129,9 @@ def _scenario(request: StudyRequest, path: Path) -> Scenario:
 
 def _from_folder(folder: Path, name: str, value: object) -> object:
     """Return the path of a file of load profiles that is relative to the study's folder; any other value unchanged."""
-    of_file = name in ("load_profiles.file", "load_profiles.classes") and isinstance(value, str)
-    return str(folder / value) if of_file and (folder / str(value)).exists() else value
+    if name not in ("load_profiles.file", "load_profiles.classes") or not isinstance(value, str):
+        return value
+    return str(folder / value) if (folder / value).exists() else value
 
 
 def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:

@@ -39,8 +39,8 @@ class LoadProfiles:
     """Class of each load, or of each bus on a balanced feeder: a mapping of names, or a CSV file with the columns load
     and class. Required for columns of classes."""
     unit: Literal["pu", "kw"] = choice("pu", "kw", default="pu")
-    """``pu``: shares of the nominal power of the load. ``kw``: kW and kvar of the load or bus, in total over its phases.
-    Without a column of reactive power, the nominal power factor holds."""
+    """``pu``: shares of the nominal power of the load. ``kw``: kW and kvar of the load or bus in total over its
+    phases. Without a column of reactive power, the nominal power factor holds."""
     between: Literal["hold", "linear"] = choice("hold", "linear", default="hold")
     """Values between two samples: a sample holds until the next one, or they are linear in time."""
     days: Literal["split", "all", "repeat"] = choice("split", "all", "repeat", default="split")
@@ -169,7 +169,7 @@ def _targets(feeder: AnyFeeder, by: str) -> dict[str, np.ndarray]:
     if isinstance(feeder, Feeder):
         return {bus: np.array([i]) for i, bus in enumerate(feeder.bus_ids)}
     legs, names = feeder.load_legs, feeder.network.phase_load.name
-    found: dict[str, list[int]] = {name: [] for name in names} if by == "load" else {}
+    found: dict[Any, list[int]] = {name: [] for name in names} if by == "load" else {}
     for leg, (row, bus) in enumerate(zip(legs.row.tolist(), legs.bus.tolist(), strict=True)):
         found.setdefault(feeder.bus_ids[bus] if by == "bus" else names[row], []).append(leg)
     return {name: np.array(positions, np.int64) for name, positions in found.items()}
@@ -215,7 +215,9 @@ class ProfileWeights:
                 p_share = _shares(p, total_kw, balanced)
                 if p_share is None:
                     raise _refused(
-                        profiles, f"{name!r} in kW", "its nominal load is 0 kW, so it has no phases to scale; give it a load"
+                        profiles,
+                        f"{name!r} in kW",
+                        "its nominal load is 0 kW, so it has no phases to scale; give it a load",
                     )
                 if reactive is not None:
                     q_share = _shares(q, total_kvar, balanced)
@@ -226,7 +228,7 @@ class ProfileWeights:
                     raise _refused(
                         profiles,
                         f"{name!r} in kW",
-                        f"its nominal load is 0 kW, so it has no power factor; give the column {column + REACTIVE!r} too",
+                        f"its nominal load is 0 kW, so it has no power factor; give a column {column + REACTIVE!r}",
                     )
             legs.append(at)
             p_column += [position[column]] * len(at)

@@ -12,7 +12,9 @@ LONG = (
     "time;load;p;q\n01.01.2025 06:00;a;1;0.5\n01.01.2025 06:00;b;2;0\n01.01.2025 06:15;a;3;0.25\n"
     "01.01.2025 06:15;b;4;0\n01.01.2025 06:30;a;5;0.125\n01.01.2025 06:30;b;6;0\n"
 )
-SIMBENCH = "time;a_pload;b_pload;a_qload\n01.01.2025 06:00;1;2;0.5\n01.01.2025 06:15;3;4;0.25\n01.01.2025 06:30;5;6;0.125\n"
+SIMBENCH = (
+    "time;a_pload;b_pload;a_qload\n01.01.2025 06:00;1;2;0.5\n01.01.2025 06:15;3;4;0.25\n01.01.2025 06:30;5;6;0.125\n"
+)
 HOURS = "# a comment\ntime_h\ta\tb\ta.q\n6\t1\t2\t0.5\n6.25\t3\t4\t0.25\n6.5\t5\t6\t0.125\n"
 OFFSETS = WIDE.replace(":00,", ":00+01:00,").replace("15,", "15+01:00,").replace("30,", "30+01:00,")
 
@@ -68,7 +70,10 @@ def test_parquet(tmp_path, monkeypatch):
         (HOURS.replace("6.25", "6.00001").replace("6.5\t", "6.00002\t"), "the samples are 0.036 s apart; give 1 s to"),
         ("time,a\n2025-01-01T06:00,1\n", "it has 1 samples; give at least 2"),
         (LONG.replace("01.01.2025 06:15;b;4;0\n", ""), "line 4, column 'load': 'b' has no sample at 01.01.2025 06:15"),
-        (LONG.replace("06:30;b", "06:15;b"), "line 7, column 'time': 'b' has a second sample at 01.01.2025 06:15; sort"),
+        (
+            LONG.replace("06:30;b", "06:15;b"),
+            "line 7, column 'time': 'b' has a second sample at 01.01.2025 06:15; sort",
+        ),
         (LONG.replace(";p;q", ";kw;q"), "the columns of the long form are time, load, kw, q; give time, load, p"),
         ("", "it has no header or no samples"),
     ],

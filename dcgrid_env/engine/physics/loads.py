@@ -53,15 +53,10 @@ def _load_of(feeder: AnyFeeder, scenario: Scenario) -> LoadNoise:
         np.zeros,
         np.ones,
     )
-    if _by_factor(scenario):
+    if isinstance(feeder, ThreePhaseFeeder) or scenario.load_profiles.file is not None:  # a factor of each bus
         return LoadNoise(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
     fixed = -feeder.capacitor_kvar if scenario.background.capacitors else zeros(feeder.n_bus)
     return LoadNoise(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
-
-
-def _by_factor(scenario: Scenario) -> bool:
-    """Whether the noise is drawn as a factor of each bus, by which its loads are scaled."""
-    return isinstance(scenario.feeder, ThreePhaseFeeder) or scenario.load_profiles.file is not None
 
 
 def drawn(scenario: Scenario, exogenous: Exogenous) -> tuple[Exogenous, np.ndarray]:

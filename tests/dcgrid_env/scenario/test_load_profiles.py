@@ -68,12 +68,18 @@ def test_three_phase_loads_by_hand():
         np.testing.assert_allclose(one, other, rtol=1e-12)
     classes = {name: "early" if i % 2 else "late" for i, name in enumerate(names)}
     by_class = s.replace(
-        load_profiles={"file": table(["early", "late", "unused"], shares[:, :3]), "columns": "class", "classes": classes}
+        load_profiles={
+            "file": table(["early", "late", "unused"], shares[:, :3]),
+            "columns": "class",
+            "classes": classes,
+        }
     )
     column = np.array([0 if i % 2 else 1 for i in range(len(names))])
     np.testing.assert_allclose(loads(by_class)[0][:, :n], shares[1:][:, column[rows]] * feeder.load_legs.p_kw)
     buses = list(dict.fromkeys(feeder.bus_ids[i] for i in feeder.load_legs.bus))
-    by_bus = s.replace(load_profiles={"file": table(buses, np.tile([[1.0], [0.5], [0.25]], len(buses))), "columns": "bus"})
+    by_bus = s.replace(
+        load_profiles={"file": table(buses, np.tile([[1.0], [0.5], [0.25]], len(buses))), "columns": "bus"}
+    )
     np.testing.assert_allclose(loads(by_bus)[0][:, :n], np.outer([0.5, 0.25], feeder.load_legs.p_kw))
 
 
@@ -148,7 +154,8 @@ def test_a_scenario_file_names_the_profiles(tmp_path):
     (tmp_path / "classes.csv").write_text("load,class\n" + "".join(f"{bus},home\n" for bus in _all_home("ieee33")))
     path = tmp_path / "mine.toml"
     path.write_text(
-        'base = "ieee33"\n[load_profiles]\nfile = "loads.csv"\ncolumns = "class"\nclasses = "classes.csv"\ndays = "all"\n'
+        'base = "ieee33"\n[load_profiles]\nfile = "loads.csv"\ncolumns = "class"\nclasses = "classes.csv"\n'
+        'days = "all"\n'
     )
     s = make_scenario(path)
     s.to_toml(tmp_path / "again.toml")
@@ -175,7 +182,10 @@ HOME = {"columns": "class", "classes": {"18": "home"}, "uncovered": "nominal"}
         ({"file": _days(10), **HOME, "classes": {"18": "house"}}, r"'18 = house'; load profiles has the columns home"),
         ({"file": _days(10), "columns": "bus"}, r"column 'home'.*feeder 'ieee33' has no bus of this name"),
         ({"file": table(["18.q"], [[1], [1]]), "columns": "bus"}, r"give active power too, in a column '18'"),
-        ({"file": _days(4), **HOME}, r"split 'test' at most 0 h at a time.*an episode lasts 0.0333333 h; give a longer"),
+        (
+            {"file": _days(4), **HOME},
+            r"split 'test' at most 0 h at a time.*an episode lasts 0.0333333 h; give a longer",
+        ),
         ({"file": _days(0.75), **HOME, "days": "repeat"}, r"give 'all', or a file of whole days: this one covers 18 h"),
         ({"file": _days(10), **HOME, "start_h": 1.0}, r"start_h is 1.0; give a begin of the split 'test' within 96"),
         ({"file": _days(10), **HOME, "start_h": -1.0}, r"start_h is -1.0; give hours since the midnight"),
@@ -191,7 +201,9 @@ def test_what_does_not_fit_the_rest_of_the_scenario():
     with pytest.raises(ScenarioError, match=r"random feeders have other loads in each episode"):
         make_scenario("zero-shot", load_profiles={"file": _days(10), "columns": "bus"})
     both = {"file": _days(10), **HOME, "days": "all", "start_h": 3.0}
-    with pytest.raises(ScenarioError, match=r"background.start_hour is 2.0; leave it out, or leave load_profiles.start_h"):
+    with pytest.raises(
+        ScenarioError, match=r"background.start_hour is 2.0; leave it out, or leave load_profiles.start_h"
+    ):
         make_scenario("ieee33", load_profiles=both, **{"background.start_hour": 2.0})
     with pytest.raises(ScenarioError, match=r"an episode lasts 300 h; give a longer file"):
         make_scenario("ieee33", load_profiles={"file": _days(10), **HOME, "days": "all"}, dt_s=3600.0, horizon=300)

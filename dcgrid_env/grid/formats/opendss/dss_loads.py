@@ -47,9 +47,7 @@ def by_connection(legs: Sequence[str], each: float) -> dict[str, tuple[float, ..
     return found
 
 
-def read_loads(
-    circuit: DssCircuit, report: Report, supply: Supply, letters: Letters, shapes: LoadShapes
-) -> list[Row]:
+def read_loads(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters, shapes: LoadShapes) -> list[Row]:
     """Rows of the loads that have supply and can be represented; their load shapes are noted in ``shapes``."""
     rows = []
     for name in circuit.names("load"):

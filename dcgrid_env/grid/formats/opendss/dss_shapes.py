@@ -3,9 +3,9 @@
 In the modes daily, yearly and duty a load follows the shape that it names for this mode, or else its daily shape. At
 hour t a shape of points with an even interval has the value of point round(t / interval), counted from 1, and begins
 again after its last point; so the value at t = 0 is that of its last point. The profiles are evaluated by this rule at
-each of their times. A load whose ``status`` is fixed follows no shape. A shape with ``useactual`` has kW and kvar, which
-the load multiplier does not scale; without a ``qmult`` the reactive power is then that of the power factor, or 0 for a
-load with kvar.
+each of their times. A load whose ``status`` is fixed follows no shape. A shape with ``useactual`` has kW and kvar, and
+the load multiplier does not scale them. Without a ``qmult`` the reactive power is then that of the power factor, or 0
+for a load with kvar.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class LoadShapes:
         return tuple(profiles for profiles in made if profiles is not None)
 
     def _of_mode(self, mode: str) -> ImportedProfiles | None:
-        of_load = {i: load.shapes.get(mode) or load.shapes.get("daily") for i, load in enumerate(self._loads)}
+        of_load = {i: load.shapes.get(mode) or load.shapes.get("daily") or "" for i, load in enumerate(self._loads)}
         shapes = {name: self._shape(name) for name in dict.fromkeys(of_load.values()) if name}
         usable = {name: shape for name, shape in shapes.items() if isinstance(shape, _Shape)}
         for i, name in of_load.items():
@@ -120,7 +120,7 @@ class LoadShapes:
         columns: dict[str, np.ndarray] = {}
         classes: list[tuple[str, str]] = []
         for i, name in of_load.items():
-            load, shape = self._loads[i], usable.get(name or "")
+            load, shape = self._loads[i], usable.get(name)
             if shape is None:
                 continue
             p, q = _shares(load, shape, mode)
@@ -196,7 +196,9 @@ def write_imported_profiles(profiles: Sequence[ImportedProfiles], folder: Path) 
     """Write the profiles of an import and the classes of its loads into the feeder's folder."""
     for one in profiles:
         table = ProfileTable(0.0, one.step_s, one.names, np.array(one.values))
-        about = f"load shapes of OpenDSS's mode {one.mode}, shares of the nominal power; {one.classes_file} has the loads"
+        about = (
+            f"load shapes of OpenDSS's mode {one.mode}, shares of the nominal power; {one.classes_file} has the loads"
+        )
         write_profiles(table, folder / one.file, [about])
         write_text(folder / one.classes_file, "".join(f"{a},{b}\n" for a, b in (("load", "class"), *one.classes)))
 
@@ -205,9 +207,11 @@ def imported_profiles(plain: Sequence[dict[str, Any]]) -> tuple[ImportedProfiles
     """Return profiles from their form in JSON."""
     return tuple(
         ImportedProfiles(
-            **one
-            | {"names": tuple(one["names"]), "values": tuple(map(tuple, one["values"]))}
-            | {"classes": tuple(map(tuple, one["classes"]))}
+            str(one["mode"]),
+            float(one["step_s"]),
+            tuple(one["names"]),
+            tuple(map(tuple, one["values"])),
+            tuple(map(tuple, one["classes"])),
         )
         for one in plain
     )

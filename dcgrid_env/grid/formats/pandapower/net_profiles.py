@@ -6,8 +6,8 @@ bus, so the profiles are summed: kW and kvar of each bus with a profile, all its
 
 References
 ----------
-.. [1] S. Meinecke et al., "SimBench: A benchmark dataset of electric power systems to compare innovative solutions based
-   on power flow analysis", Energies 13(12):3290, 2020.
+.. [1] S. Meinecke et al., "SimBench: A benchmark dataset of electric power systems to compare innovative solutions
+   based on power flow analysis", Energies 13(12):3290, 2020.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.topology import FeederError
 from dcgrid_env.traces import ProfileTable, TraceError
 from dcgrid_env.traces.profile_file import REACTIVE, seconds_of_dates
+from dcgrid_env.traces.profile_table import checked_table
 
 STEP_S = 900.0
 """Time between two samples of SimBench's profiles, which counts where ``net.profiles`` has no times, s."""
@@ -96,14 +97,17 @@ class NetProfiles:
             return None
         columns = {name: p for name, (p, _) in of_bus.items()}
         columns |= {f"{name}{REACTIVE}": q for name, (_, q) in of_bus.items()}
+        file = f"{self._called}: net.profiles"
+        values = np.column_stack([*columns.values()]).round(_DIGITS)
         try:
-            begin_h, step_s, day = 0.0, STEP_S, ""
+            times_s, day = STEP_S * np.arange(len(values)), ""
             if self._times is not None:
-                times_s, day = seconds_of_dates(f"{self._called}: net.profiles", self._times)
-                begin_h, step_s = float(times_s[0]) / 3600.0, float(times_s[1] - times_s[0])
-            return ProfileTable(begin_h, step_s, tuple(columns), np.round(np.column_stack([*columns.values()]), _DIGITS), day)
+                times_s, day = seconds_of_dates(file, self._times)
+            return checked_table(
+                file, times_s, [*columns], values, lambda i: f"row {i}", lambda i, j: values[i, j], day
+            )
         except TraceError as error:
-            raise FeederError(f"{self._called}: {error}") from None
+            raise FeederError(str(error)) from None
 
 
 def _column(called: str, given: Any, name: str) -> np.ndarray:

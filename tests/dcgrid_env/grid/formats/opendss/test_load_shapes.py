@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import Scenario, ThreePhaseFeeder, load_feeder, read_feeder
+from dcgrid_env import Scenario, ThreePhaseFeeder, load_feeder
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import transitions
 from dcgrid_env.grid.formats.opendss import read_opendss, write_imported_profiles
@@ -41,7 +41,7 @@ def largest_difference(master, folder, mode, step_s, steps):
     imported = read_opendss(master)
     ThreePhaseFeeder.from_network(imported.network).to_csv(folder)
     write_imported_profiles(imported.profiles, folder)
-    feeder = read_feeder(folder)
+    feeder = ThreePhaseFeeder.from_csv(folder)
     profiles = {
         "file": folder / f"load_profiles_{mode}.csv", "columns": "class", "days": "repeat", "start_h": 0.0,
         "classes": folder / f"load_classes_{mode}.csv", "uncovered": "nominal",
@@ -49,7 +49,8 @@ def largest_difference(master, folder, mode, step_s, steps):
     at = next(bus for bus, phases in zip(feeder.bus_ids[1:], feeder.bus_phases[1:], strict=True) if len(phases) == 3)
     s = Scenario(
         name="shapes", feeder=feeder, source_voltage_pu=feeder.v0_pu, power_flow="sweep", dt_s=step_s,
-        inverters={"buses": (at,), "s_rated_kva": 1e-3},        horizon=steps - 1, load_profiles=profiles, background={"load_sigma": 0.0}, 
+        inverters={"buses": (at,), "s_rated_kva": 1e-3},
+        horizon=steps - 1, load_profiles=profiles, background={"load_sigma": 0.0},
         grid_control={"regulators": "fixed"} if feeder.n_regulator else {},
     )  # fmt: skip
     ours = []

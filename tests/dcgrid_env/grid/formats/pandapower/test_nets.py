@@ -290,6 +290,8 @@ def test_profiles_in_simbenchs_form_give_pandapowers_voltages_over_time(tmp_path
     assert [row.names for row in imported.findings if row.text == left_out] == [("1",)]
     pp.to_json(net, str(tmp_path / "net.json"))
     of_file = read_pandapower(tmp_path / "net.json").profiles
+    assert imported.profiles is not None
+    assert of_file is not None
     np.testing.assert_array_equal(of_file.values, imported.profiles.values)
     assert (of_file.names, of_file.first_day) == (imported.profiles.names, "2016-01-01")
     write_profiles(imported.profiles, tmp_path / "load_profiles.csv")
@@ -311,5 +313,5 @@ def test_profiles_in_simbenchs_form_give_pandapowers_voltages_over_time(tmp_path
         theirs = net.res_bus.vm_pu
         assert max(abs(ours[ours_bus] - theirs[int(bus)]) for bus, ours_bus in imported.bus_of.items()) < 1e-7
     net.profiles["load"] = net.profiles["load"].drop(columns="H0_pload")
-    with pytest.raises(FeederError, match="load 0 has the profile 'H0', but net.profiles has no column 'H0_pload'"):
+    with pytest.raises(FeederError, match=r"load 0 has the profile 'H0', but net\.profiles has no column 'H0_pload'"):
         read_pandapower(net)
