@@ -50,7 +50,7 @@ class _Raw(NamedTuple):
     columns: list[Sequence[Any]]
     lines: Sequence[int]
     unit: str
-    """What a row is called in messages."""
+    """Name of a row in messages."""
 
 
 def read_profiles(path: str | Path) -> ProfileTable:
@@ -59,8 +59,8 @@ def read_profiles(path: str | Path) -> ProfileTable:
     Raises
     ------
     TraceError
-        For a missing file or package, or a cell, time or name that cannot be used; the message names the file, the
-        line, the column, the value and the remedy.
+        For a missing file or package, or an invalid cell, time or name. The message names the file, the line, the
+        column, the value and the remedy.
     """
     path = Path(path)
     name = str(path)
@@ -193,7 +193,7 @@ def seconds_of_dates(name: str, cells: Sequence[Any]) -> tuple[FloatArray, str]:
     Raises
     ------
     TraceError
-        For a text that is no date, naming its row.
+        For a text that does not contain a date; the message names its row.
     """
 
     def refuse(i: int, remedy: str) -> TraceError:

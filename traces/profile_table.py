@@ -44,9 +44,9 @@ class ProfileTable:
         values.setflags(write=False)
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "names", tuple(self.names))
-        for name in self.names:
-            if self.names.count(name) > 1:
-                raise TraceError(f"load profiles: column {name!r} is there twice; give each column one name")
+        if len(set(self.names)) < len(self.names):
+            twice = next(name for name in self.names if self.names.count(name) > 1)
+            raise TraceError(f"load profiles: column {twice!r} is there twice; give each column one name")
         if values.ndim != 2 or values.shape[1] != len(self.names) or len(values) < 1:
             raise TraceError(
                 f"load profiles: values have shape {values.shape}; give (sample, {len(self.names)}), a column a name"

@@ -5,7 +5,17 @@ import pickle
 import numpy as np
 import pytest
 
-from dcgrid_env import LoadProfiles, ScenarioError, forecast, make_scenario, profile_coverage, scenario_hash
+from dcgrid_env import (
+    DcgridEnv,
+    DcgridVectorEnv,
+    LoadProfiles,
+    ScenarioError,
+    TensorEnv,
+    forecast,
+    make_scenario,
+    profile_coverage,
+    scenario_hash,
+)
 from dcgrid_env.traces import ProfileTable
 
 QUIET = {"background": {"load_sigma": 0.0}}
@@ -136,6 +146,27 @@ def test_an_episode_may_be_as_long_as_a_day_and_a_short_file_repeats():
     s = make_scenario("ieee33", load_profiles=one_day, dt_s=900.0, horizon=3, **QUIET)
     values = s.load_profiles.table.values[:, 0] * s.feeder.p_load_kw[at]
     np.testing.assert_allclose(loads(s)[0][:, at], [values[95], values[0], values[1]])
+
+
+@pytest.mark.parametrize("name", ["ieee33", "ieee13-3ph"])
+def test_every_interface_draws_the_same_loads(name):
+    names = ["home", "home.q"]
+    file = ProfileTable(0.0, 60.0, names, np.random.default_rng(0).uniform(0.3, 1.0, (7200, 2)))
+    base = make_scenario(name)
+    loads_of = base.feeder.bus_ids[1:] if name == "ieee33" else base.feeder.network.phase_load.name
+    fields = {"file": file, "columns": "class", "classes": dict.fromkeys(loads_of, "home"), "between": "linear"}
+    s = base.replace(load_profiles=fields, horizon=6)
+    batch, tensors = DcgridVectorEnv(3, s), TensorEnv(s, like=np.zeros(1))
+    seen, _ = batch.reset(seed=[0, 1, 2])
+    np.testing.assert_allclose(tensors.reset([0, 1, 2]), seen, atol=1e-6)
+    one = DcgridEnv(s)
+    np.testing.assert_array_equal(one.reset(seed=1)[0], seen[1])
+    for _ in range(3):
+        action = 0.3 * np.ones(batch.action_space.shape, np.float32)
+        seen = batch.step(action)[0]
+        np.testing.assert_array_equal(one.step(action[1])[0], seen[1])
+        np.testing.assert_allclose(tensors.step(action.astype(np.float64))[0], seen, atol=1e-6)
+    batch.close()
 
 
 def test_the_fingerprint_is_of_the_content(tmp_path):

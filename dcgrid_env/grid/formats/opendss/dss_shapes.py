@@ -1,11 +1,11 @@
 """Load shapes of an OpenDSS circuit as load profiles: what each load draws over time, as shares of its nominal power.
 
 In the modes daily, yearly and duty a load follows the shape that it names for this mode, or else its daily shape. At
-hour t a shape of points with an even interval has the value of point round(t / interval), counted from 1, and begins
-again after its last point; so the value at t = 0 is that of its last point. The profiles are evaluated by this rule at
-each of their times. A load whose ``status`` is fixed follows no shape. A shape with ``useactual`` has kW and kvar, and
-the load multiplier does not scale them. Without a ``qmult`` the reactive power is then that of the power factor, or 0
-for a load with kvar.
+hour t a shape with an even interval has the value of point round(t / interval). Points are counted from 1, and the
+first follows the last again, so the value at t = 0 is that of the last point. The profiles are evaluated by this rule
+at each of their times. A load whose ``status`` is fixed follows no shape. A shape with ``useactual`` has kW and kvar,
+and the load multiplier does not scale them. Without a ``qmult`` the reactive power is then that of the power factor,
+or 0 for a load with kvar.
 """
 
 from __future__ import annotations
