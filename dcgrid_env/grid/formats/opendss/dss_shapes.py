@@ -22,6 +22,7 @@ import numpy as np
 from dcgrid_env.core.files import write_text
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
+from dcgrid_env.grid.topology import FeederError
 from dcgrid_env.traces import ProfileTable, write_profiles
 
 MODES = ("daily", "yearly", "duty")
@@ -131,7 +132,7 @@ class LoadShapes:
             kind = name if p is shape.p else f"{name}_{load.rows[0]}"
             if kind not in columns:
                 if len(columns) * n > LONGEST:
-                    raise ValueError(f"the {mode} load shapes have more than {LONGEST:,} values; leave shapes out")
+                    raise FeederError(f"the {mode} load shapes have more than {LONGEST:,} values; leave shapes out")
                 columns[kind] = shape.sampled(p, times_h)
                 if q is not p:
                     columns[f"{kind}.q"] = shape.sampled(q, times_h)
