@@ -75,6 +75,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest, LoadTarget
+from dcgrid_env.scenario.load_profiles import LoadProfiles, ProfileCoverage, profile_coverage
 from dcgrid_env.scenario.on_feeder import scenario_on
 from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
@@ -119,6 +120,7 @@ __all__ = [
     "Inverters",
     "JoinedRecorder",
     "LinearDvfs",
+    "LoadProfiles",
     "LoadTarget",
     "Metric",
     "ParquetCourse",
@@ -127,6 +129,7 @@ __all__ = [
     "PowerFlowError",
     "PowerSmoothing",
     "PrefillDecodeDvfs",
+    "ProfileCoverage",
     "RandomFeeders",
     "RatingCoverage",
     "Recorder",
@@ -174,6 +177,7 @@ __all__ = [
     "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",
+    "profile_coverage",
     "random_feeder",
     "rating_coverage",
     "read_feeder",

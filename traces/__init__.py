@@ -17,6 +17,8 @@ from dcgrid_env.traces.logs.stamped_csv import read_stamped_csv
 from dcgrid_env.traces.logs.wattameter_log import read_wattameter_log
 from dcgrid_env.traces.mixed import generate_mixed
 from dcgrid_env.traces.on_demand import RowsOnDemand, rows_on_demand
+from dcgrid_env.traces.profile_file import read_classes, read_profiles, write_profiles
+from dcgrid_env.traces.profile_table import ProfileTable
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.pv import SUN, PvParams, generate_pv, pv_rows
 from dcgrid_env.traces.recorded_rows import from_recordings
@@ -55,6 +57,7 @@ __all__ = [
     "Model",
     "PowerSmoothing",
     "PowerTrace",
+    "ProfileTable",
     "Provenance",
     "PvParams",
     "Recording",
@@ -87,9 +90,11 @@ __all__ = [
     "load_requests",
     "load_share",
     "pv_rows",
+    "read_classes",
     "read_dmon_log",
     "read_gpu_log",
     "read_power_json",
+    "read_profiles",
     "read_request_log",
     "read_stamped_csv",
     "read_wattameter_log",
@@ -102,4 +107,5 @@ __all__ = [
     "rows_on_demand",
     "serve",
     "sun_share",
+    "write_profiles",
 ]

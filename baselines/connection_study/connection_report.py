@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env import rating_coverage, scenario_hash
+from dcgrid_env import profile_coverage, rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC
 from dcgrid_env.baselines.connection_study.section import Section, png
-from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job
+from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job, section_names
 from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
 from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
@@ -41,10 +41,8 @@ table,figure{break-inside:avoid}.wide{overflow:visible}}
 def sections_of(job: Job, found: Capacities | None, on_section: Callable[[], None]) -> list[Section]:
     """Compute the sections of the report that are not left out; ``on_section`` is called after each."""
     made = []
-    for name, build in BUILDERS.items():
-        if name in job.request.leave_out:
-            continue
-        made.append(build(job))
+    for name in section_names(job):
+        made.append(BUILDERS[name](job))
         if name == "base-case" and found is not None:
             made.append(_capacity(found))
         on_section()
@@ -142,7 +140,9 @@ def _not_checked(job: Job, found: Capacities | None) -> Section:
 
 def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
     study, scenario = job.study, job.study.scenario
+    profiles = scenario.load_profiles.file
     files = [file, *_feeder_files(scenario.feeder)]
+    files += [Path(profiles.asked_by)] if profiles is not None and profiles.asked_by is not None else []
     hashes = tuple((path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files)
     assumptions = (
         ("feeder", scenario.feeder.name),
@@ -150,6 +150,7 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
         ("source voltage", f"{scenario.source_voltage_pu:.6g} p.u."),
         ("limits", f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u., {study.loading_max_pct:g} % of known ratings"),
         ("windows", f"{study.samples} of {study.window_s:g} s, {study.load} load, split {scenario.split}"),
+        ("load profiles", "none" if profiles is None else str(profile_coverage(scenario))),
         ("other loads", f"noise of {100.0 * scenario.background.load_sigma:g} %"),
         ("site", f"clock law {scenario.datacenters.clock_law}, idle share {scenario.datacenters.idle_share}"),
         ("versions", ", ".join(f"{name} {version}" for name, version in about["versions"].items() if version)),

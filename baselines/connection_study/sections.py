@@ -11,10 +11,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import Feeder, Scenario, metrics_in, rating_coverage
+from dcgrid_env import Feeder, LoadProfiles, Scenario, metrics_in, rating_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.section import Section, figure_of, png
 from dcgrid_env.baselines.connection_study.study_request import StudyRequest
+from dcgrid_env.baselines.connection_study.year_section import year_section
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import (
@@ -57,7 +58,8 @@ class Job:
 def base_case(job: Job) -> Section:
     """The feeder at nominal load without the site: voltages, loadings, losses, taps."""
     study, feeder = job.study, job.study.scenario.feeder
-    scenario = job.scenario(0.0, horizon=1, background={"load_sigma": 0.0, "start_hour": None})
+    nominal = {"background": {"load_sigma": 0.0, "start_hour": None}, "load_profiles": LoadProfiles()}
+    scenario = job.scenario(0.0, horizon=1, **nominal)
     steps = transitions(scenario, NoControl(), [0])
     start = next(steps)
     steps.close()
@@ -98,12 +100,12 @@ def worst_window(job: Job) -> Section:
     """The window in which the requested size comes nearest to a limit, under each controller."""
     study, bus = job.study, job.request.bus
     worst, margin = _worst_window(job)
-    at_hour = float(study.hours[worst]) if study.load == "day" else None
+    at_hour = None if study.begins_h is None else float(study.begins_h[worst])
     scenario = job.scenario(job.request.mw, **study.window_fields | {"background.start_hour": at_hour})
     series = {}
     for name, controller in job.controllers():
         series[name] = rollout(scenario, controller, [worst], name=name).series(0)
-    hour = "nominal load" if study.load == "peak" else f"{study.hours[worst]:.1f} h"
+    hour = "nominal load" if study.load == "peak" else "load profiles" if at_hour is None else f"{at_hour:.1f} h"
     text = (
         f"Of {study.samples} windows, number {worst} ({hour}) comes nearest to a limit with {job.request.mw:g} MW at "
         f"bus {bus} and without control. Its margin is {margin:.3f}: a share of half the width of the voltage limits, "
@@ -135,6 +137,12 @@ def day(job: Job) -> Section:
         "day", "A day at the full rating", (text,), (_metrics(series, "Metrics of the day"),),
         (("Lowest and highest voltage over the day", png(_day_figure(study, series))),),
     )  # fmt: skip
+
+
+def year(job: Job) -> Section:
+    """A year by the load profiles, with and without the site."""
+    study, mw = job.study, job.request.mw
+    return year_section(job.scenario(0.0), job.scenario(mw), f"{mw:g} MW", study, job.controllers())
 
 
 def ride_through(job: Job) -> Section:
@@ -210,11 +218,18 @@ BUILDERS: dict[str, Callable[[Job], Section]] = {
     "base-case": base_case,
     "worst-window": worst_window,
     "day": day,
+    "year": year,
     "ride-through": ride_through,
     "fluctuation": fluctuation,
     "sensitivity": sensitivity,
 }
 """Sections that need the request and the study alone."""
+
+
+def section_names(job: Job) -> list[str]:
+    """Return the names of ``BUILDERS`` that a report contains: those not left out, ``year`` with load profiles only."""
+    without = {*job.request.leave_out, *(() if job.study.scenario.load_profiles.file is not None else ("year",))}
+    return [name for name in BUILDERS if name not in without]
 
 
 def _half_band(study: Study) -> float:

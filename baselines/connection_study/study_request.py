@@ -9,7 +9,9 @@ from typing import Any
 from dcgrid_env import UpsRideThrough
 from dcgrid_env.core.checked import FieldError, check_fields, from_mapping, number, refuse, settle
 
-SECTIONS = ("base-case", "capacity", "worst-window", "day", "ride-through", "fluctuation", "sensitivity", "checklists")
+SECTIONS = (
+    "base-case", "capacity", "worst-window", "day", "year", "ride-through", "fluctuation", "sensitivity", "checklists",
+)  # fmt: skip
 """Sections of the report that can be left out."""
 
 

@@ -42,8 +42,8 @@ class AddedSite:
         placed = self._buses[samples].copy()
         placed[:, self.agent] = buses
         options: dict[str, Any] = {"buses": placed}
-        if self.study.load == "day":
-            options["begin_h"] = self.study.hours[samples]
+        if self.study.begins_h is not None:
+            options["begin_h"] = self.study.begins_h[samples]
         return samples.tolist(), options
 
     def _scenario(self, size: int) -> Scenario:

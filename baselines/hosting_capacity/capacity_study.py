@@ -24,7 +24,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from dcgrid_env import Feeder, RandomFeeders, Scenario
+from dcgrid_env import Feeder, LoadProfiles, RandomFeeders, Scenario
 from dcgrid_env.traces.day_course import LOAD_PERCENT
 
 Load = Literal["day", "peak"]
@@ -61,8 +61,9 @@ class Study:
     samples: int = SAMPLES
     """Number of windows of sampled load, with seeds 0, 1, ..; the same for every bus, size and controller."""
     load: Load = "day"
-    """``day``: sample i begins 24 i / samples hours after the peak hour, and other loads and PV follow the hour.
-    ``peak``: all samples are at nominal load and noon."""
+    """``day``: sample i begins 24 i / samples hours after the peak hour, and other loads and PV follow the hour. With
+    load profiles, it begins at a time of the split's days that its seed draws. ``peak``: all samples are at nominal
+    load and noon."""
     window_s: float = WINDOW_S
     """Length of a window, s."""
     settle_s: float = SETTLE_S
@@ -170,7 +171,9 @@ class Study:
     def window_fields(self) -> dict[str, Any]:
         """Fields of a scenario whose episodes are the windows."""
         hour = "random" if self.load == "day" else None
+        without = {} if self.load == "day" else {"load_profiles": LoadProfiles()}  # at nominal load
         return {
+            **without,
             "horizon": self.horizon,
             "background.start_hour": hour,
             "workload.full_load_s": self.full_load_s,
@@ -180,6 +183,12 @@ class Study:
     def allowed_seconds(self) -> int:
         """Allowed number of steps with broken limits, over all windows."""
         return math.floor(self.allowed_pct / 100.0 * self.samples * (self.horizon - self.settled) + 1e-9)
+
+    @property
+    def begins_h(self) -> np.ndarray | None:
+        """Hours that set the begin of each sample, (sample,); None where the seed or the load level defines it."""
+        by_seed = self.load != "day" or self.scenario.load_profiles.file is not None
+        return None if by_seed else self.hours
 
     @property
     def hours(self) -> np.ndarray:

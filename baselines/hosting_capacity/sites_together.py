@@ -153,7 +153,8 @@ class _Sites:
 
     def reset_arguments(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
         """Seeds and reset options of the samples; the buses are those of the scenario."""
-        return samples.tolist(), {"begin_h": self.study.hours[samples]} if self.study.load == "day" else {}
+        begins_h = self.study.begins_h
+        return samples.tolist(), {} if begins_h is None else {"begin_h": begins_h[samples]}
 
     def _scenario(self, sizes: tuple[int, ...]) -> Scenario:
         study, bus_ids = self.study, self.study.scenario.feeder.bus_ids

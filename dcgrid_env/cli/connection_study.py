@@ -41,7 +41,7 @@ class ConnectionStudy(OverWorkers):
     def run(self) -> None:
         """Compute all sections, then write; raise ValueError before anything is written if a setting is invalid."""
         from dcgrid_env.baselines.connection_study.connection_report import answers, page, plain, sections_of
-        from dcgrid_env.baselines.connection_study.sections import BUILDERS
+        from dcgrid_env.baselines.connection_study.sections import section_names
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 
@@ -58,7 +58,7 @@ class ConnectionStudy(OverWorkers):
                 found = hosting_capacity(
                     job.study, request.controllers, place, None, lambda _, n: progress.advance(task, n)
                 )
-            task = progress.add_task("sections", total=len(BUILDERS) - len(set(BUILDERS) & set(request.leave_out)))
+            task = progress.add_task("sections", total=len(section_names(job)))
             sections = sections_of(job, found, lambda: progress.advance(task))
         written = page(job, found, sections, self.file)
         for text in answers(job, found):
@@ -118,12 +118,20 @@ def make_job(request: StudyRequest, path: Path) -> Job:
 def _scenario(request: StudyRequest, path: Path) -> Scenario:
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
-    overrides = tuple(f"{name}={json.dumps(value)}" for name, value in _flat(request.set))
+    given = [(name, _from_folder(path.parent, name, value)) for name, value in _flat(request.set)]
+    overrides = tuple(f"{name}={json.dumps(value)}" for name, value in given)
     if request.feeder is None:
         return ScenarioSpec(str(request.scenario), overrides).make("test")
     folder = path.parent / request.feeder
     feeder = str(folder) if folder.is_dir() else request.feeder
     return scenario_on_feeder(Asked(feeder, request.scenario, None, None), overrides, "test", {})
+
+
+def _from_folder(folder: Path, name: str, value: object) -> object:
+    """Return the path of a file of load profiles that is relative to the study's folder; any other value unchanged."""
+    if name not in ("load_profiles.file", "load_profiles.classes") or not isinstance(value, str):
+        return value
+    return str(folder / value) if (folder / value).exists() else value
 
 
 def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:

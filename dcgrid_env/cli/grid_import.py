@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from dcgrid_env import Feeder
     from dcgrid_env.grid.formats.bus_branch import ImportedFeeder
 
+PROFILES = "load_profiles.csv"
+"""File with the load of each bus over time, if the grid has profiles."""
 MERGED = "merged_buses.csv"
 """File that maps the source's buses that closed switches merged to the feeder's buses."""
 
@@ -54,6 +56,7 @@ class _Import(Command):
         """Read, reduce, solve, report the outcome for each element, and write; write nothing on an error."""
         from dcgrid_env import Feeder
         from dcgrid_env.core.files import whole_folder
+        from dcgrid_env.traces import write_profiles
 
         if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
             raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
@@ -64,6 +67,9 @@ class _Import(Command):
         with whole_folder(self.out) as folder:
             feeder.to_csv(folder)
             _write_merged(imported, folder)
+            if imported.profiles is not None:
+                about = "load of each bus in kW and kvar: columns = bus, unit = kw, uncovered = nominal"
+                write_profiles(imported.profiles, folder / PROFILES, [about])
             write_report(record, folder)
         console = plain_console()
         console.print(findings_table(record.findings))

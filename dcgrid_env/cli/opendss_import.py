@@ -48,6 +48,7 @@ class _ThreePhaseImport(Command):
         """Read, compile, solve, report the outcome for each element, and write; write nothing on an error."""
         from dcgrid_env import ThreePhaseFeeder
         from dcgrid_env.core.files import whole_folder
+        from dcgrid_env.grid.formats.opendss import write_imported_profiles
 
         if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
             raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
@@ -57,6 +58,7 @@ class _ThreePhaseImport(Command):
         record = recorded(imported, feeder)
         with whole_folder(self.out) as folder:
             feeder.to_csv(folder)
+            write_imported_profiles(imported.profiles, folder)
             write_report(record, folder)
         console = plain_console()
         console.print(findings_table(record.findings))

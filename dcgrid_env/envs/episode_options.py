@@ -20,7 +20,7 @@ def episode_options(scenario: Scenario, num_envs: int, options: Mapping[str, Any
     ------
     ValueError
         If ``buses`` are not positions of buses other than the substation, (num_envs, n_agents); if ``begin_h`` is not
-        a time of day, (num_envs,), or the scenario does not follow the day.
+        a time of day, (num_envs,), with load profiles a time within the file, or the scenario does not follow the day.
     """
     buses, begin_h = options.get("buses"), options.get("begin_h")
     if buses is None and begin_h is None:
@@ -37,8 +37,20 @@ def episode_options(scenario: Scenario, num_envs: int, options: Mapping[str, Any
         buses = buses.astype(np.int64)
     if begin_h is not None:
         begin_h = np.asarray(begin_h, dtype=np.float64)
-        if begin_h.shape != (num_envs,) or not ((begin_h >= 0.0) & (begin_h < 24.0)).all():
-            raise ValueError(f"begin_h must be hours from 0 to less than 24, of shape {(num_envs,)}")
+        low, high, what = _begins(scenario)
+        if begin_h.shape != (num_envs,) or not ((begin_h >= low - 1e-9) & (begin_h < high)).all():
+            raise ValueError(f"begin_h must be hours from {low:g} to less than {high:g}{what}, of shape {(num_envs,)}")
         if not scenario.follows_day:
             raise ValueError("begin_h is given, but the scenario does not follow the day; give background.start_hour")
     return EpisodeOptions(buses, begin_h)
+
+
+def _begins(scenario: Scenario) -> tuple[float, float, str]:
+    """Return the range of the begin of an episode, h, and what it counts from."""
+    profiles = scenario.load_profiles
+    if profiles.file is None:
+        return 0.0, 24.0, ""
+    low, high = profiles.file.begin_h, profiles.file.begin_h + profiles.file.duration_h
+    if profiles.days != "repeat":
+        high -= scenario.horizon * scenario.dt_s / 3600.0 - 1e-6
+    return low, high, " since the midnight before the first sample of load_profiles.file"

@@ -148,7 +148,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         ``options={"reset_mask": mask}`` resets only the environments where the bool array ``mask`` is True.
         ``options={"buses": .., "begin_h": ..}``, either or both, sets what a reset of all would draw:
         positions in ``feeder.bus_ids`` of the agents' buses, (num_envs, n_agents), and the time of day at which each
-        environment begins, h, (num_envs,).
+        environment begins, h, (num_envs,). With load profiles, it counts from the midnight before their first sample.
         """
         if seed is None or isinstance(seed, int | np.integer):
             first = as_seed(seed)

@@ -18,6 +18,7 @@ from dcgrid_env.scenario.errors import ScenarioError, UnknownArgumentError, loca
 from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest
+from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.plain import faults_from_plain, feeder_from_plain
 from dcgrid_env.scenario.plain_sags import sags_from_plain
 from dcgrid_env.scenario.sensing import Sensing
@@ -30,6 +31,7 @@ PARTS: dict[str, type[Any]] = {
     "cost": Cost,
     "grid_control": GridControl,
     "grid_request": GridRequest,
+    "load_profiles": LoadProfiles,
 }
 GROUPS = {"datacenters": DataCenters.kind, "inverters": Inverters.kind}
 """Kinds of the groups of devices that every scenario has, by attribute; in their order."""

@@ -7,6 +7,9 @@
 | devices | a list of mappings, each with its ``kind`` | tuple of DataCenters, Inverters, .. |
 | workload, background, sensing, cost, grid_control | a mapping of their fields | Workload, Background, Sensing, .. |
 | grid_request | a mapping of its fields | GridRequest |
+| load_profiles | a mapping of its fields | LoadProfiles |
+| file of ``load_profiles`` | the path of a file | ProfileTable |
+| classes of ``load_profiles`` | a mapping from loads to classes, or the path of a file | pairs of load and class |
 | datacenters, inverters | a mapping of their fields | DataCenters, Inverters |
 | regulators, capacitors of ``grid_control`` | a word, or a mapping from banks to words | pairs of bank and word |
 | capacitor_settings, regulator_settings | a mapping of fields | CapacitorControl, RegulatorControl |
@@ -59,10 +62,11 @@ from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest, LoadTarget
+from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.plain_sags import sag_to_plain
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
-from dcgrid_env.traces import SUN, TRACE_SOURCES, PowerTrace
+from dcgrid_env.traces import SUN, TRACE_SOURCES, PowerTrace, ProfileTable
 
 
 def to_plain(value: object) -> Plain:
@@ -80,7 +84,7 @@ def to_plain(value: object) -> Plain:
         return plain_rule(value)
     if isinstance(value, Workload | Background | Sensing | CapacitorControl | GridRequest):
         return _fields_to_plain(value)
-    if isinstance(value, Cost | GridControl | RegulatorControl):
+    if isinstance(value, Cost | GridControl | RegulatorControl | LoadProfiles):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return {key: to_plain(dict(given) if _is_mapping(given) else given) for key, given in fields.items()}
     if isinstance(value, Device) and is_known(type(value)):
@@ -91,7 +95,7 @@ def to_plain(value: object) -> Plain:
         return _feeder_to_plain(value)
     if isinstance(value, RandomFeeders):
         return _fields_to_plain(value)
-    if isinstance(value, PowerTrace):
+    if isinstance(value, PowerTrace | ProfileTable):
         return value.asked_by or value
     if type(value) in CLOCK_LAWS.values():
         return plain_law(value)
@@ -122,6 +126,7 @@ def refuse_objects(scenario: str, path: str, value: object) -> None:
 _REMEDIES: dict[type[Any], str] = {
     Feeder: "write it, feeder.to_csv(folder), and give the folder instead",
     ThreePhaseFeeder: "write it, feeder.to_csv(folder), and give the folder instead",
+    ProfileTable: "write it, traces.write_profiles, and give the file's path instead",
     PowerTrace: "write it into a file and give its path, or a recording's name, instead",
 }
 
@@ -158,6 +163,8 @@ def reads_files(name: str, value: object) -> bool:
         return isinstance(value, Path) or (isinstance(value, str) and value not in FEEDER_REGISTRY)
     if name == "trace":
         return isinstance(value, Path | list | tuple) or (isinstance(value, str) and value not in TRACE_SOURCES)
+    if name in ("file", "classes"):
+        return isinstance(value, str | Path)
     return name == "injection" and isinstance(value, str | Path) and value != SUN
 
 

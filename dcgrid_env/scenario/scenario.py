@@ -35,6 +35,7 @@ from dcgrid_env.scenario.joint_checks import (
     check_ratings,
     check_regulator_sensing,
 )
+from dcgrid_env.scenario.load_profiles import LoadProfiles, check_load_profiles
 from dcgrid_env.scenario.members import check_random_feeders, member, members
 from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
 from dcgrid_env.scenario.sensing import Sensing
@@ -70,6 +71,7 @@ class Scenario(PickledByFields):
     cost: Cost
     grid_control: GridControl
     grid_request: GridRequest
+    load_profiles: LoadProfiles
     faults: tuple[Fault, ...] = ()
     """Devices lost in an episode, see :class:`Fault`."""
     sags: tuple[Sag, ...] = ()
@@ -112,6 +114,7 @@ class Scenario(PickledByFields):
         check_ratings(self)
         check_regulator_sensing(self)
         check_grid_request(self)
+        check_load_profiles(self)
         with located(self.name, "workload"):
             check_trace_scale(self)
         for device in self.devices:
@@ -198,7 +201,8 @@ class Scenario(PickledByFields):
     @cached_property
     def follows_day(self) -> bool:
         """Whether base load, generated PV and generated requests follow the time of day."""
-        return self.background.start_hour is not None or self.horizon * self.dt_s > 3600.0
+        by_file = self.load_profiles.file is not None
+        return by_file or self.background.start_hour is not None or self.horizon * self.dt_s > 3600.0
 
     @cached_property
     def agents(self) -> tuple[str, ...]:

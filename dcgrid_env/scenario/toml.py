@@ -176,7 +176,7 @@ def _from_here(folder: Path, name: str, value: object) -> Plain:
         return [_from_here(folder, name, item) for item in value]
     if name == "feeder" and isinstance(value, str) and value in FEEDER_REGISTRY:
         return value
-    if isinstance(value, str) and name in ("feeder", "trace", "injection"):
+    if isinstance(value, str) and name in ("feeder", "trace", "injection", "file", "classes"):
         there = folder / value
         return str(there) if there.exists() else value
     return value

@@ -13,6 +13,7 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work
 from dcgrid_env.engine.exogenous.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.exogenous.drawn_requests import drawn_requests, request_columns
+from dcgrid_env.engine.exogenous.profile_loads import drawn_start_h, profile_loads
 from dcgrid_env.engine.exogenous.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
 from dcgrid_env.engine.physics import connections
 from dcgrid_env.engine.physics.loads import drawn
@@ -30,7 +31,8 @@ class EpisodeOptions(NamedTuple):
     buses: np.ndarray | None = None
     """Position in ``bus_ids`` of each agent's bus, (row, n_agent)."""
     begin_h: np.ndarray | None = None
-    """Time of day at t = 0, h in [0, 24), (row,), of a scenario that follows the day."""
+    """Time of day at t = 0, h in [0, 24), (row,), of a scenario that follows the day; with load profiles h since the
+    midnight before the file's first sample."""
 
 
 class Episode(NamedTuple):
@@ -46,7 +48,8 @@ class Episode(NamedTuple):
     sun: np.ndarray
     """Where the window of generated PV begins, flat position row * n_step + step of its pool, (row,); 0 without PV."""
     begin_h: np.ndarray
-    """Time of day at t = 0, h in [0, 24), (row,); 0 where nothing follows the day."""
+    """Time of day at t = 0, h in [0, 24), (row,); 0 where nothing follows the day. With load profiles it is h since the
+    midnight before the file's first sample, so it may be beyond 24."""
     still: np.ndarray
     """Ones, (row,): the share of the nominal load where nothing follows the day."""
     fault: np.ndarray
@@ -113,7 +116,9 @@ def _buses(scenario: Scenario, key: np.ndarray) -> np.ndarray:
 
 
 def _begin_h(scenario: Scenario, key: np.ndarray) -> np.ndarray:
-    """Time of day at t = 0, h, (row,)."""
+    """Time of day at t = 0, h, (row,); with load profiles h since the midnight before the file's first sample."""
+    if scenario.load_profiles.file is not None:
+        return drawn_start_h(scenario, random.uniform(key, random.HOUR, 1)[:, 0])
     if isinstance(scenario.background.start_hour, str) or (
         scenario.background.start_hour is None and scenario.follows_day
     ):
@@ -258,6 +263,9 @@ def exogenous(
     legs = placed.legs if three_phase else None
     sags = sags_in_interval(scenario, episode.sag, step)
     to_draw = LoadsToDraw(episode.key, step, noise, share)
+    if hour is not None and scenario.load_profiles.file is not None:
+        p_kw, q_kvar = profile_loads(scenario, hour)
+        to_draw = to_draw._replace(share=episode.still, p_kw=p_kw, q_kvar=q_kvar)
     offset_v, settings = None, scenario.grid_control.regulator_settings
     if settings.has_schedules:
         begin_h = episode.begin_h + np.maximum(step - 1, 0) * (scenario.dt_s / 3600.0)  # of the interval

@@ -44,10 +44,12 @@ class GridPass(NamedTuple):
 
 
 def fits(scenario: Scenario) -> bool:
-    """Whether a pass does all that a step asks of the grid: radial DistFlow, and nothing that changes the grid."""
+    """Whether a pass does all that a step asks of the grid: radial DistFlow, loads without profiles, and nothing that
+    changes the grid."""
     feeder = scenario.feeder
     radial = type(feeder) is Feeder and feeder.loop_ends is None
     plain = radial and scenario.power_flow == "distflow" and not has_ratings(feeder)
+    plain = plain and scenario.load_profiles.file is None
     return plain and not scenario.faults and not any(device.changes_grid for device in scenario.devices)
 
 
@@ -62,7 +64,7 @@ def grid_pass(
     n_row, n = drawing.noise.shape
     agents = (n_row, p_kw.shape[1])
     of_agents = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (n_row, n - 1)))
-    drawing_and_loads = (*drawing, *load_noise(scenario))
+    drawing_and_loads = (*drawing[:4], *load_noise(scenario))
     given = (*_fixed(scenario), *drawing_and_loads, nodes, *of_agents)
     over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
     per_row, converged = np.empty((7, n_row)), np.empty(n_row, np.bool_)

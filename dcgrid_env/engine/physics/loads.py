@@ -11,7 +11,7 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw
 from dcgrid_env.engine.physics.step_kernels import leg_loads
-from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
+from dcgrid_env.grid import AnyFeeder, Feeder, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -53,7 +53,7 @@ def _load_of(feeder: AnyFeeder, scenario: Scenario) -> LoadNoise:
         np.zeros,
         np.ones,
     )
-    if isinstance(feeder, ThreePhaseFeeder):  # the factor of each bus, by which its legs are scaled
+    if isinstance(feeder, ThreePhaseFeeder) or scenario.load_profiles.file is not None:  # a factor of each bus
         return LoadNoise(rho, sigma, ones(feeder.n_bus), zeros(feeder.n_bus), zeros(feeder.n_bus))
     fixed = -feeder.capacitor_kvar if scenario.background.capacitors else zeros(feeder.n_bus)
     return LoadNoise(rho, sigma, feeder.p_load_kw.copy(), feeder.q_load_kvar.copy(), fixed)
@@ -69,9 +69,14 @@ def drawn(scenario: Scenario, exogenous: Exogenous) -> tuple[Exogenous, np.ndarr
         raise ValueError("the loads of this interval are drawn already")
     z, p, q = _process_and_loads(scenario, to_draw)
     capacitor_on = exogenous.capacitor_on
-    if isinstance(feeder, ThreePhaseFeeder):
+    if to_draw.p_kw is not None and to_draw.q_kvar is not None:
+        factor = p if isinstance(feeder, Feeder) else p[:, feeder.leg_bus]
+        p, q = factor * to_draw.p_kw, factor * to_draw.q_kvar
+        if isinstance(feeder, Feeder) and scenario.background.capacitors:
+            q = q - feeder.capacitor_kvar
+    elif isinstance(feeder, ThreePhaseFeeder):
         p, q = leg_loads(p, *base_legs(feeder))
-    elif capacitor_on is not None:
+    if capacitor_on is not None and not isinstance(feeder, ThreePhaseFeeder):
         q += (1.0 - capacitor_on) * feeder.capacitor_kvar
         capacitor_on = None
     return exogenous._replace(p_load_kw=p, q_load_kvar=q, capacitor_on=capacitor_on, to_draw=None), z
@@ -80,9 +85,9 @@ def drawn(scenario: Scenario, exogenous: Exogenous) -> tuple[Exogenous, np.ndarr
 def _process_and_loads(scenario: Scenario, to_draw: LoadsToDraw) -> np.ndarray:
     """Return the load noise and the loads, kW and kvar, (3, row, n_bus), see ``core.random.load_step``.
 
-    On a three-phase feeder the second is the factor of each bus and the third 0.
+    On a three-phase feeder, and with load profiles, the second is the factor of each bus and the third 0.
     """
-    key, step, noise, share = to_draw
+    key, step, noise, share = to_draw[:4]
     process_and_loads = np.empty((3, *noise.shape))
     z, p, q = process_and_loads[0], process_and_loads[1], process_and_loads[2]
     if isinstance(scenario.feeder, FeederBatch):

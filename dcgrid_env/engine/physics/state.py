@@ -27,7 +27,11 @@ class LoadsToDraw(NamedTuple):
     noise: Array
     """The AR(1) process one step earlier, (row, n_bus)."""
     share: np.ndarray
-    """Share of the peak at the environment's time of day, (row,)."""
+    """Share of the peak at the environment's time of day, (row,); 1 with load profiles, which include it."""
+    p_kw: np.ndarray | None = None
+    """Active power of the loads before noise, kW, (row, n_leg), in a scenario with load profiles; None without."""
+    q_kvar: np.ndarray | None = None
+    """Reactive power of the loads before noise, kvar, likewise."""
 
 
 class Exogenous(NamedTuple):

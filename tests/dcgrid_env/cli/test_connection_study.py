@@ -77,3 +77,27 @@ def test_sites_of_a_scenario_that_are_drawn_are_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["study", "s.toml", "--out", "out", "--workers", "1"])
     assert "draws the buses of its data centres in each episode" in capsys.readouterr().err
+
+
+def test_load_profiles_give_a_section_of_the_year(tmp_path):
+    (tmp_path / "loads").mkdir()
+    samples = "".join(f"{hour},{0.5 + 0.4 * (hour % 24 == 18)}\n" for hour in range(5 * 24))
+    (tmp_path / "loads/day.csv").write_text("time_h,home\n" + samples)
+    classes = "".join(f"{bus},home\n" for bus in range(2, 34))
+    (tmp_path / "loads/classes.csv").write_text("load,class\n" + classes)
+    profiles = (
+        '[set.load_profiles]\nfile = "loads/day.csv"\ncolumns = "class"\nclasses = "loads/classes.csv"\n[capacity]'
+    )
+    (tmp_path / "s.toml").write_text(FILE.replace("[capacity]", profiles))
+    main(["study", "s.toml", "--out", "out", "--workers", "1"])
+    section = json.loads((tmp_path / "out/report.json").read_text())["sections"]["year"]
+    assert "120 power flows in steps of 60 min" in section["text"][0]
+    assert "32 loads follow a profile." in section["text"][0]
+    worst = {(row[0], row[1]): row[2:] for row in section["tables"][1]["rows"]}
+    assert worst["with 0.2 MW", "lowest voltage"][1] == "day 1 18:00"
+    without, with_site = (worst[case, "lowest voltage"][0] for case in ("without the site", "with 0.2 MW"))
+    assert with_site < without
+    hours = [row[0] for row in section["tables"][2]["rows"]]
+    assert hours == ["lowest voltage, highest loss", "highest voltage"]
+    losses = section["tables"][0]["rows"][-1]
+    assert float(losses[1]) < float(losses[2])

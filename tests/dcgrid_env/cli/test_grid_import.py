@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from dcgrid_env import Feeder, load_feeder
+from dcgrid_env import Feeder, load_feeder, scenario_on
 from dcgrid_env.cli.main import main
 from dcgrid_env.grid.formats.matpower import write_matpower
 
@@ -104,3 +104,22 @@ def test_a_file_of_another_program_is_said_to_be_none(tmp_path, capsys):
     (tmp_path / "grid.json").write_text(json.dumps({"data": {}}))
     for kind in ("pandapower", "power-grid-model"):
         assert "is no" in said(capsys, "import", kind, tmp_path / "grid.json", "--out", tmp_path / "x")
+
+
+def test_profiles_of_a_net_become_a_file(tmp_path, capsys):
+    import pandapower
+    import pandapower.networks
+    import pandas
+
+    net = pandapower.networks.case33bw()
+    net.load["profile"] = "H0"
+    net["profiles"] = {"load": pandas.DataFrame({"H0_pload": [0.5, 1.0], "H0_qload": [0.25, 1.0]})}
+    pandapower.to_json(net, str(tmp_path / "net.json"))
+    main(["import", "pandapower", str(tmp_path / "net.json"), "--out", str(tmp_path / "a")])
+    assert "profile of load" in capsys.readouterr().out
+    profiles = {"file": tmp_path / "a/load_profiles.csv", "columns": "bus", "unit": "kw", "uncovered": "nominal"}
+    feeder = Feeder.from_csv(tmp_path / "a")
+    s = scenario_on(feeder).replace(load_profiles=profiles | {"days": "all"}, horizon=10)
+    table = s.load_profiles.table
+    assert table.values[0, table.names.index("1")] == 50.0  # half of 100 kW
+    assert table.values[0, table.names.index("1.q")] == 15.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import ThreePhaseFeeder, load_feeder
+from dcgrid_env import ThreePhaseFeeder, load_feeder, profile_coverage, scenario_on
 from dcgrid_env.cli.main import main
 from dcgrid_env.grid.formats import three_phase_folder
 from helpers.opendss_text import script_of
@@ -89,3 +89,19 @@ def test_errors_are_one_line_and_leave_nothing(master, capsys, monkeypatch):
     monkeypatch.setattr(three_phase_folder, "write_text", full)
     assert "no space left" in said(capsys, master, "--out", out)
     assert [path.name for path in master.parent.iterdir()] == ["Master.dss"]
+
+
+def test_load_shapes_become_files_of_profiles(master, capsys):
+    shapes = "New LoadShape.day npts=3 interval=8 mult=(0.5 1 0.75)\nBatchEdit Load..* daily=day\n"
+    master.write_text(f"{master.read_text()}\n{shapes}")
+    out = master.parent / "my-feeder"
+    main(["import", "opendss", str(master), "--out", str(out)])
+    text = capsys.readouterr().out
+    assert "in load_profiles_daily.csv" in text
+    lines = (out / "load_profiles_daily.csv").read_text().splitlines()
+    assert lines[0].startswith("# load shapes of OpenDSS's mode daily")
+    assert lines[1:3] == ["time_s,day", "0,0.75"]  # at midnight the last point
+    assert len(lines) == 2 + 24
+    profiles = {"file": out / "load_profiles_daily.csv", "classes": out / "load_classes_daily.csv", "columns": "class"}
+    s = scenario_on(ThreePhaseFeeder.from_csv(out)).replace(load_profiles=profiles | {"days": "repeat"})
+    assert profile_coverage(s).without == ()

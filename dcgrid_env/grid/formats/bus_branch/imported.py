@@ -11,6 +11,7 @@ from dcgrid_env.grid.formats.bus_branch.description import BusBranchGrid
 from dcgrid_env.grid.formats.bus_branch.reduction import reduced_network
 from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.network import Network
+from dcgrid_env.traces import ProfileTable
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class ImportedFeeder:
         Name of that solver.
     notes
         Lines that the user should read in addition to the findings.
+    profiles
+        Load over time of each bus of the tables whose loads have profiles, kW and kvar; None if there are none.
     """
 
     network: Network
@@ -40,6 +43,7 @@ class ImportedFeeder:
     v_pu: dict[str, float]
     solver: str
     notes: tuple[str, ...] = ()
+    profiles: ProfileTable | None = None
 
 
 def imported(

@@ -23,6 +23,7 @@ from typing import Any, get_type_hints
 from dcgrid_env.core.work.worker import THREADS
 from dcgrid_env.grid.formats.import_report import Finding
 from dcgrid_env.grid.formats.opendss.dss_losses import LossEffect
+from dcgrid_env.grid.formats.opendss.dss_shapes import imported_profiles
 from dcgrid_env.grid.formats.opendss.reading import Imported, read_circuit
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.topology import FeederError
@@ -114,7 +115,15 @@ def _imported(answer: dict[str, Any]) -> Imported:
     voltages = {field: {node: complex(*v) for node, v in answer[field].items()} for field in _VOLTAGES}
     effects = tuple(LossEffect(**row | {"kinds": tuple(row["kinds"])}) for row in answer["effects"])
     files = tuple((name, digest) for name, digest in answer["files"])
-    return Imported(Network(**tables), findings, **voltages, effects=effects, files=files, engine=answer["engine"])
+    return Imported(
+        Network(**tables),
+        findings,
+        **voltages,
+        effects=effects,
+        files=files,
+        engine=answer["engine"],
+        profiles=imported_profiles(answer["profiles"]),
+    )
 
 
 def _tuples(values: object) -> Any:

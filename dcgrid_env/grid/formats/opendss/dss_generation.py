@@ -59,7 +59,7 @@ def _rows(circuit: DssCircuit, report: Report, kind: str, name: str, legs: list[
     ps, qs = by_connection(legs, p_kw), by_connection(legs, q_kvar)
     report.add("taken", kind, name, "in loads.csv, as a load that injects its present power")
     if any(circuit.text(field) for field in ("daily", "yearly", "duty")):
-        report.add("nothing lost", kind, name, "its course over time is left out: the power flow is of now")
+        report.add("nothing lost", kind, name, "its load shape is left out: it injects its present power")
     limits = {"vmin_pu": max(vmin, 2.0 * _LEAST_PU), "vmax_pu": vmax, "vlow_pu": _LEAST_PU}
     return [
         {"name": f"{kind}.{name}" + ("" if len(ps) == 1 else f"_{connection.replace(' ', '_')}"),

@@ -9,6 +9,7 @@ from typing import Any
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, Terminal
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
+from dcgrid_env.grid.formats.opendss.dss_shapes import LoadShapes
 from dcgrid_env.grid.formats.opendss.dss_transformers import Unit
 from dcgrid_env.grid.formats.opendss.joints import Letters, Supply
 from dcgrid_env.grid.three_phase_checks import legs_of
@@ -46,8 +47,8 @@ def by_connection(legs: Sequence[str], each: float) -> dict[str, tuple[float, ..
     return found
 
 
-def read_loads(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters) -> list[Row]:
-    """Rows of the loads that have supply and can be represented."""
+def read_loads(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters, shapes: LoadShapes) -> list[Row]:
+    """Rows of the loads that have supply and can be represented; their load shapes are noted in ``shapes``."""
     rows = []
     for name in circuit.names("load"):
         circuit.activate("load", name)
@@ -62,10 +63,10 @@ def read_loads(circuit: DssCircuit, report: Report, supply: Supply, letters: Let
             nodes = ".".join(map(str, end.nodes))
             report.add("refused", "load", name, f"its nodes {nodes} give no separate legs, or one is open")
         elif law is not None:
-            rows += _load_rows(circuit, name, end.bus, legs, size, delta, law)
+            of_load = _load_rows(circuit, name, end.bus, legs, size, delta, law)
+            rows += of_load
             report.add("taken", "load", name, "in loads.csv")
-            if any(circuit.text(field) for field in ("daily", "yearly", "duty")):
-                report.add("nothing lost", "load", name, "its course over time is left out: the power flow is of now")
+            shapes.add(name, [row["name"] for row in of_load])
     return rows
 
 

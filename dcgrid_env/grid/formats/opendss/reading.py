@@ -26,6 +26,7 @@ from dcgrid_env.grid.formats.opendss.dss_regulators import (
     regulated_admittance,
     regulator_row,
 )
+from dcgrid_env.grid.formats.opendss.dss_shapes import ImportedProfiles, LoadShapes
 from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE, read_source, report_the_rest
 from dcgrid_env.grid.formats.opendss.dss_switching import switch_as_asked
 from dcgrid_env.grid.formats.opendss.dss_transformers import (
@@ -78,6 +79,8 @@ class Imported:
         Name and SHA-256 of each file that was read, the master file first.
     engine
         Version of OpenDSS.
+    profiles
+        Profiles of the loads that follow load shapes, by mode.
     """
 
     network: Network
@@ -87,6 +90,7 @@ class Imported:
     effects: tuple[LossEffect, ...]
     files: tuple[tuple[str, str], ...]
     engine: str
+    profiles: tuple[ImportedProfiles, ...] = ()
 
 
 def read_circuit(
@@ -104,7 +108,8 @@ def read_circuit(
         report.add("nothing lost", "command", f"{command} ({where})", "it shows or writes results: it is left out")
     report.add_all("nothing lost", "command", [f"solve ({where})" for where in circuit.unsettled], _UNSETTLED)
     ratings = ScriptRatings(circuit, Path(master), report, folder)
-    network = _network(circuit, report, ratings, Path(master).name, allow)
+    shapes = LoadShapes(circuit, report)
+    network, profiles = _network(circuit, report, ratings, shapes, Path(master).name, allow)
     names = _names_of_nodes(circuit, network)
     effects, after = effects_of_losses(circuit, report.findings, before, names) if before else ((), None)
     return Imported(
@@ -115,6 +120,7 @@ def read_circuit(
         effects,
         digests(circuit.files, folder or Path(master).parent),
         circuit.engine.Basic.Version().partition(" revision")[0],
+        profiles,
     )
 
 
@@ -147,8 +153,13 @@ def digests(files: Iterable[Path], folder: str | Path) -> tuple[tuple[str, str],
 
 
 def _network(
-    circuit: DssCircuit, report: Report, ratings: ScriptRatings, script: str, allow: Collection[str]
-) -> Network:
+    circuit: DssCircuit,
+    report: Report,
+    ratings: ScriptRatings,
+    shapes: LoadShapes,
+    script: str,
+    allow: Collection[str],
+) -> tuple[Network, tuple[ImportedProfiles, ...]]:
     source, source_bus = read_source(circuit, report)
     letters = Letters(circuit.node_numbers())
     if letters.beyond:
@@ -164,13 +175,14 @@ def _network(
     for regulation in tables.regulations.values():
         report.add("lost", "regcontrol", regulation.name, "its transformer is not in the tables")
     generation = read_generation(circuit, report, supply, letters)
-    loads = [*read_loads(circuit, report, supply, letters), *generation]
+    loads = [*read_loads(circuit, report, supply, letters, shapes), *generation]
+    profiles = shapes.profiles()
     capacitors, steps = read_capacitors(circuit, report, supply, letters)
     capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, steps)
     transformers = merged(tables.transformers, report)
     report_the_rest(circuit, report)
     report.refuse_unless(circuit.name, allow)
-    return Network(
+    network = Network(
         name=circuit.name,
         source=source,
         node=_nodes(circuit, supply, tables.between, letters),
@@ -186,6 +198,7 @@ def _network(
         frequency_hz=float(circuit.engine.Solution.Frequency()),
         source_of_facts=f"OpenDSS script {script}",
     )
+    return network, profiles
 
 
 def _unit_joints(circuit: DssCircuit, letters: Letters, units: dict[str, Unit | str]) -> Iterable[Joint]:

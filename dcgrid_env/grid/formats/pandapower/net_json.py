@@ -28,7 +28,21 @@ def net_from_json(path: Path, report: Report) -> PandapowerNet:
     if "bus" not in tables:
         raise FeederError(f"{path}: the table bus is missing; give a net that pandapower.to_json wrote")
     _report_rest(str(path), members, report)
-    return _assembled(str(path), members, tables)
+    net = _assembled(str(path), members, tables)
+    profiles = members.get("profiles")
+    if isinstance(profiles, dict):
+        net["profiles"] = {
+            name: _profiles_of(str(path), name, member) for name, member in profiles.items() if _is_table(member)
+        }
+    return net
+
+
+def _profiles_of(file: str, name: str, member: dict[str, Any]) -> Any:
+    """A table of profiles, whose cells are checked where they are used."""
+    import pandas
+
+    plain = _table(file, f"profiles.{name}", member)
+    return pandas.DataFrame(plain["data"], columns=plain["columns"])
 
 
 def _members(path: Path) -> dict[str, Any]:

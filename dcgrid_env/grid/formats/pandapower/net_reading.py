@@ -6,6 +6,7 @@ a line, a transformer or its taps is therefore interpreted as in pandapower.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import logging
 import warnings
@@ -20,6 +21,7 @@ from dcgrid_env.grid.formats.bus_branch.bus_naming import errors_naming, named_b
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
+from dcgrid_env.grid.formats.pandapower.net_profiles import NetProfiles
 from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, PandapowerNet, check_net
 from dcgrid_env.grid.formats.pandapower.net_source import loaded_net
 from dcgrid_env.grid.topology import FeederError
@@ -88,9 +90,15 @@ def read_pandapower(
         volts = net.res_bus.vm_pu.to_dict() if converged else {}
         voltages = {grid.buses[rows.of_bus[bus]]: volt for bus, volt in volts.items()}
         facts = f"pandapower net {grid.name}"
-        return imported(
+        profiles = NetProfiles(called, net, report)
+        found = imported(
             grid, report, lambda: voltages, solver="pandapower.runpp", source=at, allow=allow, source_of_facts=facts
         )
+        names = {bus: grid.buses[rows.of_bus[bus]] for bus in net.bus.index}
+        buses = {bus: found.bus_of[name] for bus, name in names.items() if name in found.bus_of}
+        load = found.network.load
+        loads = {bus: (p, q) for bus, p, q in zip(load.bus, load.p_kw, load.q_kvar, strict=True)}
+        return dataclasses.replace(found, profiles=profiles.table(buses, loads))
 
 
 def _solve(called: str, net: PandapowerNet) -> bool:

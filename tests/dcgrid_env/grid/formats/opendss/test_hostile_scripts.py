@@ -121,7 +121,7 @@ def test_files_of_figures_beneath_the_folder_are_read(tmp_path, master):
     )
     (tmp_path / "xy.csv").write_text("src, 1, 2\nm 3 4\n")
     found = read_circuit(master('Redirect "sub folder\\more.dss"', end="\nSet voltageb=12.47\ncalcv\nbusc xy.csv\n"))
-    assert any("course over time" in row.text for row in found.findings)
+    assert any("load_profiles_daily.csv" in row.text for row in found.findings)
     assert dict(zip(found.network.node.bus, found.network.node.x, strict=True))["m"] == 3.0
 
 

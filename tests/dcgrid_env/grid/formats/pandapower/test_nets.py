@@ -6,9 +6,11 @@ import logging
 import numpy as np
 import pytest
 
-from dcgrid_env import Feeder, FeederError, load_feeder
+from dcgrid_env import Feeder, FeederError, forecast, load_feeder, scenario_on
 from dcgrid_env.grid.formats.pandapower import pandapower_net, read_pandapower, write_pandapower
 from dcgrid_env.grid.formats.pandapower.net_reading import quiet
+from dcgrid_env.powerflow import distflow
+from dcgrid_env.traces import write_profiles
 from helpers.imports import apart_pu, assert_same_feeder, fates
 
 pp = pytest.importorskip("pandapower", reason="pandapower is not installed (extra pandapower)")
@@ -265,3 +267,51 @@ def test_a_transformer_to_a_bus_out_of_service_is_left_out():
     assert str(bus) not in Feeder.from_network(imported.network).bus_ids
     assert str(load) in fates(imported)["load", "nothing lost"]
     assert apart_pu(imported) < 1e-7
+
+
+def test_profiles_in_simbenchs_form_give_pandapowers_voltages_over_time(tmp_path):
+    import pandas
+
+    with quiet():
+        net = net_of_all_kinds()
+    net.load["profile"], net.sgen["profile"] = ["H0", "G1"], ["PV"]
+    rng, n = np.random.default_rng(0), 8
+    times = [f"01.01.2016 {k // 4:02d}:{15 * (k % 4):02d}" for k in range(n)]
+    shares = {name: rng.uniform(0.1, 1.0, n) for name in ("H0_pload", "H0_qload", "G1_pload", "G1_qload")}
+    net["profiles"] = {
+        "load": pandas.DataFrame({"time": times, **shares}),
+        "renewables": pandas.DataFrame({"time": times, "PV": rng.uniform(0.0, 1.0, n)}),
+    }
+    imported = read_pandapower(net)
+    found = fates(imported)
+    assert found["profile of load", "taken"] == ("0",)
+    assert found["profile of sgen", "taken"] == ("0",)
+    left_out = "its profile is left out: it has a share of constant impedance"
+    assert [row.names for row in imported.findings if row.text == left_out] == [("1",)]
+    pp.to_json(net, str(tmp_path / "net.json"))
+    of_file = read_pandapower(tmp_path / "net.json").profiles
+    assert imported.profiles is not None
+    assert of_file is not None
+    np.testing.assert_array_equal(of_file.values, imported.profiles.values)
+    assert (of_file.names, of_file.first_day) == (imported.profiles.names, "2016-01-01")
+    write_profiles(imported.profiles, tmp_path / "load_profiles.csv")
+    feeder = Feeder.from_network(imported.network)
+    profiles = {
+        "file": tmp_path / "load_profiles.csv", "columns": "bus", "unit": "kw", "days": "all", "uncovered": "nominal",
+    }  # fmt: skip
+    s = scenario_on(feeder, "1 x 1 kW at 4", "none").replace(
+        load_profiles=profiles, background={"load_sigma": 0.0}, dt_s=900.0, horizon=n - 1
+    )
+    drawn = forecast(s, 0)
+    for k in range(1, n):
+        net.load.loc[0, ["p_mw", "q_mvar"]] = 1.5 * shares["H0_pload"][k], 0.4 * shares["H0_qload"][k]
+        net.sgen.loc[0, "p_mw"] = 0.6 * net.profiles["renewables"]["PV"][k]
+        with quiet():
+            pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, numba=False)
+        solved = distflow(feeder, drawn.p_load_kw[k - 1], drawn.q_load_kvar[k - 1], s.source_voltage_pu)
+        ours = dict(zip(feeder.bus_ids, solved.v_pu.tolist(), strict=True))
+        theirs = net.res_bus.vm_pu
+        assert max(abs(ours[ours_bus] - theirs[int(bus)]) for bus, ours_bus in imported.bus_of.items()) < 1e-7
+    net.profiles["load"] = net.profiles["load"].drop(columns="H0_pload")
+    with pytest.raises(FeederError, match=r"load 0 has the profile 'H0', but net\.profiles has no column 'H0_pload'"):
+        read_pandapower(net)

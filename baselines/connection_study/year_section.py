@@ -1,0 +1,116 @@
+"""The section of a connection study on a year of load profiles: power flows of all samples, then the worst hours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from dcgrid_env import Scenario, profile_coverage
+from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+from dcgrid_env.baselines.connection_study.section import Section, figure_of, png
+from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.year_flow import YearFlow, hour_scenario, year_flow
+from dcgrid_env.baselines.rollout import rollout
+
+_METRICS = ("voltage_min_pu", "voltage_max_pu", "loss_mean_kw")
+"""Metrics of the simulated hours."""
+
+
+def year_section(
+    without: Scenario, with_site: Scenario, size: str, study: Study, controllers: Sequence[tuple[str, Any]]
+) -> Section:
+    """Return the section.
+
+    Parameters
+    ----------
+    without, with_site
+        The scenario without and with the site, with load profiles.
+    size
+        Size of the site in words.
+    study
+        The study, whose limits count.
+    controllers
+        Controllers of the simulated hours by name.
+    """
+    flows = {"without the site": year_flow(without), f"with {size}": year_flow(with_site)}
+    last = flows[f"with {size}"]
+    limits = (study.v_min_pu, study.v_max_pu, study.loading_max_pct / 100.0)
+    table = with_site.load_profiles.table
+    texts = (
+        f"{len(table.values)} power flows in steps of {table.step_s / 60.0:g} min by the load profiles of "
+        f"{Path(table.label).name}, without control and without noise. The site draws its full rating all the time. "
+        "Regulators follow their control within a day and have settled at its begin. "
+        f"{profile_coverage(with_site)}.",
+        "The worst hours are then simulated in steps of a second with the trace of the site, which draws its full "
+        "rating in the middle third of the hour.",
+    )
+    tables = [_counts(flows, limits), _worst(flows), *_simulated(last, controllers)]
+    picture = ("Lowest and highest voltage of each day of the load profiles", png(_figure(flows, study)))
+    return Section("year", "A year of load profiles", texts, tuple(tables), (picture,))
+
+
+def _counts(flows: dict[str, YearFlow], limits: tuple[float, float, float]) -> Table:
+    columns = [flow.hours_outside(*limits) for flow in flows.values()]
+    rows: list[tuple[str, ...]] = [(f"hours {name}", *(f"{hours[name]:g}" for hours in columns)) for name in columns[0]]
+    rows.append(("energy lost, MWh", *(figure_of(flow.loss_mwh, 5) for flow in flows.values())))
+    return Table("Hours beyond limits, and losses", ("quantity", *flows), tuple(rows))
+
+
+def _worst(flows: dict[str, YearFlow]) -> Table:
+    rows = [
+        (case, quantity, flow.value(quantity, sample), flow.time_text(sample))
+        for case, flow in flows.items()
+        for quantity, sample in flow.worst().items()
+    ]
+    return Table("Worst samples", ("case", "quantity", "value", "time"), tuple(rows))
+
+
+def _simulated(flow: YearFlow, controllers: Sequence[tuple[str, Any]]) -> list[Table]:
+    """Return the metrics of the worst hours in steps of a second; each hour once."""
+    by_hour: dict[float, list[str]] = {}
+    samples: dict[float, int] = {}
+    for quantity, sample in flow.worst().items():
+        scenario = hour_scenario(flow.scenario, flow, sample)
+        begin_h = float(scenario.load_profiles.start_h or 0.0)
+        by_hour.setdefault(begin_h, []).append(quantity)
+        samples.setdefault(begin_h, sample)
+    rows = []
+    for begin_h, quantities in by_hour.items():
+        scenario = hour_scenario(flow.scenario, flow, samples[begin_h])
+        for name, controller in controllers:
+            run = rollout(scenario, controller, [0], name=name).series(0)
+            figures = run.metrics()
+            loading = "" if run.loading is None else f"{100.0 * float(np.max(run.loading)):.1f}"
+            change = float(np.abs(np.diff(run.v_pu[:, scenario.feeder.load_slice], axis=0)).max())
+            row = (*(figure_of(figures[metric]) for metric in _METRICS), figure_of(change), loading)
+            rows.append((", ".join(quantities), flow.time_text(samples[begin_h]), name, *row))
+    header = (
+        "hour of the", "sample", "controller", "lowest voltage, p.u.", "highest voltage, p.u.",
+        "mean loss, kW", "largest voltage change in 1 s, p.u.", "highest loading, %",
+    )  # fmt: skip
+    return [Table("Worst hours in steps of a second", header, tuple(rows))] if rows else []
+
+
+def _figure(flows: dict[str, YearFlow], study: Study) -> Figure:
+    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.subplots()
+    for (name, flow), colour in zip(flows.items(), ("#0072B2", "#D55E00"), strict=True):
+        day = np.floor(flow.hours / 24.0 + 1e-9).astype(int)
+        days = np.unique(day)
+        lowest = [np.min(flow.v_min_pu[day == d]) for d in days]
+        highest = [np.max(flow.v_max_pu[day == d]) for d in days]
+        ax.plot(days + 1, lowest, color=colour, linewidth=1.0, label=name)
+        ax.plot(days + 1, highest, color=colour, linewidth=1.0)
+    for limit in (study.v_min_pu, study.v_max_pu):
+        ax.axhline(limit, color="#444444", linewidth=0.8, linestyle="--")
+    ax.set_xlabel("day of the load profiles")
+    ax.set_ylabel("lowest and highest voltage (p.u.)")
+    ax.grid(alpha=0.25)
+    ax.legend(frameon=False)
+    return figure
