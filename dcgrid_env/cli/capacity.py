@@ -120,7 +120,9 @@ class Capacity(OverWorkers):
         study = _study(self)
         outages = outages_asked(study.scenario, split_names(self.outages))
         if self.outage_rating is not None and not outages:
-            raise ValueError(f"outage_rating: is {self.outage_rating!r} without --outages; name outages or leave it out")
+            raise ValueError(
+                f"outage_rating: is {self.outage_rating!r} without --outages; name outages or leave it out"
+            )
         if self.together is not None and (self.buses is None or len(study.candidates()) < 2):
             raise ValueError(f"together: needs at least two buses in --buses, got {self.buses!r}")
         check_folder(self.out)
