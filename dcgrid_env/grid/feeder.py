@@ -229,7 +229,9 @@ class Feeder(PerUnit, OneNodeABus):
         }
         changed |= {field: extended(getattr(self, field), None) for field in ("x", "y", "voltage_ratio", "bus_base_kv")}
         parent = _read_only(np.concatenate((self.parent, sending)))
-        return replace(self, bus_ids=self.bus_ids + ends, parent=parent, loop_ends=None, **changed)
+        return replace(
+            self, bus_ids=self.bus_ids + ends, parent=parent, loop_ends=None, seasonal_ratings=None, **changed
+        )
 
     def to_network(self) -> Network:
         """Return the component tables of this feeder, from which :meth:`from_network` makes an equal feeder."""

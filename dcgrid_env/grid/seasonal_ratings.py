@@ -48,7 +48,11 @@ def chosen_ratings(network: Network, kind: RatingKind = "normal", season: str = 
         raise FeederError(f"{where}: rating is {kind!r}; choose {' or '.join(get_args(RatingKind))}")
     seasons = sorted(set(table.season) - {""})
     if season and season not in seasons:
-        known = f"choose {', '.join(seasons)}, or leave it empty" if seasons else "it has no ratings.csv with seasons"
+        known = (
+            f"choose {', '.join(seasons)}, or leave it empty"
+            if seasons
+            else "it is without seasons in ratings.csv; leave it empty"
+        )
         raise FeederError(f"{where}: season is {season!r}; {known}")
     if kind == "emergency" and all(map(math.isnan, table.emergency)):
         raise FeederError(f"{where}: rating is 'emergency', but no emergency rating is known; add them in ratings.csv")
