@@ -1,12 +1,12 @@
 """Capacities of small feeders against closed forms, each exact to the step of the search.
 
-A site of P MW at unity power factor is fed through r + jx (p.u. on 1 MVA). With the reactive load Q and the current i,
-v0^2 = v^2 + 2 (r P + x Q) + (r^2 + x^2) i^2 and P^2 + Q^2 = v^2 i^2 hold exactly.
+A site of P MW at unity power factor is fed through r + jx (p.u. on 1 MVA). Q is the reactive load, i the current. Then
+v0^2 = v^2 + 2 (r P + x Q) + (r^2 + x^2) i^2, and P^2 + Q^2 = v^2 i^2.
 """
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -104,7 +104,7 @@ def study(feeder, v0=1.0, trace=FULL, split="test", **fields):
         **{"datacenters.p_rated_kw": 1.0, "datacenters.s_rated_share": 1.1, "datacenters.q_max_share": 0.33},
         **{"datacenters.buses": feeder.bus_ids[-1:], "inverters.buses": (), "inverters.s_rated_kva": 0.0},
     )  # fmt: skip
-    few = {
+    few: dict[str, Any] = {
         "buses": feeder.bus_ids[1:],
         "samples": 1,
         "window_s": 6.0,
@@ -271,7 +271,7 @@ def phase_line(i, j, r_ohm=R_OHM, x_ohm=X_OHM, **more):
 @pytest.mark.parametrize("kw", [(100.0, 100.0, 100.0), (400.0, 100.0, 50.0), (0.0, 0.0, 450.0)])
 @pytest.mark.parametrize("limit", ["voltage", "current"])
 def test_the_phase_with_the_largest_load_limits_a_site_of_three_phases(kw, limit):
-    """Each phase is a line of its own: the site has a third of its power on each."""
+    """Each phase is a separate line, and the site has a third of its power on each."""
     worst = Line(p_kw=3.0 * max(kw))
     feeder = three_phases(["a", "b"], kw=kw, phase_line=phase_line("a", "b", rating_a=[AMPS]))
     if limit == "voltage":

@@ -43,6 +43,7 @@ def test_written_ratings_are_kept_through_import_and_folder(tmp_path):
         ("transformer low", "season2", 1200.0, math.nan),
     ])  # fmt: skip
     hot, without = with_ratings(feeder, "normal", "season1")
+    assert isinstance(hot, ThreePhaseFeeder)
     assert hot.network.phase_line.rating_a[:3] == (400.0, 280.0, 250.0)
     assert hot.network.transformer.rating_kva == (900.0,)
     assert without == ("line coded", "line plain")
