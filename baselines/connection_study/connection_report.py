@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env import profile_coverage, rating_coverage, scenario_hash
+from dcgrid_env import profile_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC
 from dcgrid_env.baselines.connection_study.section import Section, png
@@ -123,7 +123,7 @@ def _capacity(found: Capacities) -> Section:
 
 
 def _not_checked(job: Job, found: Capacities | None) -> Section:
-    coverage = rating_coverage(job.study.scenario.feeder)
+    coverage = job.study.coverage
     texts = [
         NOT_MODELLED,
         f"Elements without a known rating, which were not checked: {first_of(coverage.not_checked)}.",

@@ -8,7 +8,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from dcgrid_env import rating_coverage, scenario_hash
+from dcgrid_env import scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, UNCONTROLLED, Capacities
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
@@ -123,7 +123,7 @@ def together_table(found: Sequence[Together]) -> Table:
 
 def record(found: Capacities) -> dict[str, Any]:
     """Return the study and its results as JSON values."""
-    study, ratings = found.study, rating_coverage(found.study.scenario.feeder)
+    study, ratings = found.study, found.study.coverage
     asked = {field.name: getattr(study, field.name) for field in dataclasses.fields(study) if field.name != "scenario"}
     return {
         "study": asked
@@ -139,7 +139,7 @@ def record(found: Capacities) -> dict[str, Any]:
             "buses": list(found.buses),
             "full_load_s": list(study.full_load_s),
         },
-        "ratings": {"known": ratings.known, "of": ratings.of, "not_checked": list(ratings.not_checked)},
+        "ratings": ratings._asdict(),
         "overloaded_without_site": list(found.overloaded),
         "without_answer": study.left_out(),
         "notes": list(found.notes),
@@ -204,7 +204,7 @@ def _notes(found: Capacities) -> Iterator[str]:
     yield from _lowered(found)
     begin_s, end_s = study.full_load_s
     yield f"In every window all sites are asked for their rating from {begin_s:g} to {end_s:g} s."
-    yield f"R{str(rating_coverage(study.scenario.feeder))[1:]}."
+    yield f"R{str(study.coverage)[1:]}."
     if found.overloaded:
         yield (
             f"Overloaded without any site: {first_of(found.overloaded)}. No site fits behind these; at other buses "

@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from dcgrid_env import Feeder, LoadProfiles, RandomFeeders, Scenario
+from dcgrid_env import Feeder, LoadProfiles, RandomFeeders, RatingCoverage, Scenario, rating_coverage
+from dcgrid_env.grid import RatingKind, with_ratings
 from dcgrid_env.traces.day_course import LOAD_PERCENT
 
 Load = Literal["day", "peak"]
@@ -74,6 +75,12 @@ class Study:
     """Limits of the voltage at every bus, p.u.; those of ANSI C84.1, range A, for service voltages."""
     loading_max_pct: float = 100.0
     """Limit of a branch's current as a share of its rating, where a rating is known, %."""
+    rating: RatingKind = "normal"
+    """Ratings that apply: ``normal``, or ``emergency`` of the feeder's ratings.csv."""
+    season: str = ""
+    """Season of the ratings, such as ``winter`` in ratings.csv; empty for the ratings without a season."""
+    outage_rating: RatingKind | None = None
+    """Ratings that apply while an element is out of service; None for ``rating``."""
     voltage_step_max_pct: float | None = None
     """Limit of the change of any voltage from one step to the next, % of nominal voltage; None for no limit. Every
     window has a step of the sites to their full rating and back."""
@@ -96,6 +103,15 @@ class Study:
                 f"a member, random_feeder(0, n_bus={feeder.n_bus}, style={feeder.style!r}, load_kw={feeder.load_kw:g})"
                 ".to_csv('my-feeder'), and study that"
             )
+        known = (*get_args(RatingKind), None)
+        remedy = f"choose {' or '.join(get_args(RatingKind))}"
+        self._require("rating", self.rating in known[:-1], remedy)
+        fits = self.outage_rating in known and (self.rating, self.outage_rating) != ("emergency", "normal")
+        self._require("outage_rating", fits, f"{remedy}, and not normal if rating is emergency")
+        self._require("season", isinstance(self.season, str), "give the name of a season, or leave it empty")
+        if self.rating == "emergency" or self.season:
+            rated = with_ratings(feeder, self.rating, self.season)
+            object.__setattr__(self, "scenario", self.scenario.replace(feeder=rated.feeder))
         self._require("samples", isinstance(self.samples, int) and self.samples >= 1, "give a whole number >= 1")
         self._require("load", self.load in get_args(Load), f"choose one of {', '.join(get_args(Load))}")
         least_s = 2.0 * self.scenario.dt_s
@@ -123,6 +139,18 @@ class Study:
         self._require("taps_max_per_hour", taps_fit, "the feeder has no regulators; give None")
         self._require("tolerance_mw", self.step_mw <= self.largest_mw, f"give at most {self.largest_mw:g} MW")
         self._require("tolerance_mw", self.largest_mw / self.step_mw < 1e6, "give fewer than a million sizes")
+
+    def with_outage(self, scenario: Scenario) -> Study:
+        """Return the study of a scenario with an element out of service, with the ratings that apply then."""
+        return replace(self, scenario=scenario, rating=self.outage_rating or self.rating)
+
+    @property
+    def coverage(self) -> RatingCoverage:
+        """Elements whose rating is known, with the season and kind of the ratings if one was chosen."""
+        feeder = self.scenario.feeder
+        basis = "" if (self.rating, self.season) == ("normal", "") else f"{self.season or 'all seasons'}, {self.rating}"
+        without = with_ratings(feeder, self.rating, self.season).without
+        return rating_coverage(feeder)._replace(basis=basis, otherwise=without)
 
     def _require(self, field: str, holds: bool, remedy: str) -> None:
         if not holds:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -66,6 +66,12 @@ class Capacity(OverWorkers):
     """Lowest and highest voltage, p.u., separated by a comma."""
     loading_max_pct: float = 100.0
     """Largest branch current, % of its rating. Branches without a rating are not checked."""
+    rating: Literal["normal", "emergency"] = "normal"
+    """Ratings that apply: normal, or emergency of the feeder's ratings.csv."""
+    season: str = ""
+    """Season of the ratings in the feeder's ratings.csv, for example winter. Default: the ratings without a season."""
+    outage_rating: Literal["normal", "emergency"] | None = None
+    """Ratings that apply with an element of --outages out of service. Default: those of --rating."""
     voltage_step_max_pct: float | None = None
     """Largest change of any voltage within a step, % of nominal voltage, for example 3. Default: no limit."""
     taps_max_per_hour: float | None = None
@@ -113,6 +119,10 @@ class Capacity(OverWorkers):
         require_tuned(self.tuned)
         study = _study(self)
         outages = outages_asked(study.scenario, split_names(self.outages))
+        if self.outage_rating is not None and not outages:
+            raise ValueError(
+                f"outage_rating: is {self.outage_rating!r} without --outages; name outages or leave it out"
+            )
         if self.together is not None and (self.buses is None or len(study.candidates()) < 2):
             raise ValueError(f"together: needs at least two buses in --buses, got {self.buses!r}")
         check_folder(self.out)
@@ -125,7 +135,7 @@ class Capacity(OverWorkers):
                 return hosting_capacity(of, names, place, self.tuned, lambda name, n: progress.advance(tasks[name], n))
 
             found = capacities(study)
-            by_outage = {name: capacities(replace(study, scenario=changed)) for name, changed in outages.items()}
+            by_outage = {name: capacities(study.with_outage(changed)) for name, changed in outages.items()}
             at_once = []
             if self.together is not None:
                 task = progress.add_task("together", total=None)
@@ -174,6 +184,9 @@ def _study(cfg: Capacity) -> Study:
         v_min_pu=low,
         v_max_pu=high,
         loading_max_pct=cfg.loading_max_pct,
+        rating=cfg.rating,
+        season=cfg.season,
+        outage_rating=cfg.outage_rating,
         voltage_step_max_pct=cfg.voltage_step_max_pct,
         taps_max_per_hour=cfg.taps_max_per_hour,
         loss_max_kw=cfg.loss_max_kw,

@@ -103,7 +103,11 @@ def make_job(request: StudyRequest, path: Path) -> Job:
         buses = scenario.feeder.bus_ids[1:]
     if buses is not None:
         buses = tuple(dict.fromkeys((*map(str, buses), request.bus)))
-    unknown = set(settings) - {field.name for field in fields(Study)} | set(settings) & {"scenario", "others"}
+    unknown = set(settings) - {field.name for field in fields(Study)} | set(settings) & {
+        "scenario",
+        "others",
+        "outage_rating",
+    }
     if unknown:
         raise ValueError(f"{path}: capacity has no field {min(unknown)!r}; see docs/connection-study.md")
     study = Study(scenario=scenario, others=request.scenario is not None, buses=buses, **settings)

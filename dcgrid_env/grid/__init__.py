@@ -4,6 +4,8 @@ from dcgrid_env.grid.cases import FEEDER_REGISTRY, FEEDERS, load_feeder
 from dcgrid_env.grid.feeder import Feeder, FeederError
 from dcgrid_env.grid.folder import AnyFeeder, read_feeder
 from dcgrid_env.grid.network import BusId, Network, bus_numbers, bus_text, buses_as_text
+from dcgrid_env.grid.rated_feeder import RatedFeeder, with_ratings
+from dcgrid_env.grid.seasonal_ratings import RatingKind
 from dcgrid_env.grid.three_phase import ThreePhaseFeeder
 
 __all__ = [
@@ -14,10 +16,13 @@ __all__ = [
     "Feeder",
     "FeederError",
     "Network",
+    "RatedFeeder",
+    "RatingKind",
     "ThreePhaseFeeder",
     "bus_numbers",
     "bus_text",
     "buses_as_text",
     "load_feeder",
     "read_feeder",
+    "with_ratings",
 ]

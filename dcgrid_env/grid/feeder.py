@@ -21,6 +21,7 @@ from dcgrid_env.grid.network import (
     LineTable,
     Network,
     NodeTable,
+    RatingTable,
     balanced_network,
     bus_text,
     summed_at_nodes,
@@ -78,6 +79,8 @@ class Feeder(PerUnit, OneNodeABus):
     loop_ends
         Indices of the sending and the receiving bus of each branch that closes a loop, shape (n_loop, 2). None for a
         radial feeder.
+    seasonal_ratings
+        Ratings by season and for emergencies, A, which ``with_ratings`` chooses from; None where none are known.
 
     The power flow runs in quantities referred to the substation's base voltage by the actual ratios of the transformers
     between: so are ``r_ohm``, ``x_ohm`` and ``rating_a``, which makes an ideal transformer exact.
@@ -101,6 +104,7 @@ class Feeder(PerUnit, OneNodeABus):
     bus_base_kv: FloatArray | None = None
     rating_a: FloatArray | None = None
     loop_ends: IntArray | None = None
+    seasonal_ratings: RatingTable | None = None
 
     def __post_init__(self) -> None:
         check_optional_fields(self)
@@ -191,6 +195,7 @@ class Feeder(PerUnit, OneNodeABus):
             x=frozen(node.x, order),
             y=frozen(node.y, order),
             loop_ends=_read_only(np.array(loop_ends, dtype=np.intp)) if loop_ends else None,
+            seasonal_ratings=network.rating if len(network.rating) else None,
             **optional_fields(network, order, branch),
         )
 
@@ -224,13 +229,15 @@ class Feeder(PerUnit, OneNodeABus):
         }
         changed |= {field: extended(getattr(self, field), None) for field in ("x", "y", "voltage_ratio", "bus_base_kv")}
         parent = _read_only(np.concatenate((self.parent, sending)))
-        return replace(self, bus_ids=self.bus_ids + ends, parent=parent, loop_ends=None, **changed)
+        return replace(
+            self, bus_ids=self.bus_ids + ends, parent=parent, loop_ends=None, seasonal_ratings=None, **changed
+        )
 
     def to_network(self) -> Network:
         """Return the component tables of this feeder, from which :meth:`from_network` makes an equal feeder."""
         from_bus, to_bus = ([self.bus_ids[i] for i in ends] for ends in (self.from_bus, self.to_bus))
         base_kv, ratio, rating_a = map(as_column, (self.bus_base_kv, self.voltage_ratio, self.rating_a))
-        return balanced_network(
+        network = balanced_network(
             self.name,
             base_kv=self.base_kv,
             substation=self.bus_ids[0],
@@ -250,15 +257,17 @@ class Feeder(PerUnit, OneNodeABus):
             shunt_kw=as_column(self.shunt_kw) or None,
             shunt_kvar=as_column(self.shunt_kvar) or None,
         )
+        return network if self.seasonal_ratings is None else replace(network, rating=self.seasonal_ratings)
 
     @classmethod
     def from_csv(cls, folder: str | Path) -> Feeder:
-        """Read a custom feeder from a folder with three files.
+        """Read a custom feeder from a folder.
 
         ``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu.
         ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y, shunt_kw, shunt_kvar, voltage_ratio,
         base_kv.
         ``branches.csv``: from_bus, to_bus, r_ohm, x_ohm and, if known, rating_a.
+        ``ratings.csv``, optional: element, season, normal, emergency.
 
         Raises
         ------
@@ -280,7 +289,7 @@ class Feeder(PerUnit, OneNodeABus):
         return self.__dict__.get("_folder")
 
     def to_csv(self, folder: str | Path) -> None:
-        """Write the three files that :meth:`from_csv` reads; reading returns exactly the same feeder."""
+        """Write the files that :meth:`from_csv` reads; reading returns exactly the same feeder."""
         write_csv(self.to_network(), Path(folder))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Feeder:

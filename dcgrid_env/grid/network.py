@@ -42,6 +42,7 @@ __all__ = [
     "NodeTable",
     "PhaseLineTable",
     "PhaseLoadTable",
+    "RatingTable",
     "RegulatorTable",
     "ShuntTable",
     "SourceTable",
@@ -127,6 +128,23 @@ class SourceTable(Table):
 
 
 @dataclass(frozen=True)
+class RatingTable(Table):
+    """One row for each element and season with further ratings, in the unit of the element's rating column.
+
+    The rating column is the normal rating without a season, so a row without a season has an emergency rating alone.
+    """
+
+    element: Sequence[str] = ()
+    """Kind and name, such as ``"line l1"`` or ``"transformer xfm1"``; ``"branch FROM-TO"`` of balanced grids."""
+    season: Sequence[str] = ()
+    """Name such as ``"winter"``; empty for all seasons."""
+    normal: Sequence[float] = ()
+    """Rating of continuous operation; NaN where it is not known."""
+    emergency: Sequence[float] = ()
+    """Rating for the hours after an outage; NaN where it is not known."""
+
+
+@dataclass(frozen=True)
 class Network:
     """A grid as tables. Nothing is checked here but the columns' lengths: see ``Feeder.from_network`` and
     ``ThreePhaseFeeder.from_network``."""
@@ -146,6 +164,7 @@ class Network:
     capacitor_control: CapacitorControlTable = field(default_factory=CapacitorControlTable)
     core: CoreTable = field(default_factory=CoreTable)
     admittance: AdmittanceTable = field(default_factory=AdmittanceTable)
+    rating: RatingTable = field(default_factory=RatingTable)
     frequency_hz: float = 60.0
     """Frequency at which reactances and susceptances hold."""
     source_of_facts: str = ""

@@ -8,6 +8,7 @@ from numbers import Real
 from typing import Any
 
 from dcgrid_env.grid.network import LineTable, Network
+from dcgrid_env.grid.seasonal_ratings import check_ratings
 from dcgrid_env.grid.topology import FeederError
 
 
@@ -86,6 +87,7 @@ def check_balanced(network: Network) -> None:
                 f"feeder {name!r}: bus {source.bus[0]}: {field} is {at_source}, but it is the substation, to whose "
                 f"voltage all others are referred; give {expected:g} there"
             )
+    check_ratings(network)
 
 
 def check_loop_impedance(name: str, line: LineTable) -> None:

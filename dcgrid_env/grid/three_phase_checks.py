@@ -9,6 +9,7 @@ from typing import Any
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.network_checks import check_numbers
+from dcgrid_env.grid.seasonal_ratings import check_ratings
 from dcgrid_env.grid.three_phase_tables import (
     CONNECTIONS,
     CONTROL_MEASURES,
@@ -57,6 +58,7 @@ def check_three_phase(network: Network) -> None:
     _check_capacitor_controls(network, buses)
     _check_cores(network, buses)
     _check_admittances(network, buses)
+    check_ratings(network)
 
 
 def _refuse(network: Network, component: str, field: str, value: object, remedy: str) -> FeederError:

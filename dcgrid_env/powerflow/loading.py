@@ -58,11 +58,17 @@ class RatingCoverage(NamedTuple):
     of: int
     not_checked: tuple[str, ...]
     """Names of the branches without a rating, as in ``"line 650-632"``."""
+    basis: str = ""
+    """Season and kind of the ratings, as in ``"summer, normal"``; empty for the ratings without a season."""
+    otherwise: tuple[str, ...] = ()
+    """Names of the elements without a rating of that season and kind, which another of their ratings limits."""
 
     def __str__(self) -> str:
-        said, names = f"ratings known for {self.known} of {self.of} elements", self.not_checked
-        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-        return f"{said}; not checked: {', '.join(names[:_SHOWN])}{more}" if names else said
+        said = f"ratings known for {self.known} of {self.of} elements{f' ({self.basis})' if self.basis else ''}"
+        for what, names in (("limited by another rating", self.otherwise), ("not checked", self.not_checked)):
+            more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+            said += f"; {what}: {', '.join(names[:_SHOWN])}{more}" if names else ""
+        return said
 
 
 def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:

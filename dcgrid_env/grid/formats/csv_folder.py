@@ -1,8 +1,8 @@
-"""A balanced feeder as a folder of three files, read and written: feeder.toml, buses.csv, branches.csv.
+"""A balanced feeder as a folder, read and written: feeder.toml, buses.csv, branches.csv and, if known, ratings.csv.
 
 ``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu, and about, source, licence as texts for readers.
 ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y, shunt_kw, shunt_kvar, voltage_ratio, base_kv.
-``branches.csv``: from_bus, to_bus, r_ohm, x_ohm and, if known, rating_a.
+``branches.csv``: from_bus, to_bus, r_ohm, x_ohm and, if known, rating_a. ``ratings.csv``: see ``ratings_file``.
 
 An empty cell of an optional column means: without capacitor or shunt, a ratio of 1, the feeder's base voltage, an
 unknown coordinate or rating. Other keys and columns are refused, because a misspelt one would be ignored silently.
@@ -16,10 +16,12 @@ import json
 import math
 import tomllib
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_text
+from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network, summed_at_nodes
 from dcgrid_env.grid.network_checks import check_balanced
 from dcgrid_env.grid.topology import FeederError
@@ -32,7 +34,7 @@ _TEXTS = ("about", "source", "licence")
 
 
 def read_csv(folder: Path) -> Network:
-    """Read the three files of a folder.
+    """Read the files of a folder.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def read_csv(folder: Path) -> Network:
     branches = _columns(
         folder / "branches.csv", ["from_bus", "to_bus"], {"r_ohm": None, "x_ohm": None}, {"rating_a": math.nan}
     )
-    return balanced_network(
+    network = balanced_network(
         str(head["name"]),
         base_kv=head["base_kv"],
         substation=str(head["substation"]),
@@ -80,10 +82,11 @@ def read_csv(folder: Path) -> Network:
         lines=LineTable(**branches),
         **{column: buses.get(column) for column in _SHUNTS},
     )
+    return replace(network, rating=read_ratings(folder))
 
 
 def write_csv(network: Network, folder: Path) -> None:
-    """Write a balanced network as the three files of a folder, which is made; figures read back to the bit.
+    """Write a balanced network as the files of a folder, which is made; figures read back to the bit.
 
     Several loads or capacitors at a bus become one, their sum.
 
@@ -112,8 +115,11 @@ def write_csv(network: Network, folder: Path) -> None:
     branches = {column: getattr(line, column) for column in ("from_bus", "to_bus", "r_ohm", "x_ohm", "rating_a")}
     if not line.rating_a:
         del branches["rating_a"]
+    ratings = ratings_text(network.rating) if len(network.rating) else ""
     write_text(folder / "buses.csv", _csv(buses))
     write_text(folder / "branches.csv", _csv(branches))
+    if ratings:
+        write_text(folder / RATINGS_FILE, ratings)
     source = network.source
     head = {"name": network.name, "base_kv": float(source.base_kv[0])}
     head |= {"substation": source.bus[0], "v0_pu": float(source.v_pu[0])}

@@ -5,7 +5,8 @@
 ``loads.csv``, ``capacitors.csv``, ``capacitor_controls.csv``, ``cores.csv`` and ``admittances.csv``: a column for each
 of ``grid.three_phase_tables``, whose units they have; matrices as r_aa_ohm, r_ab_ohm, .. of the upper triangle, legs as
 kw_1, kvar_1, .. or kvar_a, .. . Matrices of admittances.csv are one cell, figures separated by blanks. All files but
-buses.csv and feeder.toml may be missing; the last three are written where there are such rows.
+buses.csv and feeder.toml may be missing; the last three are written where there are such rows. ``ratings.csv``, also
+optional, is described in ``ratings_file``.
 Unused keys and columns are refused by name. The exceptions are the results of a reference solution in published
 folders (``RESULTS``).
 """
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_text
+from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File, says_nothing
 from dcgrid_env.grid.network import Network, NodeTable, SourceTable
 from dcgrid_env.grid.three_phase_checks import check_three_phase
@@ -50,6 +52,7 @@ def read_folder(folder: Path) -> Network:
         node=_read_buses(folder / "buses.csv"),
         frequency_hz=head.get("frequency_hz", 60.0),
         source_of_facts=head.get("source_of_facts", ""),
+        rating=read_ratings(folder),
         **tables,
     )
 
@@ -76,6 +79,8 @@ def write_folder(network: Network, folder: Path) -> None:
         rows = ([cell for column, values in columns for cell in column.cells(values[k])] for k in range(len(table)))
         may_be_empty = [column.may_be_empty for column, _ in columns for _ in column.names]
         texts[file.name] = _csv([name for column, _ in columns for name in column.names], rows, may_be_empty)
+    if len(network.rating):
+        texts[RATINGS_FILE] = ratings_text(network.rating)
     for name, text in texts.items():
         write_text(folder / name, text)
     source = network.source

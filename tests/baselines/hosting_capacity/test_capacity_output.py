@@ -82,7 +82,7 @@ def test_what_was_not_checked_is_said_and_stored(found):
     names = [feeder.branch_names[3], feeder.branch_names[20]]
     assert f"Ratings known for 30 of 32 elements; not checked: {', '.join(names)}." in notes
     plain = record(some)
-    assert plain["ratings"] == {"known": 30, "of": 32, "not_checked": names}
+    assert plain["ratings"] == {"known": 30, "of": 32, "not_checked": tuple(names), "basis": "", "otherwise": ()}
     assert plain["overloaded_without_site"] == ["branch 1-2"]
     assert "Ratings known for 0 of 32 elements; not checked: branch 1-2, " in "\n".join(capacity_table(found).notes)
 

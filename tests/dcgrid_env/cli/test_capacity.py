@@ -1,11 +1,14 @@
 """``dcgrid capacity``: the table, the map, the CSV and the record, and what is refused."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
+from dcgrid_env import load_feeder
 from dcgrid_env.baselines.hosting_capacity.capacity_output import read_capacity_csv
 from dcgrid_env.cli.main import main
+from dcgrid_env.grid.network import RatingTable
 
 SHORT = ("--samples", "2", "--window-s", "10", "--settle-s", "4", "--workers", "1")
 IEEE33 = ("--feeder", "ieee33", "--set", "source_voltage_pu=1.05")
@@ -40,6 +43,22 @@ def test_it_prints_and_writes_the_same_answers(capsys, tmp_path):
     assert len(record["ratings"]["not_checked"]) == 32
 
 
+def test_ratings_of_a_season_and_of_outages_are_asked_for_and_reported(tmp_path, capsys):
+    feeder = load_feeder("ieee13-3ph")
+    names = [f"line {name}" for name in feeder.network.phase_line.name]
+    n = len(names)
+    table = RatingTable(names, ["winter"] * n, [2000.0] * n, [2500.0] * n)
+    type(feeder).from_network(replace(feeder.to_network(), rating=table)).to_csv(tmp_path / "rated")
+    ask = ("--feeder", "rated", "--buses", "675", "--controllers", "none", "--limits", "0.8,1.2", "--season", "winter")
+    run(*ask, "--outages", "all", "--outage-rating", "emergency", "--max-mw", "1", "--tolerance-mw", "0.5")
+    known = len(feeder.network.phase_line) + len(feeder.network.transformer) + 1
+    assert f"Ratings known for {known} of {known + 1} elements (winter, normal); limited" in capsys.readouterr().out
+    record = json.loads((tmp_path / "out/results.json").read_text())
+    assert record["ratings"]["basis"] == "winter, normal"
+    assert "transformer sub" in record["ratings"]["otherwise"]
+    assert (record["study"]["season"], record["study"]["outage_rating"]) == ("winter", "emergency")
+
+
 def test_a_scenario_brings_its_devices_limits_and_all_buses(tmp_path):
     run("--scenario", "toy6", "--limits", "0.8,1.1", "--load", "peak", "--buses", "all", "--controller", "none")
     record = json.loads((tmp_path / "out/results.json").read_text())
@@ -54,6 +73,9 @@ def test_a_scenario_brings_its_devices_limits_and_all_buses(tmp_path):
         ((), "feeder: must be given, or --scenario"),
         ((*IEEE33, "--controllers", ""), "must name at least one"),
         ((*IEEE33, "--controllers", "nobody"), "nobody"),
+        ((*IEEE33, "--season", "winter"), "season is 'winter'; it is without seasons in ratings.csv"),
+        ((*IEEE33, "--rating", "emergency"), "no emergency rating is known; add them in ratings.csv"),
+        ((*IEEE33, "--outage-rating", "emergency"), "outage_rating: is 'emergency' without --outages"),
         (
             (*IEEE33, "--limits", "0.95"),
             "limits: must be the lowest and the highest voltage, such as 0.95,1.05, got '0.95'",

@@ -11,7 +11,7 @@ import json
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, new_engine, run_command, script_of
@@ -21,6 +21,14 @@ from dcgrid_env.grid.topology import FeederError
 _CONDUCTORS = ("line", "linecode", "wiredata", "cndata", "tsdata", "reactor")
 _UNLIKELY = {"normamps": 987654.25, "emergamps": 987655.25}
 """Ratings that no script gives, A."""
+
+
+class Further(NamedTuple):
+    """A rating next to the normal rating without a season: A of lines, kVA of transformers; NaN where not given."""
+
+    season: str
+    normal: float
+    emergency: float
 
 
 class ScriptRatings:
@@ -70,6 +78,34 @@ class ScriptRatings:
         if "normhkva" in written:
             return min(kvas) * highest / kvas[0]
         return min(kvas) if written & {"kva", "kvas"} else math.nan
+
+    def further_of_conductor(self, name: str) -> list[Further]:
+        """Emergency ampacity of a line where the script gives it next to normamps, and the ampacities of seasons, A."""
+        self._circuit.activate("line", name)
+        emergency = self._circuit.figure("emergamps")
+        if self._marked is not None:
+            self._marked.activate("line", name)
+            written = {field: self._marked.figure(field) != mark for field, mark in _UNLIKELY.items()}
+            if not all(written.values()):
+                emergency = math.nan
+        return self._with_seasons(emergency if emergency > 0.0 else math.nan, 1.0)
+
+    def further_of_transformer(self, name: str) -> list[Further]:
+        """Emergency rating of a transformer's smaller winding and its ratings of seasons, kVA, as the script gives."""
+        circuit = self._circuit
+        circuit.activate("transformer", name)
+        kvas = circuit.figures("kvas")
+        share = min(kvas) / kvas[0]
+        emergency = circuit.figure("emerghkva") if "emerghkva" in self._written() else math.nan
+        return self._with_seasons(emergency * share, share)
+
+    def _with_seasons(self, emergency: float, share: float) -> list[Further]:
+        """Further ratings of the active element; OpenDSS numbers its seasons."""
+        found = [] if math.isnan(emergency) else [Further("", math.nan, emergency)]
+        if int(self._circuit.figure("seasons")) > 1:
+            normal = self._circuit.figures("ratings")
+            found += [Further(f"season{k}", value * share, math.nan) for k, value in enumerate(normal, 1) if value > 0]
+        return found
 
     def _written(self) -> set[str]:
         """Properties of the active element that the script sets."""

@@ -14,6 +14,7 @@ from dcgrid_env.grid.formats.import_report import Finding, Report
 from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint
 from dcgrid_env.grid.formats.opendss.dss_capacitor_controls import read_capacitor_controls
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
+from dcgrid_env.grid.formats.opendss.dss_further_ratings import with_further_ratings
 from dcgrid_env.grid.formats.opendss.dss_generation import read_generation
 from dcgrid_env.grid.formats.opendss.dss_lines import read_lines, report_admittance
 from dcgrid_env.grid.formats.opendss.dss_loads import Row, capacitor_legs, core_rows, read_capacitors, read_loads
@@ -198,7 +199,7 @@ def _network(
         frequency_hz=float(circuit.engine.Solution.Frequency()),
         source_of_facts=f"OpenDSS script {script}",
     )
-    return network, profiles
+    return with_further_ratings(network, circuit, ratings, report), profiles
 
 
 def _unit_joints(circuit: DssCircuit, letters: Letters, units: dict[str, Unit | str]) -> Iterable[Joint]:
