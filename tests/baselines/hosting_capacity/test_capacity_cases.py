@@ -104,7 +104,7 @@ def study(feeder, v0=1.0, trace=FULL, split="test", **fields):
         **{"datacenters.p_rated_kw": 1.0, "datacenters.s_rated_share": 1.1, "datacenters.q_max_share": 0.33},
         **{"datacenters.buses": feeder.bus_ids[-1:], "inverters.buses": (), "inverters.s_rated_kva": 0.0},
     )  # fmt: skip
-    few: dict[str, Any] = {
+    few = {
         "buses": feeder.bus_ids[1:],
         "samples": 1,
         "window_s": 6.0,
@@ -113,7 +113,8 @@ def study(feeder, v0=1.0, trace=FULL, split="test", **fields):
         "tolerance_mw": STEP_MW,
         "max_mw": 40.0,
     }
-    return Study(scenario=scenario, others=False, **(few | {"v_min_pu": 0.5, "v_max_pu": 1.5} | fields))
+    asked: dict[str, Any] = few | {"v_min_pu": 0.5, "v_max_pu": 1.5} | fields
+    return Study(scenario=scenario, others=False, **asked)
 
 
 def check(found, expected):
