@@ -54,7 +54,7 @@ th,td{white-space:normal;padding-right:.5rem}}
 """
 
 
-def built(job: Job, place: Place, on_section: Callable[[], None]) -> dict[str, Section | Capacities]:
+def built(job: Job, place: Place, on_section: Callable[[], None]) -> tuple[dict[str, Section], dict[str, Capacities]]:
     """Compute the sections that are not left out and the capacities with outages, as units of work.
 
     Parameters
@@ -68,24 +68,28 @@ def built(job: Job, place: Place, on_section: Callable[[], None]) -> dict[str, S
 
     Returns
     -------
-    dict[str, Section | Capacities]
-        Sections by name, and the capacities of each outage by its name.
+    tuple[dict[str, Section], dict[str, Capacities]]
+        Sections by name, and capacities of the requested bus by outage.
 
     Raises
     ------
     LostUnits
-        For sections without a result.
+        For sections or outages without a result.
     """
-    units: list[Unit[Any, Section | Capacities]] = [
-        Unit(f"section {name}", _build, name) for name in asked_sections(job.request)
+    units: list[Unit[Any, Any]] = [
+        *(Unit(f"section {name}", _build, name) for name in asked_sections(job.request)),
+        *(Unit(f"outage {name}", _without, (name, scenario)) for name, scenario in job.outages.items()),
     ]
-    units += [Unit(f"outage {name}", _without, scenario) for name, scenario in job.outages.items()]
     values = {_JOB: dataclasses.replace(job, outages={})} | carried(place, (), job.request.controllers)
-    found = {}
-    for unit, result in place.results(units, values, how_to_go_on=""):
-        found[unit.key.split(" ", 1)[1]] = result
+    sections: dict[str, Section] = {}
+    by_outage: dict[str, Capacities] = {}
+    for _, (name, result) in place.results(units, values, how_to_go_on=""):
+        if isinstance(result, Section):
+            sections[name] = result
+        else:
+            by_outage[name] = result
         on_section()
-    return found
+    return sections, by_outage
 
 
 def asked_sections(request: StudyRequest) -> list[str]:
@@ -94,24 +98,25 @@ def asked_sections(request: StudyRequest) -> list[str]:
     return [name for name in BUILDERS if name not in left]
 
 
-def _build(name: str) -> Section:
-    return BUILDERS[name](shared(_JOB))
+def _build(name: str) -> tuple[str, Section]:
+    return name, BUILDERS[name](shared(_JOB))
 
 
-def _without(scenario: Scenario) -> Capacities:
-    return capacities_with(shared(_JOB), scenario)
+def _without(outage: tuple[str, Scenario]) -> tuple[str, Capacities]:
+    name, scenario = outage
+    return name, capacities_with(shared(_JOB), scenario)
 
 
 def sections_of(
     job: Job, found: Capacities | None, file: Path, place: Place, on_section: Callable[[], None]
 ) -> list[Section]:
     """Make the sections of the report in its order; arguments as for ``page`` and ``built``."""
-    parts = built(job, place, on_section)
-    by_name = {name: parts[name] for name in asked_sections(job.request)}
+    by_name, by_outage = built(job, place, on_section)
     if found is not None:
         by_name["capacity"] = _capacity(job, found)
         if job.outages:
-            by_name["outages"] = outages_section(job, found, {name: parts[name] for name in job.outages})
+            in_order = {name: by_outage[name] for name in job.outages}
+            by_name["outages"] = outages_section(job, found, in_order)
     made = [by_name[name] for name in ORDER if name in by_name]
     made.append(_not_checked(job, found))
     if "checklists" not in job.request.leave_out:
