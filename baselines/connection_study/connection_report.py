@@ -144,7 +144,7 @@ def answers(job: Job, found: Capacities | None) -> list[str]:
 
 
 def confidence(job: Job) -> str:
-    """How many windows the answer rests on, and what was not checked, in sentences."""
+    """State the number of windows, the bound that it gives and what was not checked, in sentences."""
     study, coverage = job.study, rating_coverage(job.study.scenario.feeder)
     return (
         f"These sizes rest on {study.samples} windows of {study.window_s:g} s. If none of them breaks a limit, less "

@@ -14,7 +14,7 @@ from dcgrid_env.baselines.hosting_capacity.hosting import UNCONTROLLED
 
 @dataclass(frozen=True)
 class Section:
-    """Content under one heading of a report, in this order: answer, paragraphs, tables, pictures."""
+    """Content under one heading of a report; the order of the fields is that of the page."""
 
     name: str
     """Anchor of the section."""
