@@ -7,6 +7,20 @@ from __future__ import annotations
 
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 
+OTHER_MEANS = Table(
+    "To be checked by other means",
+    ("subject", "why it is not in this report", "what to do"),
+    (
+        ("short-circuit currents", "no fault is simulated", "fault study with the sources and the site's contribution"),
+        ("protection", "relays, fuses and reclosers are not modelled", "coordination study with the site's settings"),
+        ("harmonics", "one frequency alone", "harmonic study with the spectrum of the converters"),
+        ("frequency and transient stability", "steady state in each step, no machines", "study with dynamic models"),
+        ("transmission grid", "the source has a fixed voltage", "study of the planner of the transmission grid"),
+        ("elements without a rating", "the feeder's files give none", "ratings from the owner, then this study again"),
+        ("changes within a step", "each step is an average", "measurement or a waveform study"),
+    ),
+)
+"""What a connection needs that this report does not contain."""
 _HEADER = ("subject", "what sources state", "in this report", "to be checked")
 NERC = Table(
     "After NERC's Level 3 alert on computational loads (4 May 2026, responses due 3 August 2026)",

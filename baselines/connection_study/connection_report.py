@@ -3,93 +3,182 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import html
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env import profile_coverage, scenario_hash
+from dcgrid_env import Scenario, profile_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC
-from dcgrid_env.baselines.connection_study.section import Section, png
-from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job, section_names
+from dcgrid_env.baselines.carried import carried
+from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC, OTHER_MEANS
+from dcgrid_env.baselines.connection_study.outage_section import capacities_with, outages_section
+from dcgrid_env.baselines.connection_study.section import Section, png, sentences, under
+from dcgrid_env.baselines.connection_study.sections import BUILDERS
+from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
-from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record
+from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record, unseen_pct
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
 from dcgrid_env.core.versions import meta
+from dcgrid_env.core.work.unit import Place, Unit
+from dcgrid_env.core.work.worker import shared
 from dcgrid_env.grid import AnyFeeder
 
-NOT_MODELLED = (
-    "Short-circuit currents, protection coordination, harmonics, frequency, transient stability and the transmission "
-    "grid are not in the model. Loads have no dynamics within a second."
-)
+ORDER = (
+    "base-case", "capacity", "worst-window", "outages", "several-sites", "day", "year", "ride-through", "fluctuation",
+    "sensitivity",
+)  # fmt: skip
+"""Order of the computed sections in the report."""
+_JOB = "job"
+"""Name of the shared value."""
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;color:#1a1a1a;max-width:72rem;margin:0 auto;padding:1rem}
 h1{font-size:1.7rem;margin:.5rem 0}h2{font-size:1.25rem;border-bottom:1px solid #ccc;margin-top:2rem}
-nav a{margin-right:.8rem;white-space:nowrap}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.85rem}
-th,td{padding:.25rem .6rem;text-align:right;border-bottom:1px solid #e3e3e3;vertical-align:top}
-th:first-child,td:first-child{text-align:left;font-weight:normal}thead th{border-bottom:2px solid #888;font-weight:600}
-.text td{text-align:left}img{max-width:100%;height:auto}figcaption,.note{color:#444;font-size:.9rem}
-.answer{border-left:5px solid #0072B2;padding:.2rem 1rem;background:#f4f8fb}code{overflow-wrap:anywhere}
-caption{text-align:left;font-weight:600;padding:.6rem 0 .2rem}
+h3{font-size:1rem;margin:1.2rem 0 .2rem;break-after:avoid}
+nav a{margin-right:.8rem;white-space:nowrap;line-height:2}.wide{overflow-x:auto}
+table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums}
+th,td{padding:.25rem .8rem .25rem 0;text-align:left;vertical-align:top;white-space:nowrap}
+tr{border-bottom:1px solid #e3e3e3}thead tr{border-bottom:2px solid #888}
+tbody th{font-weight:normal}thead th{font-weight:600;white-space:normal}
+#checklists :is(td,th),#not-checked :is(td,th),#inputs td{white-space:normal;min-width:7rem}
+#inputs td,code{overflow-wrap:anywhere}figure{margin:1rem 0;overflow-x:auto}img{max-width:100%;height:auto}
+figcaption,.note{color:#444;font-size:.9rem}
+.answer{border-left:5px solid #0072B2;padding:.2rem 1rem;background:#f4f8fb}
+@media screen and (max-width:700px){body{padding:.6rem}img{max-width:none;width:44rem}ul{padding-left:1.1rem}}
 @media print{body{max-width:none;padding:0;font-size:10pt}nav{display:none}h2{break-after:avoid}
-table,figure{break-inside:avoid}.wide{overflow:visible}}
+tr,figure{break-inside:avoid}.wide,figure{overflow:visible}table{font-size:.8rem}
+th,td{white-space:normal;padding-right:.5rem}}
 """
 
 
-def sections_of(job: Job, found: Capacities | None, on_section: Callable[[], None]) -> list[Section]:
-    """Compute the sections of the report that are not left out; ``on_section`` is called after each."""
-    made = []
-    for name in section_names(job):
-        made.append(BUILDERS[name](job))
-        if name == "base-case" and found is not None:
-            made.append(_capacity(found))
+def built(job: Job, place: Place, on_section: Callable[[], None]) -> tuple[dict[str, Section], dict[str, Capacities]]:
+    """Compute the sections that are not left out and the capacities with outages, as units of work.
+
+    Parameters
+    ----------
+    job
+        The request.
+    place
+        Where the units run; the results do not depend on it.
+    on_section
+        Called after each unit, for progress.
+
+    Returns
+    -------
+    tuple[dict[str, Section], dict[str, Capacities]]
+        Sections by name, and capacities of the requested bus by outage.
+
+    Raises
+    ------
+    LostUnits
+        For sections or outages without a result.
+    """
+    units: list[Unit[Any, Any]] = [
+        *(Unit(f"section {name}", _build, name) for name in asked_sections(job)),
+        *(Unit(f"outage {name}", _without, (name, scenario)) for name, scenario in job.outages.items()),
+    ]
+    values = {_JOB: dataclasses.replace(job, outages={})} | carried(place, (), job.request.controllers)
+    sections: dict[str, Section] = {}
+    by_outage: dict[str, Capacities] = {}
+    for _, (name, result) in place.results(units, values, how_to_go_on=""):
+        if isinstance(result, Section):
+            sections[name] = result
+        else:
+            by_outage[name] = result
         on_section()
-    if found is not None and "base-case" in job.request.leave_out:
-        made.insert(0, _capacity(found))
+    return sections, by_outage
+
+
+def asked_sections(job: Job) -> list[str]:
+    """The sections of ``BUILDERS`` that a request asks for; ``year`` needs load profiles."""
+    left = set(job.request.leave_out)
+    if job.request.several_sites is None:
+        left.add("several-sites")
+    if job.study.scenario.load_profiles.file is None:
+        left.add("year")
+    return [name for name in BUILDERS if name not in left]
+
+
+def _build(name: str) -> tuple[str, Section]:
+    return name, BUILDERS[name](shared(_JOB))
+
+
+def _without(outage: tuple[str, Scenario]) -> tuple[str, Capacities]:
+    name, scenario = outage
+    return name, capacities_with(shared(_JOB), scenario)
+
+
+def sections_of(
+    job: Job, found: Capacities | None, file: Path, place: Place, on_section: Callable[[], None]
+) -> list[Section]:
+    """Make the sections of the report in its order; arguments as for ``page`` and ``built``."""
+    by_name, by_outage = built(job, place, on_section)
+    if found is not None:
+        by_name["capacity"] = _capacity(job, found)
+        if job.outages:
+            in_order = {name: by_outage[name] for name in job.outages}
+            by_name["outages"] = outages_section(job, found, in_order)
+    made = [by_name[name] for name in ORDER if name in by_name]
     made.append(_not_checked(job, found))
     if "checklists" not in job.request.leave_out:
         text = "What follows is no legal advice. Sources are secondary; check each line against the final text."
-        made.append(Section("checklists", "Checklists for large loads", (text,), (NERC, ERCOT)))
+        made.append(Section("checklists", "Checklists for large loads", "", (text,), (NERC, ERCOT)))
+    made.append(_inputs(job, file, meta()))
     return made
 
 
 def answers(job: Job, found: Capacities | None) -> list[str]:
-    """The answer for the requested size under each controller, in sentences."""
+    """The answer for the requested size under each controller, in sentences, and how sure it is."""
     if found is None:
         return ["The capacity was left out of this study, so it gives no answer on the size."]
     request, said = job.request, []
     for name in found.controllers:
-        at = [c for c in found.by_controller[name] if c.bus == request.bus]
-        if not at:
-            continue
-        (capacity,) = at
+        (capacity,) = (c for c in found.by_controller[name] if c.bus == request.bus)
         fits = request.mw <= capacity.capacity_mw + 1e-9
         size = f"{'at least ' if capacity.at_most else ''}{capacity.capacity_mw:g} MW"
         why = "" if capacity.at_most else f" The next size breaks: {capacity.limit}."
         delay = f" Work waits {capacity.delay_mean_s:.2f} s on average at that size." if capacity.delay_mean_s else ""
         verdict = "fits" if fits else "does not fit"
-        said.append(
-            f"Under {name}, {request.mw:g} MW at bus {request.bus} {verdict}: the bus carries {size}.{why}{delay}"
-        )
+        asked = f"{request.mw:g} MW at bus {request.bus} {verdict}"
+        said.append(sentences((f"{under(name)}, {asked}: the bus carries {size}",)) + why + delay)
     return said
 
 
-def page(job: Job, found: Capacities | None, sections: Sequence[Section], file: Path) -> str:
-    """The report as HTML; ``file`` is the study's file."""
-    request, about = job.request, meta()
+def confidence(job: Job) -> str:
+    """State the number of windows, the bound that it gives and what was not checked, in sentences."""
+    study, coverage = job.study, job.study.coverage
+    return (
+        f"These sizes rest on {study.samples} windows of {study.window_s:g} s. If none of them breaks a limit, less "
+        f"than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. Ratings are known for "
+        f"{coverage.known} of {coverage.of} elements; the others were not checked. Faults, protection, harmonics, "
+        "stability and the transmission grid need other studies."
+    )
+
+
+def page(job: Job, found: Capacities | None, sections: Sequence[Section]) -> str:
+    """The report as HTML."""
+    request, study = job.request, job.study
     title = html.escape(request.title)
     links = " ".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
-    said = "".join(f"<p>{html.escape(text)}</p>" for text in answers(job, found))
+    said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in answers(job, found))
+    more = "".join(
+        f'<li><a href="#{s.name}">{html.escape(s.title)}</a>: {html.escape(s.answer)}</li>'
+        for s in sections
+        if s.answer and s.name != "capacity"
+    )
+    asked = (
+        f"Request: a data centre of {request.mw:g} MW at bus {request.bus} of feeder {study.scenario.feeder.name}. "
+        f"Limits: {study.v_min_pu:g} to {study.v_max_pu:g} p.u. and {study.loading_max_pct:g} % of known ratings."
+    )
     parts = [
         f"<h1>{title}</h1>",
-        f"<p>{html.escape(f'Feeder {job.study.scenario.feeder.name}, {request.mw:g} MW at bus {request.bus}')}</p>",
-        f"<nav>{links} <a href='#inputs'>Inputs</a></nav>",
-        f"<div class=answer>{said}</div>",
+        f"<p>{html.escape(asked)}</p>",
+        f"<div class=answer>{said}<p>{html.escape(confidence(job))}</p><ul>{more}</ul></div>",
+        f"<nav>{links}</nav>",
         *(_section(section) for section in sections),
-        _section(_inputs(job, file, about)),
-        f"<p>Reproduce: <code>{html.escape(about['command'])}</code></p>",
+        f"<p>Reproduce: <code>{html.escape(meta()['command'])}</code></p>",
     ]
     head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{title}</title>"
     return (
@@ -102,40 +191,56 @@ def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> di
     return {
         "meta": meta(),
         "answers": answers(job, found),
+        "confidence": confidence(job),
         "capacity": None if found is None else record(found),
         "sections": {
             section.name: {
+                "answer": section.answer,
                 "text": list(section.paragraphs),
-                "tables": [{"title": t.title, "header": t.header, "rows": t.rows} for t in section.tables],
+                "tables": [
+                    {"title": t.title, "header": t.header, "rows": t.rows, "notes": t.notes} for t in section.tables
+                ],
             }
             for section in sections
         },
     }
 
 
-def _capacity(found: Capacities) -> Section:
+def _capacity(job: Job, found: Capacities) -> Section:
     picture = ("The largest data centre at each bus, MW", png(capacity_maps(found)))
     text = (
         "One data centre at one bus at a time. A size fits if no window breaks a limit. Every window has a step of the "
         "site to its full rating."
     )
-    return Section("capacity", "Capacity of the buses", (text,), (capacity_table(found),), (picture,))
+    whole, tables = capacity_table(found), []
+    for name in found.controllers:  # one for each, which is narrower than all in one
+        table = capacity_table(dataclasses.replace(found, controllers=(name,)))
+        rows = [(f"{row[0]} (requested)" if row[0] == job.request.bus else row[0], *row[1:]) for row in table.rows]
+        rows.sort(key=lambda row: not row[0].endswith(" (requested)"))
+        title = f"Largest data centre at a bus under {name}, MW"
+        tables.append(Table(title, table.header, tuple(rows), whole.notes if name == found.controllers[-1] else ()))
+    answer = " ".join(answers(job, found))
+    return Section("capacity", "Capacity of the buses", answer, (text,), tuple(tables), (picture,))
 
 
 def _not_checked(job: Job, found: Capacities | None) -> Section:
     coverage = job.study.coverage
-    texts = [
-        NOT_MODELLED,
-        f"Elements without a known rating, which were not checked: {first_of(coverage.not_checked)}.",
-    ]
-    if found is not None and found.overloaded:
-        texts.append(f"Overloaded without the site: {first_of(found.overloaded)}. They do not count elsewhere.")
-    if "capacity" not in job.request.leave_out:
+    texts = [f"Elements without a known rating, which were not checked: {first_of(coverage.not_checked)}."]
+    if found is not None:
         left = job.study.left_out()
         texts.append(f"Buses without an answer: {first_of([f'{bus} ({why})' for bus, why in left.items()])}.")
+        texts.append("report.json lists all of both, in capacity.ratings and capacity.without_answer.")
+        if found.overloaded:
+            texts.append(f"Overloaded without the site: {first_of(found.overloaded)}. They do not count elsewhere.")
     if job.request.leave_out:
         texts.append(f"Sections left out on request: {', '.join(job.request.leave_out)}.")
-    return Section("not-checked", "What was not checked", tuple(texts))
+    if not job.outages:
+        texts.append("No outages were asked for (outages in the study's file).")
+    answer = (
+        f"{len(coverage.not_checked)} of {coverage.of} elements have no known rating, and the studies in the table "
+        "must be done by other means."
+    )
+    return Section("not-checked", "What was not checked", answer, tuple(texts), (OTHER_MEANS,))
 
 
 def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
@@ -144,22 +249,32 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
     files = [file, *_feeder_files(scenario.feeder)]
     files += [Path(profiles.asked_by)] if profiles is not None and profiles.asked_by is not None else []
     hashes = tuple((path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files)
+    if "source_voltage_pu" in job.request.set:
+        chosen = "given in the study's file"
+    elif job.request.scenario is not None:
+        chosen = f"of scenario {job.request.scenario}"
+    else:
+        chosen = "chosen to centre the voltage band; set source_voltage_pu in [set] for another"
+    centres, trace = scenario.datacenters, scenario.workload.trace
+    trace = trace if isinstance(trace, str) else "recordings"
     assumptions = (
         ("feeder", scenario.feeder.name),
         ("scenario hash", scenario_hash(scenario)),
-        ("source voltage", f"{scenario.source_voltage_pu:.6g} p.u."),
+        ("source voltage", f"{scenario.source_voltage_pu:.6g} p.u., {chosen}"),
         ("limits", f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u., {study.loading_max_pct:g} % of known ratings"),
         ("windows", f"{study.samples} of {study.window_s:g} s, {study.load} load, split {scenario.split}"),
         ("load profiles", "none" if profiles is None else str(profile_coverage(scenario))),
         ("other loads", f"noise of {100.0 * scenario.background.load_sigma:g} %"),
-        ("site", f"clock law {scenario.datacenters.clock_law}, idle share {scenario.datacenters.idle_share}"),
+        (
+            "site",
+            f"converter of {centres.s_rated_share:g} x rating, clock law {centres.clock_law}, idle share "
+            f"{centres.idle_share}, trace {trace}",
+        ),
+        ("controllers", ", ".join(job.request.controllers)),
         ("versions", ", ".join(f"{name} {version}" for name, version in about["versions"].items() if version)),
     )
-    tables = (
-        Table("Files", ("file", "SHA-256"), hashes),
-        Table("Assumptions", ("what", "value"), assumptions),
-    )
-    return Section("inputs", "Inputs and assumptions", (), tables)
+    tables = (Table("Files", ("file", "SHA-256"), hashes), Table("Assumptions", ("what", "value"), assumptions))
+    return Section("inputs", "Inputs and assumptions", "", (), tables)
 
 
 def _feeder_files(feeder: AnyFeeder) -> list[Path]:
@@ -168,8 +283,9 @@ def _feeder_files(feeder: AnyFeeder) -> list[Path]:
 
 
 def _section(section: Section) -> str:
-    texts = "".join(f"<p>{html.escape(text)}</p>" for text in section.paragraphs)
-    tables = "".join(f"<p><b>{html.escape(table.title)}</b></p>{table.html()}" for table in section.tables)
+    answer = f"<p><b>{html.escape(section.answer)}</b></p>" if section.answer else ""
+    texts = answer + "".join(f"<p>{html.escape(text)}</p>" for text in section.paragraphs)
+    tables = "".join(f"<h3>{html.escape(table.title)}</h3>{table.html()}" for table in section.tables)
     pictures = "".join(
         f'<figure><img alt="{html.escape(text, quote=True)}" src="data:image/png;base64,'
         f'{base64.b64encode(data).decode()}"><figcaption>{html.escape(text)}</figcaption></figure>'

@@ -1,22 +1,26 @@
-"""A section of a report: text, tables and pictures under a heading."""
+"""A section of a report: answer, text, tables and pictures under a heading."""
 
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+from dcgrid_env.baselines.hosting_capacity.hosting import UNCONTROLLED
 
 
 @dataclass(frozen=True)
 class Section:
-    """What a report says under one heading, in this order: paragraphs, tables, pictures."""
+    """Content under one heading of a report; the order of the fields is that of the page."""
 
     name: str
     """Anchor of the section."""
     title: str
+    answer: str = ""
+    """One sentence with the result, which the top of the report repeats; empty for none."""
     paragraphs: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     pictures: tuple[tuple[str, bytes], ...] = ()
@@ -33,3 +37,13 @@ def png(figure: Figure) -> bytes:
 def figure_of(value: float, digits: int = 4) -> str:
     """A figure as text."""
     return f"{value:.{digits}g}"
+
+
+def under(controller: str) -> str:
+    """A controller's name in a sentence."""
+    return "without control" if controller == UNCONTROLLED else f"under {controller}"
+
+
+def sentences(parts: Sequence[str]) -> str:
+    """Parts as sentences, each with a capital letter and a full stop."""
+    return " ".join(f"{part[0].upper()}{part[1:]}." for part in parts)

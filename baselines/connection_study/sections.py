@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import Feeder, LoadProfiles, Scenario, metrics_in, rating_coverage
+from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, metrics_in
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.connection_study.section import Section, figure_of, png
-from dcgrid_env.baselines.connection_study.study_request import StudyRequest
-from dcgrid_env.baselines.connection_study.year_section import year_section
+from dcgrid_env.baselines.connection_study.limit_distances import limits_table, nearest, time_of
+from dcgrid_env.baselines.connection_study.section import Section, figure_of, png, sentences, under
+from dcgrid_env.baselines.connection_study.several_sites import several_sites
+from dcgrid_env.baselines.connection_study.study_job import Job
+from dcgrid_env.baselines.connection_study.study_request import NOT_STATED
+from dcgrid_env.baselines.connection_study.year_section import year
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.hosting import (
-    UNCONTROLLED,
-    snapshot_capacity,
-    study_controller,
-)
-from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
-from dcgrid_env.baselines.hosting_capacity.trial import branch_to, run_trial
+from dcgrid_env.baselines.hosting_capacity.hosting import snapshot_capacity
+from dcgrid_env.baselines.hosting_capacity.trial import branch_to, overloaded_nodes, run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
 from dcgrid_env.rendering import draw_feeder, positions, run_figure
@@ -32,27 +29,6 @@ from dcgrid_env.rendering import draw_feeder, positions, run_figure
 DAY_DT_S, DAY_STEPS = 60.0, 1440
 FLICKER_DT_S, FLICKER_STEPS = 0.1, 6000
 RIDE_THROUGH_S = 300.0
-
-
-@dataclass(frozen=True)
-class Job:
-    """A request and the study that answers it."""
-
-    request: StudyRequest
-    study: Study
-
-    @property
-    def sized(self) -> int:
-        """The requested rating in steps of the study, rounded up."""
-        return int(np.ceil(self.request.mw / self.study.step_mw - 1e-9))
-
-    def scenario(self, mw: float, **changes: Any) -> Scenario:
-        """The study's scenario with a site of a rating at the requested bus, 0 MW for none, and other changes."""
-        return with_sites(self.study, (self.request.bus,), (mw,), **changes)
-
-    def controllers(self) -> list[tuple[str, Any]]:
-        """The controllers of the request by name."""
-        return [(name, study_controller(name, self.study.scenario, None)[0]) for name in self.request.controllers]
 
 
 def base_case(job: Job) -> Section:
@@ -76,8 +52,12 @@ def base_case(job: Job) -> Section:
     if loading is not None and np.any(loading[0] > 0.0):
         most = int(loading[0].argmax())
         rows.append(("highest loading", f"{100.0 * loading[0, most]:.1f} % of the rating", branch_to(feeder, most)))
-    coverage = rating_coverage(feeder)
-    rows.append(("ratings", f"known for {coverage.known} of {coverage.of} elements", ""))
+        loaded = f", and the highest loading is {rows[-1][1]} ({rows[-1][2]})"
+    else:
+        loaded = ", and no rating is known"
+    coverage = study.coverage
+    basis = f" ({coverage.basis})" if coverage.basis else ""
+    rows.append(("ratings", f"known for {coverage.known} of {coverage.of} elements{basis}", ""))
     tables = [Table("Base case", ("quantity", "value", "where"), tuple(rows))]
     if not isinstance(feeder, Feeder) and feeder.n_regulator:
         taps = start.state.three_phase.equipment.regulators.tap[0]
@@ -93,34 +73,55 @@ def base_case(job: Job) -> Section:
     figure.colorbar(drawn.dots, cax=figure.add_axes((0.9, 0.15, 0.02, 0.7)), label="voltage (p.u.)")
     picture = ("The feeder in the base case: colour is voltage, the large circle is the requested bus", png(figure))
     text = "Loads are at their nominal values, without noise. Nothing is controlled except regulators."
-    return Section("base-case", "Base case", (text,), tuple(tables), (picture,))
+    kept = study.v_min_pu <= v[lowest] and v[highest] <= study.v_max_pu
+    verdict = "within" if kept else "outside"
+    answer = (
+        f"Without the site, voltages are {v[lowest]:.3f} to {v[highest]:.3f} p.u., {verdict} the limits "
+        f"of {study.v_min_pu:g} to {study.v_max_pu:g} p.u.{loaded}."
+    )
+    return Section("base-case", "Base case", answer, (text,), tuple(tables), (picture,))
 
 
 def worst_window(job: Job) -> Section:
-    """The window in which the requested size comes nearest to a limit, under each controller."""
+    """Distances to all limits with the requested size, and the window that comes nearest to one without control."""
     study, bus = job.study, job.request.bus
-    worst, margin = _worst_window(job)
+    site = AddedSite(study)
+    site.exempt = overloaded_nodes(site)
+    samples = np.arange(study.samples)
+    at_bus = np.full(study.samples, study.scenario.feeder.index(bus))
+    controllers = job.controllers()
+    trials = {name: run_trial(site, law, job.sized, at_bus, samples, name) for name, law in controllers}
+    mw = site.mw(job.sized)
+    limits = limits_table(study, f"Nearest approach to each limit with {mw:g} MW at bus {bus}", trials)
+    first = job.request.controllers[0]
+    worst = int(trials[first].margins.min(axis=1).argmin())
+    said = []
+    for name, trial in trials.items():
+        broken = int((trial.outside > 0).sum())
+        said.append(
+            f"with {mw:g} MW {under(name)}, {broken} of {study.samples} windows break a limit; "
+            f"the nearest limit is {nearest(study, trial)}"
+        )
     at_hour = None if study.begins_h is None else float(study.begins_h[worst])
     scenario = job.scenario(job.request.mw, **study.window_fields | {"background.start_hour": at_hour})
-    series = {}
-    for name, controller in job.controllers():
-        series[name] = rollout(scenario, controller, [worst], name=name).series(0)
-    hour = "nominal load" if study.load == "peak" else "load profiles" if at_hour is None else f"{at_hour:.1f} h"
+    series = {name: rollout(scenario, law, [worst], name=name).series(0) for name, law in controllers}
     text = (
-        f"Of {study.samples} windows, number {worst} ({hour}) comes nearest to a limit with {job.request.mw:g} MW at "
-        f"bus {bus} and without control. Its margin is {margin:.3f}: a share of half the width of the voltage limits, "
-        f"or of another limit, and negative beyond it. The site is at its full rating from {study.full_load_s[0]:g} to "
+        f"All {study.samples} windows were simulated with {mw:g} MW, the requested size in steps of the study. The "
+        f"figure and the metrics are those of window {worst} (begins at {time_of(study, worst)}), which comes nearest "
+        f"to a limit {under(first)}. The site is at its full rating from {study.full_load_s[0]:g} to "
         f"{study.full_load_s[1]:g} s."
     )
-    figure = run_figure(scenario, series, worst)
-    return Section(
-        "worst-window", "Worst window", (text,), (_metrics(series, "Metrics of the worst window"),),
-        (("Voltages, power and set points in the worst window", png(figure)),),
-    )  # fmt: skip
+    caption = (
+        "Voltages, power and set points in the worst window. Dashed lines are the band that controllers keep; J is the "
+        "cost that they minimise."
+    )
+    tables = (limits, _metrics(series, "Metrics of the worst window", _outside(scenario)))
+    pictures = ((caption, png(run_figure(scenario, series, worst))),)
+    return Section("worst-window", "Worst window", sentences(said), (text,), tables, pictures)
 
 
 def day(job: Job) -> Section:
-    """A day with and without the site at its full rating: voltages, losses, taps."""
+    """A day with and without the site at its full rating: voltages, loadings, losses, taps."""
     study = job.study
     changes: dict[str, Any] = {
         "dt_s": DAY_DT_S, "horizon": DAY_STEPS, "background.start_hour": 0.0,
@@ -131,18 +132,19 @@ def day(job: Job) -> Section:
         series[name] = rollout(job.scenario(mw, **changes), NoControl(), [0]).series(0)
     text = (
         "One day in steps of a minute. The other loads follow the hour of the day, and the site draws its full rating "
-        "all day, without control: sites rarely do, so losses and taps are upper values."
+        "all day, without control: sites rarely do, so losses are upper values. Changes within a minute do not count."
     )
+    metrics = _metrics(series, "Metrics of the day", _outside(study.scenario))
+    tables = [_day_limits(study, series), *_day_taps(study, series), metrics]
+    loss = [run.loss_kw.sum() * DAY_DT_S / 3600.0 for run in series.values()]
+    answer = f"Losses of a day rise from {loss[0]:.0f} to {loss[1]:.0f} kWh"
+    if len(tables) == 3:
+        taps = [int(run.three_phase.equipment.regulators.moved[1:].sum()) for run in series.values()]
+        answer += f", and the regulators make {taps[1]} instead of {taps[0]} taps a day ({taps[1] - taps[0]:+d})"
     return Section(
-        "day", "A day at the full rating", (text,), (_metrics(series, "Metrics of the day"),),
+        "day", "A day at the full rating", f"{answer}.", (text,), tuple(tables),
         (("Lowest and highest voltage over the day", png(_day_figure(study, series))),),
     )  # fmt: skip
-
-
-def year(job: Job) -> Section:
-    """A year by the load profiles, with and without the site."""
-    study, mw = job.study, job.request.mw
-    return year_section(job.scenario(0.0), job.scenario(mw), f"{mw:g} MW", study, job.controllers())
 
 
 def ride_through(job: Job) -> Section:
@@ -150,15 +152,29 @@ def ride_through(job: Job) -> Section:
     study, asked = job.study, job.request.ride_through
     scenario = job.scenario(
         job.request.mw, horizon=round(RIDE_THROUGH_S / study.scenario.dt_s), sags=asked.sags,
-        **{"datacenters.ride_through": {"curve": asked.curve}, "background.start_hour": None},
+        **{
+            "datacenters.ride_through": {"curve": asked.curve}, "background.start_hour": None,
+            "workload.full_load_s": (0.0, RIDE_THROUGH_S),
+        },
     )  # fmt: skip
     series = {name: rollout(scenario, controller, [0], name=name).series(0) for name, controller in job.controllers()}
     text = (
-        f"The site follows the curve {asked.curve} during the sags {asked.sags}. It leaves the grid when the curve's "
-        "time is over, continues on battery and comes back by the rule of docs/ride-through.md. No controller can "
-        "prevent a sag; it changes the voltages after the loss and the return."
+        f"The site follows the curve {asked.curve} during the sags {asked.sags}, at nominal load and at its full "
+        "rating, which gives the largest loss of load. It leaves the grid when the curve's time is over, continues on "
+        "battery and comes back by the rule of docs/ride-through.md, which also has the sources of curves and sags. No "
+        "controller can prevent a sag; it changes the voltages after the loss and the return."
     )
-    return Section("ride-through", "Ride-through and return", (text,), (_metrics(series, "Metrics of the sags"),))
+    first = next(iter(series.values())).metrics()
+    trips = int(first["ups_trips"])
+    if trips:
+        answer = (
+            f"By the curve {asked.curve}, the sags {asked.sags} disconnect the site {trips} times, and "
+            f"{first['ups_lost_step_kw']:.0f} kW are lost in a step."
+        )
+    else:
+        answer = f"By the curve {asked.curve}, the site stays connected during the sags {asked.sags}."
+    tables = (_curve(asked.curve), _metrics(series, "Metrics of the sags", _outside(scenario)))
+    return Section("ride-through", "Ride-through and return", answer, (text,), tables)
 
 
 def fluctuation(job: Job) -> Section:
@@ -171,20 +187,31 @@ def fluctuation(job: Job) -> Section:
         job.request.mw, dt_s=FLICKER_DT_S, horizon=FLICKER_STEPS, cost=cost,
         **{"background.start_hour": None},
     )  # fmt: skip
-    rows = []
+    rows, exceeded = [], []
     for name, controller in job.controllers():
         m = rollout(scenario, controller, [0], name=name).metrics()[0]
         rows.append((name, figure_of(m["ramp_max_kw_per_s"]), figure_of(m["voltage_step_max_pu"] * 100.0),
                      figure_of(m["pst_max"])))  # fmt: skip
+        over = {
+            "the ramp": ramp is not None and m["ramp_max_kw_per_s"] > ramp,
+            "the voltage change": m["voltage_step_max_pu"] * 100.0 > limits.voltage_step_pct,
+            "Pst": m["pst_max"] > limits.pst,
+        }
+        exceeded += [f"{what} {under(name)}" for what, is_over in over.items() if is_over]
     allowed = ("limit", "none stated" if ramp is None else figure_of(ramp), figure_of(limits.voltage_step_pct),
                figure_of(limits.pst))  # fmt: skip
     header = ("controller", f"largest ramp over {limits.ramp_window_s:g} s, kW/s",
               f"largest voltage change in {FLICKER_DT_S:g} s, %", "largest short-term flicker Pst")  # fmt: skip
     text = (
-        f"Ten minutes of the trace in steps of {FLICKER_DT_S:g} s. Limits come from: {limits.source}. Pst is that of "
-        "IEC 61000-4-15 for a lamp of 120 V and 60 Hz, without fluctuations above 5 Hz."
+        f"Ten minutes of the trace in steps of {FLICKER_DT_S:g} s. Source of the limits: {limits.source}. Pst is that "
+        "of IEC 61000-4-15 for a lamp of 120 V and 60 Hz, without fluctuations above 5 Hz."
     )
-    return Section("fluctuation", "Ramps and flicker", (text,), (Table("Fluctuation", header, (*rows, allowed)),))
+    source = "defaults of dcgrid study" if limits.source == NOT_STATED else limits.source
+    answer = f"Above the limits ({source}): {', '.join(exceeded)}." if exceeded else f"Within the limits ({source})."
+    if ramp is None:
+        answer += " No limit of ramps is stated."
+    tables = (Table("Largest values in ten minutes", header, (*rows, allowed)),)
+    return Section("fluctuation", "Ramps and flicker", answer, (text,), tables)
 
 
 def sensitivity(job: Job) -> Section:
@@ -199,7 +226,7 @@ def sensitivity(job: Job) -> Section:
     for change in (-0.01, 0.01):
         changed = dataclasses.replace(study, v_min_pu=study.v_min_pu + change)
         cases.append((f"lowest allowed voltage {study.v_min_pu + change:g} p.u.", changed))
-    for percent in (90.0, 110.0):
+    for percent in (0.9 * study.loading_max_pct, 1.1 * study.loading_max_pct):
         changed = dataclasses.replace(study, loading_max_pct=percent)
         cases.append((f"loading up to {percent:g} % of the ratings", changed))
     bus = np.array([base.feeder.index(job.request.bus)])
@@ -207,9 +234,16 @@ def sensitivity(job: Job) -> Section:
     for name, changed in cases:
         (found,) = snapshot_capacity(changed, bus)
         rows.append((name, f"{'>=' if found.at_most else ''}{found.capacity_mw:g}", found.limit or "none found"))
-    text = f"Capacity of bus {job.request.bus} in one power flow at peak load, one assumption changed at a time."
+    text = (
+        f"Capacity of bus {job.request.bus} in one power flow at peak load without control, one assumption changed at "
+        "a time. Windows and controllers give other sizes; the differences between the rows are what counts here."
+    )
+    answer = (
+        f"In a snapshot the bus carries {rows[0][1]} MW, {rows[1][1]} MW with 1 % less source voltage and "
+        f"{rows[2][1]} MW with 1 % more."
+    )
     return Section(
-        "sensitivity", "Sensitivity to assumptions", (text,),
+        "sensitivity", "Sensitivity to assumptions", answer, (text,),
         (Table("Snapshot capacity", ("assumption", "MW", "limit"), tuple(rows)),),
     )  # fmt: skip
 
@@ -222,31 +256,24 @@ BUILDERS: dict[str, Callable[[Job], Section]] = {
     "ride-through": ride_through,
     "fluctuation": fluctuation,
     "sensitivity": sensitivity,
+    "several-sites": several_sites,
 }
 """Sections that need the request and the study alone."""
-
-
-def section_names(job: Job) -> list[str]:
-    """Return the names of ``BUILDERS`` that a report contains: those not left out, ``year`` with load profiles only."""
-    without = {*job.request.leave_out, *(() if job.study.scenario.load_profiles.file is not None else ("year",))}
-    return [name for name in BUILDERS if name not in without]
 
 
 def _half_band(study: Study) -> float:
     return max(study.v_max_pu - 1.0, 1.0 - study.v_min_pu)
 
 
-def _worst_window(job: Job) -> tuple[int, float]:
-    """Number and margin of the window that comes nearest to a limit with the requested size without control."""
-    study, samples = job.study, np.arange(job.study.samples)
-    bus = np.full(len(samples), study.scenario.feeder.index(job.request.bus))
-    trial = run_trial(AddedSite(study), NoControl(), job.sized, bus, samples, UNCONTROLLED)
-    margins = trial.margins.min(axis=1)
-    worst = int(margins.argmin())
-    return worst, float(margins[worst])
+def _outside(scenario: Scenario) -> str:
+    """A note on the metrics' band, which differs from the limits of the study."""
+    band = scenario.cost.band_pu
+    return (
+        f"In these metrics, outside means outside {1.0 - band:g} to {1.0 + band:g} p.u., the band of the controllers."
+    )
 
 
-def _metrics(series: dict[str, Any], title: str) -> Table:
+def _metrics(series: dict[str, Any], title: str, note: str) -> Table:
     """The metrics of some runs, a column for each."""
     figures = {name: run.metrics() for name, run in series.items()}
     first = next(iter(figures.values()))
@@ -255,7 +282,49 @@ def _metrics(series: dict[str, Any], title: str) -> Table:
         for metric in metrics_in("run")
         if metric.name in first and metric.name != "J"
     ]
-    return Table(title, ("metric", "unit", *figures), tuple(rows))
+    return Table(title, ("metric", "unit", *figures), tuple(rows), (note,))
+
+
+def _curve(name: str) -> Table:
+    """The thresholds of a ride-through curve."""
+    curve = UpsRideThrough(curve=name).curve
+    rows = [(f"below {v:g} p.u.", f"{s:g} s") for v, s in curve.under]
+    rows += [(f"above {v:g} p.u.", f"{s:g} s") for v, s in curve.over]
+    return Table(f"Ride-through curve {name}", ("voltage", "stays connected for"), tuple(rows))
+
+
+def _day_limits(study: Study, series: dict[str, Any]) -> Table:
+    """The day against the limits of the study, a column for each run."""
+    feeder, columns = study.scenario.feeder, []
+    for run in series.values():
+        v = run.v_pu[1:, feeder.load_slice]
+        low, high = (v < study.v_min_pu).any(axis=1).sum(), (v > study.v_max_pu).any(axis=1).sum()
+        column = [f"{low}", f"{high}"]
+        if study.coverage.known:
+            loading = run.loading[1:].max(axis=0)
+            most = int(loading.argmax())
+            column.append(f"{100.0 * loading[most]:.1f} % of the rating, {branch_to(feeder, most)}")
+        columns.append([*column, f"{run.loss_kw.sum() * DAY_DT_S / 3600.0:.0f} kWh"])
+    names = [
+        f"minutes with a voltage below {study.v_min_pu:g} p.u.",
+        f"minutes with a voltage above {study.v_max_pu:g} p.u.",
+    ]
+    names += ["highest loading"] * (len(columns[0]) == 4) + ["losses"]
+    return Table("The day against the limits", ("quantity", *series), tuple(zip(names, *columns, strict=True)))
+
+
+def _day_taps(study: Study, series: dict[str, Any]) -> list[Table]:
+    """The taps of each regulator in a day; no table on a feeder without regulators."""
+    feeder = study.scenario.feeder
+    if isinstance(feeder, Feeder) or not feeder.n_regulator:
+        return []
+    without, sited = (run.three_phase.equipment.regulators.moved[1:].sum(axis=0) for run in series.values())
+    rows = [
+        (name, f"{a:g}", f"{b:g}", f"{b - a:+g}")
+        for name, a, b in zip(feeder.network.regulator.name, without, sited, strict=True)
+    ]
+    rows.append(("all", f"{without.sum():g}", f"{sited.sum():g}", f"{sited.sum() - without.sum():+g}"))
+    return [Table("Taps of the regulators in a day", ("regulator", *series, "difference"), tuple(rows))]
 
 
 def _day_figure(study: Study, series: dict[str, Any]) -> Figure:

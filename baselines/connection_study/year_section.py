@@ -10,9 +10,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import Scenario, profile_coverage
+from dcgrid_env import profile_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.section import Section, figure_of, png
+from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.year_flow import YearFlow, hour_scenario, year_flow
 from dcgrid_env.baselines.rollout import rollout
@@ -21,24 +22,11 @@ _METRICS = ("voltage_min_pu", "voltage_max_pu", "loss_mean_kw")
 """Metrics of the simulated hours."""
 
 
-def year_section(
-    without: Scenario, with_site: Scenario, size: str, study: Study, controllers: Sequence[tuple[str, Any]]
-) -> Section:
-    """Return the section.
-
-    Parameters
-    ----------
-    without, with_site
-        The scenario without and with the site, with load profiles.
-    size
-        Size of the site in words.
-    study
-        The study, whose limits count.
-    controllers
-        Controllers of the simulated hours by name.
-    """
-    flows = {"without the site": year_flow(without), f"with {size}": year_flow(with_site)}
-    last = flows[f"with {size}"]
+def year(job: Job) -> Section:
+    """A year by the load profiles, with and without the site."""
+    study, with_site, size = job.study, job.scenario(job.request.mw), f"with {job.request.mw:g} MW"
+    flows = {"without the site": year_flow(job.scenario(0.0)), size: year_flow(with_site)}
+    last = flows[size]
     limits = (study.v_min_pu, study.v_max_pu, study.loading_max_pct / 100.0)
     table = with_site.load_profiles.table
     texts = (
@@ -49,9 +37,16 @@ def year_section(
         "The worst hours are then simulated in steps of a second with the trace of the site, which draws its full "
         "rating in the middle third of the hour.",
     )
-    tables = [_counts(flows, limits), _worst(flows), *_simulated(last, controllers)]
+    tables = [_counts(flows, limits), _worst(flows), *_simulated(last, job.controllers())]
     picture = ("Lowest and highest voltage of each day of the load profiles", png(_figure(flows, study)))
-    return Section("year", "A year of load profiles", texts, tuple(tables), (picture,))
+    both = (last, flows["without the site"])
+    hours = [[f"{value:g}" for value in flow.hours_outside(*limits).values()] for flow in both]
+    answer = (
+        f"Over the load profiles {size}, voltages are below the limit for {hours[0][0]} h and above it for "
+        f"{hours[0][1]} h, and ratings are exceeded for {hours[0][2]} h; without the site for {', '.join(hours[1][:3])} h. Losses rise "
+        f"from {figure_of(flows['without the site'].loss_mwh)} to {figure_of(last.loss_mwh)} MWh."
+    )
+    return Section("year", "A year of load profiles", answer, texts, tuple(tables), (picture,))
 
 
 def _counts(flows: dict[str, YearFlow], limits: tuple[float, float, float]) -> Table:

@@ -153,7 +153,7 @@ def _all(found: Capacities) -> Iterator[BusCapacity]:
         yield from found.by_controller[name]
 
 
-def _unseen_pct(samples: int) -> float:
+def unseen_pct(samples: int) -> float:
     """Upper bound on the share of windows that break limits if none of so many does, % (Clopper and Pearson, 1934)."""
     return 100.0 * (1.0 - (1.0 - _CONFIDENCE) ** (1.0 / samples))
 
@@ -199,7 +199,7 @@ def _notes(found: Capacities) -> Iterator[str]:
     )
     yield (
         f'"95 % of windows" is the size that as many of the windows alone would carry. If no window of {study.samples} '
-        f"breaks a limit, less than {_unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence."
+        f"breaks a limit, less than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence."
     )
     yield from _lowered(found)
     begin_s, end_s = study.full_load_s

@@ -54,6 +54,9 @@ def with_outage(scenario: Scenario, outage: str) -> Scenario:
 def outages_asked(scenario: Scenario, asked: Sequence[str]) -> dict[str, Scenario]:
     """The scenarios with the outages of a list, ``all`` for each of ``outage_names``; ValueError as above."""
     names = list(_named(scenario, asked))
+    if asked and not names:
+        name = scenario.feeder.name
+        raise ValueError(f"outages: feeder {name!r} has no capacitor bank in service and no regulators; remove {ALL!r}")
     return {name: with_outage(scenario, name) for name in dict.fromkeys(names)}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def search_buses(
     """
     study, feeder = site.study, site.study.scenario.feeder
     samples = np.arange(study.samples)
-    before = [_overloaded_before(feeder, bus, site.exempt) for bus in buses]
+    before = [overloaded_before(feeder, bus, site.exempt) for bus in buses]
     empty = run_trial(site, controller, 0, np.full(study.samples, buses[0]), samples, name)
     # Without a site of any size there is nothing to search where limits are broken already.
     fails = int(empty.outside.sum()) > study.allowed_seconds
@@ -130,7 +131,7 @@ def search_buses(
     return found
 
 
-def _overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> str:
+def overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> str:
     """Name the nearest branch before a bus that is overloaded without any site; empty for none."""
     while bus > 0:
         for node in np.flatnonzero(overloaded[: feeder.n_node] & (np.asarray(feeder.node_bus) == bus)):
@@ -178,9 +179,14 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
 def limit_of(scenario: Scenario, beyond: Trial) -> str:
     """Find the limit that a size breaks most, and its location."""
     row, kind = np.unravel_index(np.argmin(beyond.margins), beyond.margins.shape)
-    node, feeder = int(beyond.nodes[row, kind]), scenario.feeder
     if beyond.margin <= COLLAPSED:
         return "no power-flow solution"
+    return limit_at(scenario, int(kind), int(beyond.nodes[row, kind]))
+
+
+def limit_at(scenario: Scenario, kind: int, node: int) -> str:
+    """Name one of ``LIMITS`` with its location, of which ``Trial.nodes`` has the position."""
+    feeder: Any = scenario.feeder
     if kind == OVERLOAD:
         return f"overload of {branch_to(feeder, node)}"
     if kind == TAPS:

@@ -17,15 +17,19 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
+from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
-from dcgrid_env.baselines.hosting_capacity.site_search import limit_of
-from dcgrid_env.baselines.hosting_capacity.trial import Trial, run_trial
-from dcgrid_env.powerflow import n_loading
+from dcgrid_env.baselines.hosting_capacity.site_search import limit_of, overloaded_before
+from dcgrid_env.baselines.hosting_capacity.trial import Trial, overloaded_nodes, run_trial
 
 Rule = Literal["equal", "sum"]
 MOST_ORDERS = 4
 """Number of sites up to which every order is tried."""
+
+
+class LimitsBroken(ValueError):
+    """Error for a feeder on which limits are broken without any site, so that no size fits."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,9 @@ def sites_together(
     Raises
     ------
     ValueError
-        For fewer than two buses, another rule, or limits that are broken without any site.
+        For fewer than two buses or another rule.
+    LimitsBroken
+        For limits that are broken without any site. Overloads count only if a site is behind them.
     """
     if rule not in get_args(Rule):
         raise ValueError(f"together: must be one of {', '.join(get_args(Rule))}, got {rule!r}")
@@ -87,7 +93,7 @@ def sites_together(
 
     n = len(sites.buses)
     if not fits((0,) * n):
-        raise ValueError(f"together: limits are broken without any site: {limit_of(study.scenario, trial((0,) * n))}")
+        raise LimitsBroken(f"together: limits are broken without any site: {limit_of(study.scenario, trial((0,) * n))}")
     sizes = _equal(fits, n, study.top) if rule == "equal" else _most(fits, n, study.top)
     limits = []
     for i in range(n):
@@ -147,7 +153,10 @@ class _Sites:
     def __init__(self, study: Study):
         self.study = study
         self.buses = study.candidates()
-        self.exempt = np.zeros(n_loading(study.scenario.feeder), bool)
+        self.exempt = overloaded_nodes(AddedSite(study))
+        for bus in self.buses:
+            if branch := overloaded_before(study.scenario.feeder, int(bus), self.exempt):
+                raise LimitsBroken(f"together: no site fits at bus {study.scenario.feeder.bus_ids[bus]}: {branch}")
         self.slot = study.scenario.datacenters.count if study.others else 0
         self.scenario = lru_cache(maxsize=4)(self._scenario)
 

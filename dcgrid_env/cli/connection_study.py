@@ -19,7 +19,7 @@ from dcgrid_env.core.files import write_json, write_text
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
-    from dcgrid_env.baselines.connection_study.sections import Job
+    from dcgrid_env.baselines.connection_study.study_job import Job
     from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 
 
@@ -29,8 +29,9 @@ class ConnectionStudy(OverWorkers):
 
     Reads the request from a TOML file. Writes one HTML page without external resources, which a browser also prints.
 
-    The report contains base case, capacity, worst window, a day, ride-through, fluctuation and sensitivity. It lists
-    what was not checked, and all inputs with their hashes (docs/connection-study.md).
+    The report contains base case, capacity, worst window, a day, ride-through, fluctuation and sensitivity, and on
+    request outages, several sites at once, and a year of load profiles. It lists what was not checked, and all inputs with their hashes
+    (docs/connection-study.md).
     """
 
     file: tyro.conf.Positional[Path]
@@ -40,8 +41,13 @@ class ConnectionStudy(OverWorkers):
 
     def run(self) -> None:
         """Compute all sections, then write; raise ValueError before anything is written if a setting is invalid."""
-        from dcgrid_env.baselines.connection_study.connection_report import answers, page, plain, sections_of
-        from dcgrid_env.baselines.connection_study.sections import section_names
+        from dcgrid_env.baselines.connection_study.connection_report import (
+            answers,
+            asked_sections,
+            page,
+            plain,
+            sections_of,
+        )
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 
@@ -58,9 +64,9 @@ class ConnectionStudy(OverWorkers):
                 found = hosting_capacity(
                     job.study, request.controllers, place, None, lambda _, n: progress.advance(task, n)
                 )
-            task = progress.add_task("sections", total=len(section_names(job)))
-            sections = sections_of(job, found, lambda: progress.advance(task))
-        written = page(job, found, sections, self.file)
+            task = progress.add_task("sections", total=len(asked_sections(job)) + len(job.outages))
+            sections = sections_of(job, found, self.file, place, lambda: progress.advance(task))
+        written = page(job, found, sections)
         for text in answers(job, found):
             say(console, text)
         if found is not None:
@@ -89,8 +95,9 @@ def read_request(path: Path) -> StudyRequest:
 
 def make_job(request: StudyRequest, path: Path) -> Job:
     """Make the study of a request; raise ValueError for an unknown bus, feeder, scenario or field."""
-    from dcgrid_env.baselines.connection_study.sections import Job
+    from dcgrid_env.baselines.connection_study.study_job import Job
     from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+    from dcgrid_env.baselines.hosting_capacity.outages import outages_asked
 
     scenario = _scenario(request, path)
     if request.bus not in scenario.feeder.bus_ids[1:]:
@@ -103,18 +110,23 @@ def make_job(request: StudyRequest, path: Path) -> Job:
         buses = scenario.feeder.bus_ids[1:]
     if buses is not None:
         buses = tuple(dict.fromkeys((*map(str, buses), request.bus)))
-    unknown = set(settings) - {field.name for field in fields(Study)} | set(settings) & {
-        "scenario",
-        "others",
-        "outage_rating",
-    }
+    unknown = set(settings) - {field.name for field in fields(Study)} | set(settings) & {"scenario", "others"}
     if unknown:
         raise ValueError(f"{path}: capacity has no field {min(unknown)!r}; see docs/connection-study.md")
     study = Study(scenario=scenario, others=request.scenario is not None, buses=buses, **settings)
     if buses is None and scenario.feeder.index(request.bus) not in study.candidates():
         names = tuple(scenario.feeder.bus_ids[i] for i in study.candidates())
         study = Study(scenario=scenario, others=study.others, buses=(*names, request.bus), **settings)
-    job = Job(request, study)
+    if study.outage_rating is not None and not request.outages:
+        raise ValueError(
+            f"{path}: outage_rating is {study.outage_rating!r} without outages; name outages or leave it out"
+        )
+    if request.outages and "capacity" in request.leave_out:
+        raise ValueError(f"{path}: outages need the section capacity; remove it from leave_out")
+    if request.several_sites is not None:
+        buses = (request.bus, *request.several_sites.buses)
+        Study(scenario=scenario, buses=buses).candidates()  # which names an unknown bus
+    job = Job(request, study, outages_asked(scenario, request.outages))
     job.scenario(request.mw)  # which names a bus that is taken, or drawn sites
     return job
 

@@ -11,6 +11,7 @@ GIVEN = {"feeder": "ieee33", "bus": 12, "mw": 0.5}
 def test_defaults_and_plain_forms():
     request = from_mapping(StudyRequest, GIVEN | {"limits": {"pst": 0.8}, "leave_out": ["day"]})
     assert (request.bus, request.limits.pst, request.leave_out) == ("12", 0.8, ("day",))
+    assert (request.outages, request.several_sites) == ((), None)
     assert (request.controllers, request.ride_through.curve) == (("none", "droop"), "itic")
 
 
@@ -27,6 +28,9 @@ def test_defaults_and_plain_forms():
         ({"limits": {"ramp_kw_per_s": 0}}, "limits.ramp_kw_per_s is 0; give a ramp > 0 kW/s"),
         ({"limits": 3}, "limits is 3; give a table of its fields"),
         ({"ride_through": {"curve": "none"}}, "ride_through.curve is 'none'; choose one of itic"),
+        ({"outages": "all"}, "give a list of names"),
+        ({"several_sites": {"buses": []}}, r"several_sites.buses is \(\); give a list of at least one bus"),
+        ({"several_sites": {"buses": ["6"], "rule": "fair"}}, "several_sites.rule is 'fair'; choose one of equal, sum"),
         ({"capacity": []}, r"capacity is \(\); give a table"),
     ],
 )

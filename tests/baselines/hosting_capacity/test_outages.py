@@ -23,7 +23,10 @@ def test_single_outages_are_those_of_banks(scenario):
         *(f"regulator {bank}" for bank in dict.fromkeys(network.regulator.bank)),
     )
     assert tuple(outages_asked(scenario, ["all", names[0]])) == names
-    assert outage_names(make_scenario("ieee33", split="test")) == ()
+    balanced = make_scenario("ieee33", split="test")
+    assert outage_names(balanced) == ()
+    with pytest.raises(ValueError, match="feeder 'ieee33' has no capacitor bank in service and no regulators"):
+        outages_asked(balanced, ["all"])
 
 
 def test_tables_change_in_the_rows_of_the_element_alone(scenario):

@@ -7,7 +7,7 @@ import pytest
 from dcgrid_env import Feeder, Scenario, load_feeder
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
-from dcgrid_env.baselines.hosting_capacity.sites_together import sites_together
+from dcgrid_env.baselines.hosting_capacity.sites_together import LimitsBroken, sites_together
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.traces import PowerTrace
 
@@ -92,3 +92,17 @@ def test_limits_that_are_broken_without_a_site_are_named():
     study = study_of(chain(), ("b", "c"), v_min_pu=1.01)
     with pytest.raises(ValueError, match="limits are broken without any site: undervoltage at bus"):
         sites_together(study, NoControl(), "none", "equal")
+
+
+def test_an_overload_counts_only_if_a_site_is_behind_it():
+    feeder = Feeder.from_tables(
+        name="star", base_kv=10.0, substation="a", v0_pu=1.0, bus_ids=["a", "b", "c", "d"],
+        p_load_kw=[0.0, 100.0, 1.0, 1.0], q_load_kvar=[0.0] * 4, from_bus=["a"] * 3, to_bus=["b", "c", "d"],
+        r_ohm=[0.01] * 3, x_ohm=[0.01] * 3, rating_a=[1.0, 10.0, 10.0],
+    )  # fmt: skip
+    found = sites_together(study_of(feeder, ("c", "d"), max_mw=1.0), NoControl(), "none", "equal")
+    alone = hosting_capacity(study_of(feeder, ("c", "d"), max_mw=1.0), ["none"]).by_controller["none"]
+    assert found.mw == tuple(one.capacity_mw for one in alone)  # the branches are apart
+    assert min(found.mw) > 0.1
+    with pytest.raises(LimitsBroken, match="no site fits at bus b: overload of"):
+        sites_together(study_of(feeder, ("b", "d"), max_mw=1.0), NoControl(), "none", "equal")

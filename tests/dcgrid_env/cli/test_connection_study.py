@@ -35,7 +35,7 @@ def test_it_prints_the_answer_and_writes_the_report(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(FILE)
     main(["study", "s.toml", "--out", "out", "--workers", "1"])
     printed = capsys.readouterr().out
-    assert "Under none, 0.2 MW at bus 12 fits: the bus carries" in printed
+    assert "Without control, 0.2 MW at bus 12 fits: the bus carries" in printed
     record = json.loads((tmp_path / "out/report.json").read_text())
     assert record["capacity"]["study"]["buses"] == ["18", "12"]
     assert record["answers"][0] in printed
@@ -54,6 +54,13 @@ def test_it_prints_the_answer_and_writes_the_report(tmp_path, capsys):
         ("samples = 2", "sample = 2", "capacity has no field 'sample'"),
         ("samples = 2", "samples = 0", "samples is 0"),
         ('title = "A site"', "title = ", "s.toml"),
+        (
+            "mw = 0.2",
+            'mw = 0.2\noutages = ["capacitor c1"]',
+            "outages: the balanced feeder 'ieee33' has no elements",
+        ),
+        ("mw = 0.2", 'mw = 0.2\nseveral_sites = {buses = ["99"]}', "99"),
+        ("mw = 0.2", "mw = 0.2\nseveral_sites = {buses = [12]}", "it names the bus 12 itself; name other buses"),
     ],
 )
 def test_one_line_for_what_is_wrong_and_nothing_written(tmp_path, capsys, old, new, message):
