@@ -41,10 +41,11 @@ def year(job: Job) -> Section:
     picture = ("Lowest and highest voltage of each day of the load profiles", png(_figure(flows, study)))
     both = (last, flows["without the site"])
     hours = [[f"{value:g}" for value in flow.hours_outside(*limits).values()] for flow in both]
+    loss = [figure_of(flow.loss_mwh) for flow in both]
     answer = (
         f"Over the load profiles {size}, voltages are below the limit for {hours[0][0]} h and above it for "
-        f"{hours[0][1]} h, and ratings are exceeded for {hours[0][2]} h; without the site for {', '.join(hours[1][:3])} h. Losses rise "
-        f"from {figure_of(flows['without the site'].loss_mwh)} to {figure_of(last.loss_mwh)} MWh."
+        f"{hours[0][1]} h, and ratings are exceeded for {hours[0][2]} h. Without the site these are "
+        f"{hours[1][0]}, {hours[1][1]} and {hours[1][2]} h. Losses rise from {loss[1]} to {loss[0]} MWh."
     )
     return Section("year", "A year of load profiles", answer, texts, tuple(tables), (picture,))
 

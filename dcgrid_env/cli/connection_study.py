@@ -29,9 +29,9 @@ class ConnectionStudy(OverWorkers):
 
     Reads the request from a TOML file. Writes one HTML page without external resources, which a browser also prints.
 
-    The report contains base case, capacity, worst window, a day, ride-through, fluctuation and sensitivity, and on
-    request outages, several sites at once, and a year of load profiles. It lists what was not checked, and all inputs with their hashes
-    (docs/connection-study.md).
+    The report contains base case, capacity, worst window, a day, ride-through, fluctuation and sensitivity. On request
+    it contains outages, several sites at once and a year of load profiles. It lists what was not checked, and all
+    inputs with their hashes (docs/connection-study.md).
     """
 
     file: tyro.conf.Positional[Path]
