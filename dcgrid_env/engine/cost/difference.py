@@ -38,6 +38,10 @@ from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, volta
 from dcgrid_env.scenario.scenario import Scenario
 
 
+COMPILED = ("l1",)
+"""Forms of the voltage cost that the kernel has."""
+
+
 class Sensitivities(NamedTuple):
     """Constants of ``saved_costs`` for a scenario."""
 
@@ -249,7 +253,7 @@ def saved_costs(
     w_voltage, w_violation = cost.weights.voltage / t.n_judged, cost.weights.violation / t.n_judged
     changed = changes(scenario)
     effort = (cost.weights.effort / t.n_converters) * inverse(parameters(scenario, p_change).converter_kva)
-    if cost.voltage != "l1":
+    if cost.voltage not in COMPILED:
         return _saved_costs_arrays(scenario, state, nodes, p_change, q_change, (w_voltage, w_violation), effort)
     from dcgrid_env.core.threads import over_rows  # brings the compiler with it, so not on import
     from dcgrid_env.engine.cost.difference_kernel import saved_costs_rows
