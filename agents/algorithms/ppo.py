@@ -69,6 +69,10 @@ class Ppo(sb3.Config):
     max_grad_norm: float = 0.5
     """Maximum norm of the gradient; larger gradients are scaled down."""
 
+    with_difference = sb3.Config.with_difference | {
+        "gae_lambda": 0.0, "outputs": "change", "log_std": -1.0, "steps": 3_000_000,
+    }  # fmt: skip
+
 
 class Networks(torch.nn.Module):
     """Store the hidden layers of actor and critic.

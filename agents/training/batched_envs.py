@@ -41,14 +41,16 @@ class JointVecEnv(VecEnv):
     Row i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. The last step of an
     episode has infos: ``infos[row]["terminal_observation"]`` is the last observation,
     ``infos[row]["TimeLimit.truncated"]`` is True at the horizon and False after a voltage collapse, and
-    ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are the team's less ``reward_mean``, times
-    ``reward_scale``; ``physics_s`` is the time spent in steps. With ``end_as_it_arises`` each step pays for the change
-    of the end charge that it causes, and the last step pays no more. The sum is the same.
+    ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are the team's, or the
+    difference rewards of the rows, less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in
+    steps. With ``end_as_it_arises`` each step pays for the change of the end charge that it causes, and the last step
+    pays no more. The sum is the same.
 
     Parameters
     ----------
     scenario
-        What to run; its reward must be the shared one.
+        What to run; its reward must be the shared one or a difference. The droop as the default action of a difference
+        reward has the gains of the droop that actions correct.
     n_envs
         Environments in the batch.
     act
@@ -75,6 +77,8 @@ class JointVecEnv(VecEnv):
     ):
         self.outputs: Outputs = outputs
         self.gains = (gains or droop_gains(scenario)) if outputs == "droop" else None
+        if self.gains is not None and scenario.cost.default_action == "droop":
+            scenario = scenario.replace(cost={"default_gains": tuple(self.gains)})
         self._interface = PolicyInterface(scenario, self.kind, act=act, outputs=outputs, gains=self.gains)
         self.batch = DcgridVectorEnv(n_envs, scenario, render_mode=render_mode, info="none")
         self.scenario, self.act, self.n_envs = self.batch.scenario, act, n_envs
@@ -174,11 +178,13 @@ class JointVecEnv(VecEnv):
         began_s = time.perf_counter()
         joint = self._interface.action(self._observation, self._means(self._actions))
         self._observation, reward, terminated, truncated, _ = self.batch.step(joint)
+        each = self.rows_per_env
+        if each > 1 and self.scenario.cost.reward == "difference":
+            reward = self.batch.transition.reward
         if self.end_as_it_arises:
             due = self._end_costs()
             reward = reward - (due - self._due) + due * truncated
             self._due = np.where(terminated | truncated, self._due_at_rest, due)  # every episode begins at rest
-        each = self.rows_per_env
         done = np.repeat(terminated | truncated, each)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
@@ -187,7 +193,8 @@ class JointVecEnv(VecEnv):
                 infos[row]["terminal_observation"] = last[row].copy()
                 infos[row]["TimeLimit.truncated"] = bool(ended[row])
                 infos[row]["J"] = float(j[row])
-        paid = np.repeat((reward - self.reward_mean) * self.reward_scale, each).astype(np.float32)
+        paid = (reward - self.reward_mean) * self.reward_scale
+        paid = (paid.ravel() if paid.ndim == 2 else np.repeat(paid, each)).astype(np.float32)
         observation = self._rows(self._observation)
         self.physics_s += time.perf_counter() - began_s
         return observation, paid, done, infos

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -35,6 +35,9 @@ from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 class Config(Training):
     """Settings of all Stable-Baselines3 algorithms."""
 
+    reward: Literal["shared", "difference"] = "shared"
+    """Reward of an agent: the team's, or the cost that its own action saves in the step, which needs --gamma 0 and
+    uses the grid model in training."""
     nameplate: bool = False
     """Also observe the effect of full demand and full reactive power on the agent's voltage (shared policy)."""
     num_envs: int = 384
@@ -46,10 +49,25 @@ class Config(Training):
     """Waiting time, in steps, that costs the same with and without the discount. Larger values make deferral more
     expensive."""
 
+    @classmethod
+    def for_scenario(cls, scenario: str | None = None, view: str | None = None, **fields: Any) -> Self:
+        """Return the configuration for a scenario, see :class:`Training`.
+
+        The tuned settings are those of the team reward. With difference rewards the discount is 0 instead.
+        """
+        if fields.get("reward") != "difference":
+            return super().for_scenario(scenario, view, **fields)
+        chosen: dict[str, Any] = {"scenario": scenario or cls.scenario, "view": view or cls.view}
+        return cls(**(cls.with_difference | chosen | fields))
+
+    with_difference: ClassVar[dict[str, Any]] = {"gamma": 0.0, "nameplate": True}
+    """Settings that suit difference rewards."""
+
     @property
     def kind(self) -> str:
-        """Second part of the folder name: the algorithm, and whether the policy is centralised."""
-        return self.algorithm() if self.view == "shared" else f"{self.algorithm()}-centralised"
+        """Second part of the folder name: the algorithm, the reward unless shared, and whether it is centralised."""
+        name = self.algorithm() if self.reward == "shared" else f"{self.algorithm()}-{self.reward}"
+        return name if self.view == "shared" else f"{name}-centralised"
 
 
 @dataclass(frozen=True)
@@ -103,20 +121,28 @@ def run_of(cfg: Training) -> AbstractContextManager[Run]:
 def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> JointVecEnv:
     """Return the vector environment of the training split; raise ValueError if a setting is invalid."""
     check(cfg)
+    has_differences = cfg.reward == "difference"
+    if has_differences and cfg.gamma != 0.0:
+        raise ValueError(
+            f"gamma is {cfg.gamma}; a difference reward charges later costs at once: give gamma 0, or reward shared"
+        )
     device_of(cfg.device)
     torch.set_num_threads(cfg.threads)
     spec = ScenarioSpec(cfg.scenario, cfg.set)
-    scenario = under_own_control(spec.make("train", observe=cfg.observe), keep_set_points=True)
-    scenario = for_training(
-        scenario.replace(sensing={"preview": scenario.sensing.preview and cfg.preview}), cfg.gamma, cfg.wait
-    )
+    scenario = under_own_control(spec.make("train", observe=cfg.observe, reward="shared"), keep_set_points=True)
+    scenario = scenario.replace(sensing={"preview": scenario.sensing.preview and cfg.preview})
+    if has_differences:
+        default = "droop" if outputs == "droop" else "previous"  # what an action of 0 does
+        scenario = scenario.replace(cost={"reward": "difference", "default_action": default})
+    else:
+        scenario = for_training(scenario, cfg.gamma, cfg.wait)
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     if cfg.view == "centralised":
         vec_env = JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs, gains)
     else:
         n_envs = max(1, cfg.num_envs // scenario.n_agents)
         vec_env = AgentVecEnv(scenario, n_envs, cfg.act, outputs, gains, cfg.nameplate)
-    vec_env.end_as_it_arises = True
+    vec_env.end_as_it_arises = not has_differences
     return vec_env
 
 

@@ -15,7 +15,7 @@ ABOVE_0: Mapping[str, float] = {
     **dict.fromkeys(("updates", "window", "epochs", "minibatches", "buffer", "batch", "gradient_steps"), _MANY),
     **dict.fromkeys(("feeders", "validation_feeders", "population", "elites", "iterations"), _MANY),
     **dict.fromkeys(("wait", "max_grad_norm", "trip_width_s", "delay_limit_s", "violation_limit_pu"), _MANY),
-    **dict.fromkeys(("gamma", "tau", "learning_rate", "q_std", "last_std"), 1.0),
+    **dict.fromkeys(("tau", "learning_rate", "q_std", "last_std"), 1.0),
     **dict.fromkeys(("clip", "clock_std", "dual_rate", "std"), 10.0),
     "steps": 1e15,
     "threads": 4096,
@@ -23,6 +23,7 @@ ABOVE_0: Mapping[str, float] = {
 """Largest value of what must be above 0."""
 WITHIN: Mapping[str, tuple[float, float]] = {
     "seed": (0, MOST_SEEDS - 1),
+    "gamma": (0.0, 1.0),
     "gae_lambda": (0.0, 1.0),
     "log_std": (-20.0, 2.0),
     "further_begin": (-1.0, 1.0),

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 SB3View = Literal["joint", "shared"]
 """Whether a row is an environment or an agent of one."""
+SB3Outputs = Literal["setpoint", "change", "droop"]
+"""Meaning of an action: set points, changes from the action that keeps the state, or corrections of the tuned droop."""
 
 
 def sb3_vec_env(
@@ -18,6 +20,8 @@ def sb3_vec_env(
     num_envs: int,
     view: SB3View = "joint",
     *,
+    outputs: SB3Outputs = "setpoint",
+    nameplate: bool = False,
     render_mode: str | None = None,
     **overrides: object,
 ) -> JointVecEnv:
@@ -39,7 +43,15 @@ def sb3_vec_env(
         environment by environment. Observations are then an agent's own fields, 0 where it has none of the name. The
         last entry is 1 for a data centre or 0 for an inverter, with a further such entry for each other kind of agent.
         Actions are (clock, q) and then the other channels of the scenario's agents. Channels that an agent does not
-        have are ignored, such as an inverter's clock. Each agent is paid the team's reward.
+        have are ignored, such as an inverter's clock. Each agent is paid the team's reward, or its own with
+        ``reward="difference"``.
+    outputs
+        "setpoint": actions are set points, as in ``gymnasium.make``. "change": reactive power is a change from the
+        present one, and a clock is reduced from the one that serves all work. "droop": actions are corrections of the
+        tuned droop; ``cost={"default_action": "droop"}`` then uses its gains.
+    nameplate
+        Whether to observe the effect of full demand and of full reactive power on the agent's voltage, and the share
+        of the latter that corrects the voltage ("shared" only).
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     **overrides
@@ -52,10 +64,15 @@ def sb3_vec_env(
     ScenarioError
         For an unknown scenario; TypeError for an override that is not a field of it.
     ValueError
-        For another view, or a shared one of a scenario with regulators or capacitor banks among its agents.
+        For an unknown view or unknown outputs, nameplate figures in a joint view, or corrections of a droop without
+        tuned gains. Also for a shared view if regulators or capacitor banks are among the agents.
     """
     if view not in get_args(SB3View):
         raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")
+    if outputs not in get_args(SB3Outputs):
+        raise ValueError(f"outputs is {outputs!r}; choose one of {', '.join(get_args(SB3Outputs))}")
+    if nameplate and view != "shared":
+        raise ValueError("nameplate is True with view 'joint'; choose view 'shared', or leave nameplate out")
     chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
     try:
         from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
@@ -64,5 +81,6 @@ def sb3_vec_env(
         raise ImportError(
             f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.6'"
         ) from error
-    vec_env = JointVecEnv if view == "joint" else AgentVecEnv
-    return vec_env(chosen, num_envs, render_mode=render_mode)
+    if view == "joint":
+        return JointVecEnv(chosen, num_envs, outputs=outputs, render_mode=render_mode)
+    return AgentVecEnv(chosen, num_envs, outputs=outputs, nameplate=nameplate, render_mode=render_mode)

@@ -26,6 +26,8 @@ from dcgrid_env.core.install import from_clone
 
 OWN = {"--open": "opens", "--wandb": "wandb"}
 """Options of the command in addition to an algorithm's configuration, and the fields that they set."""
+DECIDING = {"view", "reward"}
+"""Fields of a configuration that, with the scenario, decide the defaults of the others."""
 SEEDS = (
     "Further options: --seeds N trains N policies with the seeds SEED to SEED + N - 1, each in a separate folder. "
     "--workers sets how many run in parallel on this machine (default: one per core). --ray ADDRESS trains them on a "
@@ -61,10 +63,11 @@ class Algorithm:
         Options that are not given default to the tuned settings for the scenario, or to the algorithm's defaults.
         """
         kind = self.configuration()
-        # The defaults depend on two of the options, which are read first.
+        # The defaults depend on the scenario and on these options, which are read first.
         first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
         first.add_argument("--scenario")
-        first.add_argument("--view", choices=get_args(get_type_hints(kind)["view"]))
+        for option in sorted(DECIDING & get_type_hints(kind).keys()):
+            first.add_argument(f"--{option}", choices=get_args(get_type_hints(kind)[option]), default=argparse.SUPPRESS)
         try:
             begin = kind.for_scenario(**vars(first.parse_known_args(words)[0]))
         except argparse.ArgumentError:  # a missing or invalid value, which tyro reports below
@@ -209,6 +212,8 @@ def shipped_settings(configuration: Any) -> str:
     from dcgrid_env.agents.training.preset_settings import settings
 
     name = configuration.algorithm()
+    if getattr(configuration, "reward", "shared") != "shared":
+        return ""
     shipped = settings(name, configuration.scenario, configuration.view)
     taken = {field: value for field, value in shipped.items() if getattr(configuration, field) == value}
     if not taken:

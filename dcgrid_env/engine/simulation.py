@@ -7,15 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from dcgrid_env.core.arrays import all_true
-from dcgrid_env.engine.cost import observation, reward
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.engine.cost import difference, observation, reward
 from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remembered
 from dcgrid_env.engine.exogenous import episode, trace_pool
 from dcgrid_env.engine.exogenous.episode import EpisodeOptions
 from dcgrid_env.engine.physics import dynamics
+from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.loads import drawn as with_loads
-from dcgrid_env.engine.physics.state import GridStep, State
+from dcgrid_env.engine.physics.state import Exogenous, GridStep, State
 from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, voltage_figures
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
+from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.scenario import Scenario
 
 __all__ = ["Simulation", "Snapshot", "Transition"]
@@ -106,6 +109,11 @@ class Simulation:
         p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
         j_before = now.transition.j_so_far
         transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
+        if self.scenario.cost.reward == "difference":
+            saved = self._saved(now.state, state, action, outside) / difference_scale(self.scenario)
+            vector = np.where(grid.solution.converged[:, None], saved, -transition.cost_j[:, None])
+            paid = difference.sums_by_agent(self.scenario, vector)
+            transition = transition._replace(reward=paid, reward_vector=vector)
         same = self.scenario, now.seeds, now.numbers, now.episode
         self._now = Snapshot(*same, step, grid.noise, p_ref_next, state, measured, transition)
         return transition
@@ -136,13 +144,21 @@ class Simulation:
         zeros = np.zeros(len(seed))
         transition = self._transition(drawn, step, state, grid, measured, p_ref_next, zeros)
         free = transition.costs._make(0.0 * term for term in transition.costs)  # t = 0 is not charged
-        paid = np.zeros_like(transition.reward)
-        transition = transition._replace(costs=free, cost_j=zeros, j_so_far=zeros, reward=paid)
+        paid, vector = np.zeros_like(transition.reward), None
+        if self.scenario.cost.reward == "difference":
+            paid, vector = (np.zeros((len(seed), n)) for n in (self.scenario.n_agents, action_layout(self.scenario).n))
+        transition = transition._replace(costs=free, cost_j=zeros, j_so_far=zeros, reward=paid, reward_vector=vector)
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
     def _merged(self, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:
         """``now`` with the environments of ``drawn`` put in."""
         return put_in(self.scenario, now, drawn, env_indices)
+
+    def _saved(self, before: State, after: State, action: np.ndarray, outside: Exogenous) -> np.ndarray:
+        """Return the cost that each entry of a joint action has saved in a step, (row, n_action)."""
+        default = difference.default_setpoints(self.scenario, before, outside.p_ref_kw)
+        setpoints = dynamics.setpoints_of(self.scenario, action)
+        return difference.differences(self.scenario, before, after, setpoints, default, outside)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
         return measure(self.scenario, state, measurement_noise(self.scenario, drawn.key, step))
@@ -165,7 +181,7 @@ class Simulation:
         costs = reward.team_costs(s, state, solution, last, figures)
         costs = costs if solved else reward.charged(s, costs, step, solution.converged)
         cost_j = reward.total(costs)
-        if s.cost.reward == "shared":
+        if s.cost.reward != "local":
             paid = -cost_j
         else:
             local_costs = reward.local_costs(s, state, solution, last, drawn.placed.nodes)
@@ -191,3 +207,37 @@ class Simulation:
 def _figures(scenario: Scenario, state: State) -> VoltageFigures:
     v_pu = np.ascontiguousarray(state.v_pu, np.float64)
     return voltage_figures(v_pu, scenario.feeder.load_slice.start, scenario.cost.band_pu)
+
+
+SCALE_EPISODES, SCALE_STEPS = 16, 8
+"""Episodes, and steps in each, that ``difference_scale`` is measured in."""
+
+
+@cached_on_owner
+def difference_scale(scenario: Scenario) -> np.ndarray:
+    """Return the divisor of the cost that each entry of the joint action saves, (n_action,), the same for a channel.
+
+    One set point is moved to either end of its range, in the first training episodes and without other control. The
+    divisor is the mean over all agents with the channel of the larger change in cost, or 1 if the channel has no
+    effect. The violation is not counted, because a trained policy has little. A positive divisor does not change which
+    action of a channel is best.
+    """
+    layout = action_layout(scenario)
+    plain = {name: getattr(Cost(), name) for name in ("reward", "default_action", "default_gains")}
+    sampled = Simulation(scenario.replace(split="train", cost=plain | {"weights": {"violation": 0.0}}), SCALE_EPISODES)
+    sampled.reset(range(SCALE_EPISODES))
+    s, largest = sampled.scenario, []
+    rest = np.tile(difference.rest_action(s), (SCALE_EPISODES, 1))
+    ends = (np.full_like(rest, -1.0), rest, np.ones_like(rest))
+    lowest, resting, highest = (dynamics.setpoints_of(s, action) for action in ends)
+    for _ in range(min(SCALE_STEPS, s.horizon)):
+        now = sampled.now
+        outside = episode.exogenous(s, now.episode, now.step + 1, now.noise, now.p_ref_next_kw)
+        after = sampled.step(rest).state
+        moved = [difference.differences(s, now.state, after, resting, end, outside) for end in (lowest, highest)]
+        largest.append(np.maximum(*np.abs(moved)))
+    scale = np.ones(layout.n)
+    for name in dict.fromkeys(name for _, name in layout.names):
+        of_channel = layout.is_channel(name)
+        scale[of_channel] = np.concatenate(largest)[:, of_channel].mean() or 1.0
+    return scale

@@ -21,7 +21,7 @@ class Transition(NamedTuple):
     observation: np.ndarray
     """Joint observation, float32, (row, n_observation)."""
     reward: np.ndarray
-    """(row,), or (row, n_agent) where the scenario's reward is local."""
+    """(row,), or (row, n_agent) where the scenario's reward is local or a difference."""
     terminated: np.ndarray
     """The power flow has no solution, bool, (row,)."""
     truncated: np.ndarray
@@ -45,6 +45,8 @@ class Transition(NamedTuple):
     """Position in ``bus_ids`` of each agent's bus, (row, n_agent)."""
     fault: np.ndarray
     """What each fault strikes and when, ``Episode.fault``, (row, n_fault, 3)."""
+    reward_vector: np.ndarray | None = None
+    """Difference reward of each entry of the joint action, (row, n_action); None for another reward."""
 
 
 class Snapshot(NamedTuple):

@@ -46,6 +46,11 @@ def joint_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
     return spaces.Box(low, high, dtype=np.float32), spaces.Box(*layout.bounds, dtype=np.float32)
 
 
+def joint_reward(transition: Transition) -> np.ndarray:
+    """Return the reward of each environment as a new array, (row,): the sum over agents of difference rewards."""
+    return transition.reward.copy() if transition.reward.ndim == 1 else transition.reward.sum(-1)
+
+
 def check_running(env: BaseEnvironment) -> None:
     """Raise RuntimeError unless the episode of the (first) environment is running."""
     last = env._simulation.transition

@@ -93,6 +93,7 @@ COSTS = tuple((term.name, f"{term.weight:g}", re.sub(r"\|(.+?)\|", r"abs(\1)", t
 INFO = (
     ("cost_TERM", "cost term of the step, as charged"),
     ("cost", "constraint for constrained learning: violation, excesses over limits and trips"),
+    ("reward_vector", "difference reward of each channel (reward='difference')"),
     ("J", "cost since the reset / horizon; the cost of the episode after its last step"),
     ("power_flow_converged", "1, or 0 if the power flow has no solution"),
     ("voltage_min_pu, voltage_max_pu", "lowest and highest voltage, p.u."),

@@ -53,7 +53,7 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
     Reward
     ------
     Every agent receives the same reward. With ``reward="local"`` each agent is charged for its own voltage, work and
-    effort instead.
+    effort instead. With ``reward="difference"`` it is paid for the cost that its own action saves in the step.
 
     {reward}
 
@@ -210,10 +210,14 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
 
     def _infos(self, transition: Transition) -> dict[str, dict[str, Any]]:
         common = {name: values[0] for name, values in info_arrays(self.scenario, transition, self.info_level).items()}
-        if self.info_level != "full":
-            return {agent: common.copy() for agent in self.possible_agents}
-        buses = zip(self.possible_agents, self._bus_names[0], strict=True)
-        return {agent: {**common, "bus": bus} for agent, bus in buses}
+        infos: dict[str, dict[str, Any]] = {agent: common.copy() for agent in self.possible_agents}
+        if transition.reward_vector is not None and self.info_level != "none":
+            for agent, vector in action_layout(self.scenario).split(transition.reward_vector[0].copy()).items():
+                infos[agent]["reward_vector"] = vector
+        if self.info_level == "full":
+            for agent, bus in zip(self.possible_agents, self._bus_names[0], strict=True):
+                infos[agent]["bus"] = bus
+        return infos
 
 
 def parallel_env(

@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.physics.actions import joint_action
-from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_spaces
+from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_reward, joint_spaces
 from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
@@ -110,7 +110,7 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
         transition = self._step(joint_action(self.scenario, action))
         return (
             transition.observation[0].copy(),
-            float(transition.reward[0]),
+            float(joint_reward(transition)[0]),
             bool(transition.terminated[0]),
             bool(transition.truncated[0]),
             self._info(transition),
@@ -118,6 +118,8 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
 
     def _info(self, transition: Transition) -> dict[str, Any]:
         figures = {name: values[0] for name, values in info_arrays(self.scenario, transition, self.info_level).items()}
+        if transition.reward_vector is not None and self.info_level != "none":
+            figures["reward_vector"] = transition.reward_vector[0].copy()
         if self.info_level == "full":
             figures.update(self._bus_of)
         return figures

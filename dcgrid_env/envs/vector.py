@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.physics.actions import joint_action
-from dcgrid_env.envs.base import BaseEnvironment, joint_spaces
+from dcgrid_env.envs.base import BaseEnvironment, joint_reward, joint_spaces
 from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.episode_options import episode_options
 from dcgrid_env.envs.info import InfoLevel, info_arrays
@@ -196,7 +196,7 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             begun, infos = transition, self._infos(transition, self._everyone)
         return (
             begun.observation.copy(),
-            transition.reward.copy(),
+            joint_reward(transition),
             transition.terminated.copy(),
             transition.truncated.copy(),
             infos,
@@ -263,6 +263,8 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         figures = info_arrays(self.scenario, transition, self.info_level)
         # Rows of one array are made several times faster than arrays one by one, and share nothing either.
         infos: dict[str, Any] = dict(zip(figures, np.array(list(figures.values())), strict=True))
+        if transition.reward_vector is not None and self.info_level != "none":
+            infos["reward_vector"] = transition.reward_vector.copy()
         if self.info_level == "full":
             infos |= zip(self._bus_keys, self._bus_names.T.copy(), strict=True)
         masks = np.repeat(valid[None], len(infos), axis=0)

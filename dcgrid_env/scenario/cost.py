@@ -23,7 +23,8 @@ from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 VoltageReference = Literal["nominal", "profile"]
 VoltageCost = Literal["l1", "l2", "bowl", "courant_beltrami", "bump"]
-RewardScope = Literal["shared", "local"]
+RewardScope = Literal["shared", "local", "difference"]
+DefaultAction = Literal["previous", "rest", "droop"]
 
 _TARGET_RANGE_PU = (0.8, 1.2)  # in which the cost of a voltage without a solution is above that of any other
 _TARGET = "give a number in [0.8, 1.2]"
@@ -70,8 +71,14 @@ class Cost:
     profile_band_pu: float = number(0.0, 0.2, default=0.0083)
     """Half the width of the band around the profile in which no deviation is charged; 0.0083 is 1 V on a base of
     120 V."""
-    reward: RewardScope = choice("shared", "local", default="shared")
-    """Reward of an agent: the team's, or one for its own voltage, work and effort."""
+    reward: RewardScope = choice("shared", "local", "difference", default="shared")
+    """Reward of an agent: the team's, one for its own voltage, work and effort, or the difference that its own action
+    makes to the team's cost of the step."""
+    default_action: DefaultAction = choice("previous", "rest", "droop", default="previous")
+    """Action that a difference reward compares with. rest: all set points of t = 0. previous: the same with the
+    reactive power of the step before. droop: the droop law with ``default_gains``."""
+    default_gains: tuple[float, float, float] = (1.0, 0.5, 0.3)
+    """Gains of the droop as the default action: k_p in MW/p.u., k_q in Mvar/(p.u. s) and alpha in 1/s."""
     ramp_limit_kw_per_s: float | None = None
     """Limit on the ramp of a site's draw, kW/s, on average over ``ramp_window_s``; None for no limit."""
     ramp_window_s: float | None = None
@@ -80,7 +87,12 @@ class Cost:
     """Limit on the change of a bus's voltage from a step to the next, p.u.; None for no limit."""
 
     def __post_init__(self) -> None:
-        settle(self, weights=lambda given: changed_weights(CostWeights(), given), profile_pu=_targets)
+        settle(
+            self,
+            weights=lambda given: changed_weights(CostWeights(), given),
+            profile_pu=_targets,
+            default_gains=lambda given: tuple(map(as_plain, given)) if isinstance(given, list | tuple) else given,
+        )
         check_fields(self)
         if not isinstance(self.weights, CostWeights):
             raise refuse(self, "weights", "give CostWeights(voltage=..., ...) or a mapping such as {'backlog': 0.3}")
@@ -97,7 +109,18 @@ class Cost:
                 raise FieldError("Cost", f"weights.{term.name}", getattr(self.weights, term.name), remedy)
         if self.ramp_window_s is not None and self.ramp_limit_kw_per_s is None:
             raise refuse(self, "ramp_window_s", "give ramp_limit_kw_per_s too, or leave it out")
+        self._check_default_action()
         self._check_profile()
+
+    def _check_default_action(self) -> None:
+        gains = self.default_gains
+        if not isinstance(gains, tuple) or len(gains) != 3 or not all(finite(gain, 0.0, 1e9) for gain in gains):
+            raise refuse(self, "default_gains", "give 3 numbers >= 0: k_p_mw_per_pu, k_q_mvar_per_pu_s, alpha_per_s")
+        for name, user in (("default_action", "reward"), ("default_gains", "default_action")):
+            is_given = getattr(self, name) != type(self).__dataclass_fields__[name].default
+            needed = "difference" if user == "reward" else "droop"
+            if is_given and getattr(self, user) != needed:
+                raise refuse(self, name, f"set {user} to {needed!r}, which uses it, or leave it out")
 
     def _check_profile(self) -> None:
         for name in ("profile_pu", "profile_band_pu"):

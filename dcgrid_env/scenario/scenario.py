@@ -22,6 +22,7 @@ from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.scenario.assembly import GROUPS, PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
+from dcgrid_env.scenario.costs.difference_reward import check_difference_reward
 from dcgrid_env.scenario.costs.voltage_reference import check_profile
 from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
@@ -123,6 +124,8 @@ class Scenario(PickledByFields):
                 if isinstance(device, DataCenters):
                     device.check_step(self.dt_s)
         check_events(self)
+        if self.cost.reward == "difference":
+            check_difference_reward(self)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Scenario:
         return self  # frozen: a copy of an environment shares it

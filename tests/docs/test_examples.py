@@ -70,6 +70,17 @@ def test_sb3_on_the_native_batch(view, tmp_path, capsys):
     assert {path.name for path in (tmp_path / "made").iterdir()} == {"model.zip", "model.pkl"}
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_thread")
+def test_unmodified_sb3_beats_the_droop_with_difference_rewards(tmp_path, capsys):
+    after, droop = example("difference_reward").main(
+        steps=16_000, num_envs=8, episodes=8, save=tmp_path / "made" / "model.zip"
+    )
+    assert printed_figures(capsys)[1:] == pytest.approx([8, after, droop], abs=0.00006)
+    assert after < droop - 0.03
+    assert {path.name for path in (tmp_path / "made").iterdir()} == {"model.zip", "model.pkl"}
+
+
 @pytest.mark.usefixtures("one_thread")
 def test_cleanrl_ppo_and_its_policy_without_torch(tmp_path, capsys):
     cleanrl = example("cleanrl_ppo")

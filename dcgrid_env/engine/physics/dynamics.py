@@ -90,7 +90,7 @@ def step(scenario: Scenario, state: State, action: Array, exogenous: Exogenous) 
         State at the end, and the power flow behind it. Where that has not converged the state keeps the last voltages.
     """
     params = parameters(scenario, action)
-    setpoint = setpoints(action, params.middle, params.half_range, params.minus_one, params.one)
+    setpoint = setpoints_of(scenario, action)
     by_device = [[setpoint[..., column] for column in columns] for columns in action_layout(scenario).columns]
     q_kvar = take_last(setpoint, params.reactive)
     if params.has_reactive is not None:
@@ -109,12 +109,8 @@ def _step(
     xp = namespace(q_setpoint_kvar)
     may_leave = leaving(scenario)
     devices, draws = [], []
-    work = Work(exogenous.p_ref_kw, exogenous.compute_share)
-    for i, device in enumerate(scenario.devices):
-        given = _given(scenario, i, work, exogenous)
-        if i in may_leave:
-            given = supply(scenario, state, exogenous, device_slices(scenario)[i], given)
-        after, p_kw = device.step(params.devices[i], state.devices[i], setpoints[i], given, scenario.dt_s)
+    for i in range(len(scenario.devices)):
+        after, p_kw = device_step(scenario, params, state, i, setpoints[i], exogenous)
         devices.append(after)
         draws.append(p_kw)
     p_agent = draws[0] if len(draws) == 1 else xp.concat(draws, axis=-1)
@@ -218,13 +214,23 @@ def solve_rows_of(
     return solve_rows
 
 
-def _given(scenario: Scenario, i: int, work: Work, exogenous: Exogenous) -> DeviceInput:
+def device_step(
+    scenario: Scenario, params: Parameters, state: State, i: int, setpoints: Any, exogenous: Exogenous
+) -> tuple[Any, Array]:
+    """Advance the group of devices at position ``i`` by one interval under its set points; see ``Device.step``."""
+    given = _given(scenario, i, exogenous)
+    if i in leaving(scenario):
+        given = supply(scenario, state, exogenous, device_slices(scenario)[i], given)
+    return scenario.devices[i].step(params.devices[i], state.devices[i], setpoints, given, scenario.dt_s)
+
+
+def _given(scenario: Scenario, i: int, exogenous: Exogenous) -> DeviceInput:
     """Return the exogenous input of a device, see ``Device.input``."""
     source, available = scenario.devices[i].input, exogenous.available
     if available is not None and source in ("connection", "workload"):
         available = available[..., device_slices(scenario)[i]]
     if source == "workload":
-        return work if available is None else work._replace(available=available)
+        return Work(exogenous.p_ref_kw, exogenous.compute_share, available)
     return available if source == "connection" else exogenous.p_inverter_kw if source else None
 
 
@@ -286,6 +292,12 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
     """Return the positions of each device's agents among all agents."""
     ends = np.cumsum([0, *(device.count for device in scenario.devices)]).tolist()
     return tuple(map(slice, ends[:-1], ends[1:]))
+
+
+def setpoints_of(scenario: Scenario, action: Array) -> Array:
+    """Set points of joint actions, (row, n_action), each in the unit of its channel."""
+    params = parameters(scenario, action)
+    return setpoints(action, params.middle, params.half_range, params.minus_one, params.one)
 
 
 @compiled_as("dcgrid_env.engine.physics.step_kernels:setpoints", like="action")

@@ -166,3 +166,18 @@ def test_a_setting_that_must_be_above_0_is_named(tmp_path, field):
     with pytest.raises(ValueError, match=rf"{field} is 0; give more than 0"):
         ppo.main(tiny(tmp_path, "run", **{field: 0}))
     assert not (tmp_path / "run").exists()
+
+
+def test_difference_rewards_have_settings_of_their_own(tmp_path):
+    cfg = ppo.Ppo.for_scenario("toy6", reward="difference", out=tmp_path / "run", steps=1200, **TINY)
+    assert (cfg.gamma, cfg.gae_lambda, cfg.outputs, cfg.nameplate) == (0.0, 0.0, "change", True)
+    assert cfg.kind == "ppo-difference"
+    assert ppo.Ppo.for_scenario("toy6").reward == "shared"
+    vec_env = sb3.vec_env_for(cfg, cfg.outputs)
+    assert (vec_env.scenario.cost.reward, vec_env.end_as_it_arises) == ("difference", False)
+    assert vec_env.scenario.cost.weights == make_scenario("toy6").cost.weights
+    assert [row["step"] for row in read_curve(ppo.main(cfg))] == [600, 1200]
+    with pytest.raises(
+        ValueError, match=r"gamma is 0\.9; a difference reward charges later costs at once: give gamma 0"
+    ):
+        sb3.vec_env_for(tiny(tmp_path, reward="difference"))

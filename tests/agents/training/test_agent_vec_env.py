@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import DcgridVectorEnv, end_costs, field_names
+from dcgrid_env.agents import sb3_vec_env
 from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from helpers.riding import ride_through_34
@@ -38,6 +39,32 @@ def test_rows_of_every_kind_see_their_own_and_act_as_the_joint_action(scenario, 
         rows, paid, *_ = vec_env.step(action)
         joint, reward, *_ = native.step(np.concatenate(given, axis=1))
         np.testing.assert_array_equal(paid, np.repeat(reward, scenario.n_agents).astype(np.float32))
+
+
+def test_rows_are_paid_their_difference_rewards_and_an_environment_their_sum():
+    scenario = toy6_storage(6).replace(reward="difference")
+    rows, joint = AgentVecEnv(scenario, 2), JointVecEnv(scenario, 2)
+    for vec_env in (rows, joint):
+        vec_env.seed(3)
+        vec_env.reset()
+    paid = rows.step(np.full((10, 3), 0.5, np.float32))[1]
+    np.testing.assert_array_equal(paid, rows.batch.transition.reward.ravel().astype(np.float32))
+    assert len(set(paid.tolist())) == 10
+    summed = joint.step(np.full((2, 6), 0.5, np.float32))[1]
+    np.testing.assert_allclose(summed, paid.reshape(2, 5).sum(1), rtol=1e-5)
+
+
+def test_corrections_of_a_droop_are_compared_with_that_droop():
+    vec_env = sb3_vec_env(
+        "ieee33-weak", 2, "shared", outputs="droop", reward="difference", cost={"default_action": "droop"}
+    )
+    assert vec_env.scenario.cost.default_gains == vec_env.gains
+    vec_env.seed(0)
+    vec_env.reset()
+    for _ in range(3):
+        paid = vec_env.step(np.zeros((14, 2), np.float32))[1]
+        np.testing.assert_allclose(paid, 0.0, atol=1e-4)  # observations are float32
+    assert (np.abs(vec_env.step(np.full((14, 2), -0.3, np.float32))[1]) > 1e-6).any()
 
 
 def test_kinds_are_told_apart_and_use_their_own_entries():

@@ -64,6 +64,10 @@ def test_what_cannot_be_is_refused():
         sb3_vec_env("toy6", 1, "each")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="has regulators or capacitor banks among its agents"):
         sb3_vec_env("ieee13-3ph", 1, "shared", grid_control={"regulators": "agent"})
+    with pytest.raises(ValueError, match="outputs is 'delta'; choose one of setpoint, change, droop"):
+        sb3_vec_env("toy6", 1, outputs="delta")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="nameplate is True with view 'joint'; choose view 'shared'"):
+        sb3_vec_env("toy6", 1, nameplate=True)
     with pytest.raises(ScenarioError, match="no scenario 'toy7'"):
         sb3_vec_env("toy7", 1)
     with pytest.raises(TypeError, match="no scenario field 'horizn'; did you mean horizon"):

@@ -10,7 +10,7 @@ import pytest
 from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, seed_test
 
 import dcgrid_env
-from dcgrid_env import ActionError, DcgridEnv, PrefillDecodeDvfs, field_names, parallel_env
+from dcgrid_env import ActionError, DcgridEnv, DcgridVectorEnv, PrefillDecodeDvfs, field_names, parallel_env
 from helpers.forms import each_preset
 
 
@@ -86,6 +86,35 @@ def test_local_reward_pays_each_its_own():
     v = env.transition.state.v_agent_pu[0]
     expected = -(100.0 * np.abs(v - 1.0) + 1000.0 * np.maximum(np.abs(v - 1.0) - 0.05, 0.0))
     np.testing.assert_allclose(list(rewards.values()), expected, rtol=1e-12)
+
+
+def test_difference_rewards_are_the_same_in_all_interfaces():
+    many, one = parallel_env("ieee33-weak", reward="difference"), DcgridEnv("ieee33-weak", reward="difference")
+    batch = DcgridVectorEnv(2, "ieee33-weak", reward="difference", info="costs")
+    _, infos = many.reset(seed=3)
+    assert infos["dc_0"]["reward_vector"].tolist() == [0.0, 0.0]
+    one.reset(seed=3)
+    batch.reset(seed=3)
+    one.action_space.seed(3)
+    for _ in range(3):
+        action = one.action_space.sample()
+        parts = np.split(action, [2, 4, 6, 7, 8, 9])
+        _, rewards, *_, infos = many.step(dict(zip(many.agents, parts, strict=True)))
+        _, reward, *_, info = one.step(action)
+        _, of_batch, *_, of_batch_info = batch.step(np.stack([action, action]))
+        vectors = [infos[agent]["reward_vector"] for agent in many.agents]
+        assert [len(vector) for vector in vectors] == [2, 2, 2, 1, 1, 1, 1]
+        assert list(rewards.values()) == pytest.approx([vector.sum() for vector in vectors], rel=1e-12)
+        np.testing.assert_array_equal(info["reward_vector"], np.concatenate(vectors))
+        np.testing.assert_array_equal(of_batch_info["reward_vector"][0], info["reward_vector"])
+        assert reward == pytest.approx(sum(rewards.values()), rel=1e-12)
+        assert of_batch[0] == reward
+        assert len(set(rewards.values())) == 7
+    assert "reward_vector" not in parallel_env("ieee33-weak").reset(seed=0)[1]["dc_0"]
+
+
+def test_pettingzoo_checkers_accept_difference_rewards():
+    parallel_api_test(parallel_env("ieee33-weak", reward="difference"), num_cycles=130)
 
 
 def test_global_state_shows_every_bus():

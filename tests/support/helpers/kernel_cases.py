@@ -128,6 +128,8 @@ def run():
         unbalanced(feeder)
     for preset in ("toy6", "ieee13-3ph", "ieee123-3ph-day", "ride-through", "ieee33-weak-ups", "routing", "robust"):
         steps(make_scenario(preset))
+    for preset in ("toy6", "ieee13-3ph"):
+        steps(make_scenario(preset, reward="difference"))
     steps(make_scenario("toy6"), WIDTHS[-1])
     steps(three_phase.one_phase())
     set_points = {"grid_control.regulators": "setpoint", "grid_control.regulator_settings": {"timer": "reset"}}

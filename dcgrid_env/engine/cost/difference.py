@@ -1,0 +1,316 @@
+"""Difference rewards: how much of a step's cost each action saves, compared with a default action.
+
+The saved cost of an entry of the joint action is the team's cost of the step with that entry alone replaced by the
+default, less its cost as it was. It is a difference reward (D. Wolpert and K. Tumer, "Optimal payoff functions for
+members of collectives", Advances in Complex Systems 4, 2001), for each channel of an agent. With the policy's mean as
+the default it would be close to the advantage in J. Foerster et al., "Counterfactual multi-agent policy gradients",
+arXiv 1705.08926.
+
+    saved(a) = c(V + dV) - c(V) + w_effort (|q'|/s - |q|/s) + sum over a's terms of price (amount' - amount)
+    dV       = (dV/dq (q' - q) - dV/dp (p' - p)) / V           balanced; without 1/V on a three-phase feeder
+
+A dash marks the step with the default in that entry. The devices' own ``step`` computes p' and amount', so routed work
+and storage are included, and the converter limits q' at p'. dV/dp and dV/dq are the sensitivities of the feeder
+(LinDistFlow, or the three-phase feeder linearised at its base loads), for power that is injected.
+
+``price`` is the weight of a term, and of one charged at the end of the episode too. Deferred work is therefore charged
+at once, with the price of its waiting in this step and that of work left at the end. This is a bias: it assumes
+a fixed waiting time. All other effects on later steps are neglected.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices import DataCenters, Q, converter
+from dcgrid_env.engine.cost.reward import terms
+from dcgrid_env.engine.physics.actions import action_layout
+from dcgrid_env.engine.physics.connections import true_sensitivity
+from dcgrid_env.engine.physics.dynamics import device_slices, device_step
+from dcgrid_env.engine.physics.parameters import inverse, parameters
+from dcgrid_env.engine.physics.state import Exogenous, State
+from dcgrid_env.grid import Feeder
+from dcgrid_env.scenario.costs.grid_terms import voltage_cost
+from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
+from dcgrid_env.scenario.scenario import Scenario
+
+COMPILED = ("l1",)
+"""Forms of the voltage cost that the kernel has."""
+
+
+class Sensitivities(NamedTuple):
+    """Constants of ``saved_costs`` for a scenario."""
+
+    by_p: np.ndarray
+    """dV/dp of the charged nodes by the power injected at each node, p.u. per kW, (n_node, n_charged)."""
+    by_q: np.ndarray
+    """dV/dq likewise, p.u. per kvar."""
+    is_squared: bool
+    """Whether the sensitivities are those of half the squared voltage, as in LinDistFlow."""
+
+
+@cached_on_owner
+def sensitivities(scenario: Scenario) -> Sensitivities:
+    """Return the sensitivities of a scenario's feeder."""
+    charged = scenario.feeder.load_slice
+    by_p, by_q = (np.ascontiguousarray(matrix[charged].T) / 1e3 for matrix in true_sensitivity(scenario))
+    return Sensitivities(by_p, by_q, isinstance(scenario.feeder, Feeder))
+
+
+@cached_on_owner
+def rest_setpoints(scenario: Scenario) -> np.ndarray:
+    """Return the set points at t = 0, (n_action,), each in the unit of its channel."""
+    by_device = [
+        np.stack([np.broadcast_to(channel.rest, (device.count,)) for channel in device.channels], axis=-1).ravel()
+        for device in scenario.devices
+        if device.count and device.channels
+    ]
+    return np.concatenate([np.empty(0), *by_device])
+
+
+@cached_on_owner
+def rest_action(scenario: Scenario) -> np.ndarray:
+    """Return the joint action of ``rest_setpoints``, (n_action,); 0 for a channel without a range."""
+    rest = rest_setpoints(scenario)
+    params = parameters(scenario, rest)
+    half = params.half_range
+    return np.divide(rest - params.middle, half, out=np.zeros_like(rest), where=half > 0.0)
+
+
+def default_setpoints(scenario: Scenario, state: State, p_ref_kw: np.ndarray) -> np.ndarray:
+    """Return the set points of the default action, (row, n_action), each in the unit of its channel.
+
+    Parameters
+    ----------
+    scenario
+        The scenario; ``cost.default_action`` selects the default.
+    state
+        State before the step.
+    p_ref_kw
+        Draw of the sites over the step at the highest clock without a queue, kW, (row, n_site).
+    """
+    rest, kind = rest_setpoints(scenario), scenario.cost.default_action
+    default = np.empty((len(state.v_pu), len(rest)))
+    default[:] = rest
+    if kind == "rest":
+        return default
+    q_kvar, has_q = state.q_kvar, scenario.q_scale_kvar > 0.0
+    if kind == "droop":
+        k_p, k_q, alpha_per_s = scenario.cost.default_gains
+        q_kvar = q_kvar - 1e3 * k_q * scenario.dt_s * (state.v_agent_pu - 1.0)
+        q_kvar = np.clip(q_kvar, -scenario.q_scale_kvar, scenario.q_scale_kvar)
+        _set_clocks(scenario, state, p_ref_kw, k_p, alpha_per_s, default)
+    default[:, parameters(scenario, default).reactive[has_q]] = q_kvar[:, has_q]
+    return default
+
+
+def _set_clocks(
+    scenario: Scenario, state: State, p_ref_kw: np.ndarray, k_p: float, alpha_per_s: float, setpoints: np.ndarray
+) -> None:
+    """Set the clocks of data centres to those of the droop law, see ``baselines.laws.droop``."""
+    first = 0
+    for i, device in enumerate(scenario.devices):
+        sites = slice(first, first + device.count)
+        if isinstance(device, DataCenters) and device.count:
+            cut, site = device_slices(scenario)[i], device.parameters
+            more_kw = 1e3 * k_p * (state.v_agent_pu[:, cut] - 1.0) + alpha_per_s * state.devices[i].backlog_kws
+            f_mhz = (p_ref_kw[:, sites] + more_kw - site.p_idle_kw) / site.p_dynamic_kw * site.f_max_mhz
+            setpoints[:, action_layout(scenario).columns[i][0]] = np.clip(f_mhz, site.f_min_mhz, site.f_max_mhz)
+        if device.input == "workload":
+            first = sites.stop
+
+
+class Changes(NamedTuple):
+    """Changes of agents' powers that are compared: those of each entry of the joint action, one entry after the other.
+
+    An entry changes the powers of one agent, or of all sites if these route work.
+    """
+
+    agent: np.ndarray
+    """Agent whose powers change, (n_change,)."""
+    first: np.ndarray
+    """First change of each entry, and n_change, (n_action + 1,)."""
+    is_reactive: np.ndarray
+    """Whether the entry is a reactive set point, bool, (n_change,)."""
+    reactive_entry: np.ndarray
+    """Entry of the agent's reactive set point, (n_change,); any for an agent without one."""
+    has_reactive: np.ndarray
+    """1 for an agent with a reactive set point, else 0, (n_change,)."""
+
+
+@cached_on_owner
+def changes(scenario: Scenario) -> Changes:
+    """Return the changes that are compared in a scenario."""
+    layout, agents = action_layout(scenario), {agent: i for i, agent in enumerate(scenario.agents)}
+    together = {
+        scenario.agents[i]: range(cut.start, cut.stop)
+        for device, cut in zip(scenario.devices, device_slices(scenario), strict=True)
+        if _is_coupled(device)
+        for i in range(cut.start, cut.stop)
+    }
+    changed = [
+        [agents[agent]] if name == Q else list(together.get(agent, [agents[agent]])) for agent, name in layout.names
+    ]
+    counts = [len(of_entry) for of_entry in changed]
+    agent = np.array([i for of_entry in changed for i in of_entry], np.int64)
+    reactive = layout.reactive[agent]
+    return Changes(
+        agent, np.cumsum([0, *counts]), np.repeat(layout.is_channel(Q), counts), reactive.clip(0, None),
+        (reactive >= 0).astype(np.float64),
+    )  # fmt: skip
+
+
+class Run(NamedTuple):
+    """A repeated step of a group of devices with the default in one channel, of all slots or of one."""
+
+    device: int
+    channel: int
+    """Position among the channels of the device without the reactive one."""
+    slots: np.ndarray
+    entries: np.ndarray
+    """Entries of the joint action of these slots."""
+    changes: np.ndarray
+    """Changes that the draws of all slots are, in the order of ``Changes``."""
+    is_coupled: bool
+
+
+@cached_on_owner
+def runs(scenario: Scenario) -> tuple[Run, ...]:
+    """Return the repeated steps of a scenario: one for each channel, or one for each slot that acts on others."""
+    layout, first, needed = action_layout(scenario), changes(scenario).first, []
+    for i, columns in enumerate(layout.columns):
+        coupled = _is_coupled(scenario.devices[i])
+        for k, column in enumerate(columns):
+            entries = np.arange(layout.n)[column]
+            slots = np.arange(len(entries))
+            for chosen in slots[:, None] if coupled else [slots]:
+                together = np.arange(*first[entries[chosen[0]] :][:2]) if coupled else first[entries]
+                needed.append(Run(i, k, chosen, entries[chosen], together, coupled))
+    return tuple(needed)
+
+
+def _is_coupled(device: Any) -> bool:
+    """Return whether a set point of one slot acts on the others, because work is routed among them."""
+    return getattr(device, "routing", None) is not None
+
+
+def differences(
+    scenario: Scenario, before: State, after: State, setpoints: np.ndarray, default: np.ndarray, exogenous: Exogenous
+) -> np.ndarray:
+    """Return the cost that each entry of the joint action saves in a step, (row, n_action); negative for a loss.
+
+    Parameters
+    ----------
+    scenario
+        A scenario that passes ``check_difference_reward``.
+    before, after
+        States before and after the step. Without a power-flow solution ``after`` contains the last voltages.
+    setpoints, default
+        Set points of the action and of the default action, (row, n_action), each in the unit of its channel.
+    exogenous
+        Exogenous inputs of the step.
+    """
+    params, of, saved = parameters(scenario, default), changes(scenario), np.zeros(default.shape)
+    p_kw = after.p_kw[:, of.agent]
+    drawn = p_kw.copy()
+    for run in runs(scenario):
+        given = [setpoints[:, column] for column in action_layout(scenario).columns[run.device]]
+        given[run.channel] = given[run.channel].copy()
+        given[run.channel][:, run.slots] = default[:, run.entries]
+        state, drawn[:, run.changes] = device_step(scenario, params, before, run.device, tuple(given), exogenous)
+        prices = (_prices(scenario, run.device, params, s) for s in (state, after.devices[run.device]))
+        more = np.subtract(*prices)
+        saved[:, run.entries] = more.sum(-1, keepdims=True) if run.is_coupled else more
+    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
+    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], drawn, asked)
+    if exogenous.available is not None:
+        available = exogenous.available[:, of.agent]
+        drawn, q_kvar = drawn * available, q_kvar * available
+    return saved + saved_costs(scenario, after, exogenous.nodes, drawn - p_kw, q_kvar - after.q_kvar[:, of.agent])
+
+
+def sums_by_agent(scenario: Scenario, of_entries: np.ndarray) -> np.ndarray:
+    """Return the sum of each agent's entries, (row, n_agent), of values (row, n_action)."""
+    return of_entries @ _owners(scenario)
+
+
+@cached_on_owner
+def _owners(scenario: Scenario) -> np.ndarray:
+    """1 where an entry of the joint action belongs to an agent, else 0, (n_action, n_agent)."""
+    layout = action_layout(scenario)
+    return np.array([[owner == agent for agent in scenario.agents] for owner, _ in layout.names], np.float64)
+
+
+def _prices(scenario: Scenario, i: int, params: Any, state: Any) -> np.ndarray:
+    """Return what the team is charged for each slot of a device, now and at the end at once, (row, slot)."""
+    device = scenario.devices[i]
+    total: Any = np.zeros((1, device.count))
+    for position, amount, scale, charges in terms(scenario).shares:
+        if position == i:
+            price = sum(weight for weight, _, _ in charges) / scale
+            total = total + price * device.amount(amount, params.devices[i], state)
+    return total
+
+
+def saved_costs(
+    scenario: Scenario, state: State, nodes: np.ndarray, p_change: np.ndarray, q_change: np.ndarray
+) -> np.ndarray:
+    """Return the increase of voltage, violation and effort costs due to the changes of each entry, (row, n_action).
+
+    Parameters
+    ----------
+    scenario, state
+        The scenario and the state from which the powers change.
+    nodes
+        Nodes of the agents, see ``Exogenous.nodes``.
+    p_change, q_change
+        Changes of draws, kW, and of reactive injections, kvar, (row, n_change) each, in the order of ``changes``.
+    """
+    of, t, cost = sensitivities(scenario), terms(scenario), scenario.cost
+    w_voltage, w_violation = cost.weights.voltage / t.n_judged, cost.weights.violation / t.n_judged
+    changed = changes(scenario)
+    effort = (cost.weights.effort / t.n_converters) * inverse(parameters(scenario, p_change).converter_kva)
+    if cost.voltage not in COMPILED:
+        return _saved_costs_arrays(scenario, state, nodes, p_change, q_change, (w_voltage, w_violation), effort)
+    from dcgrid_env.core.threads import over_rows  # brings the compiler with it, so not on import
+    from dcgrid_env.engine.cost.difference_kernel import saved_costs_rows
+
+    v_pu = np.ascontiguousarray(state.v_pu, np.float64)
+    out = np.empty((len(v_pu), len(changed.first) - 1))
+    targets = np.ascontiguousarray(voltage_targets(scenario)[t.judged])
+    given = (
+        v_pu, nodes, of.by_p, of.by_q, of.is_squared, targets, float(cost.uncharged_pu), float(cost.band_pu),
+        w_voltage, w_violation, effort, changed.agent, changed.first, np.ascontiguousarray(state.q_kvar), p_change,
+        q_change, out,
+    )  # fmt: skip
+    over_rows(lambda begin, end: saved_costs_rows(begin, end, *given), len(v_pu))
+    return out
+
+
+def _saved_costs_arrays(
+    scenario: Scenario,
+    state: State,
+    nodes: np.ndarray,
+    p_change: np.ndarray,
+    q_change: np.ndarray,
+    weights: tuple[float, float],
+    effort: np.ndarray,
+) -> np.ndarray:
+    """``saved_costs`` as array operations, for every form of the voltage cost."""
+    of, judged, cost, changed = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
+    local = (nodes - np.arange(len(nodes))[:, None, None] * state.v_pu.shape[1])[:, changed.agent]
+    moved = q_change[..., None] * of.by_q[local].mean(2) - p_change[..., None] * of.by_p[local].mean(2)
+    q_kvar = state.q_kvar[:, changed.agent]
+    more = (np.abs(q_kvar + q_change) - np.abs(q_kvar)) * effort[changed.agent]
+    moved, more = (np.add.reduceat(values, changed.first[:-1], axis=1) for values in (moved, more))
+    v = state.v_pu[:, None, judged]
+
+    def charged(v_pu: np.ndarray) -> np.ndarray:
+        deviation = voltage_cost(cost.voltage, voltage_deviation(scenario, v_pu, judged), cost.band_pu)
+        beyond = np.maximum(np.abs(v_pu - 1.0) - cost.band_pu, 0.0)
+        return weights[0] * deviation.sum(-1) + weights[1] * beyond.sum(-1)
+
+    return charged(v + (moved / v if of.is_squared else moved)) - charged(v) + more
