@@ -1,6 +1,7 @@
 """``dcgrid import`` and ``export`` of balanced grids in a terminal: a folder or file and a comparison, or one line."""
 
 import json
+from typing import Any
 
 import pytest
 
@@ -111,7 +112,7 @@ def test_profiles_of_a_net_become_a_file(tmp_path, capsys):
     import pandapower.networks
     import pandas
 
-    net = pandapower.networks.case33bw()
+    net: Any = pandapower.networks.case33bw()
     net.load["profile"] = "H0"
     net["profiles"] = {"load": pandas.DataFrame({"H0_pload": [0.5, 1.0], "H0_qload": [0.25, 1.0]})}
     pandapower.to_json(net, str(tmp_path / "net.json"))

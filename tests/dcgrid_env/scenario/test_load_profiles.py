@@ -150,7 +150,7 @@ def test_an_episode_may_be_as_long_as_a_day_and_a_short_file_repeats():
 
 @pytest.mark.parametrize("name", ["ieee33", "ieee13-3ph"])
 def test_every_interface_draws_the_same_loads(name):
-    names = ["home", "home.q"]
+    names = ("home", "home.q")
     file = ProfileTable(0.0, 60.0, names, np.random.default_rng(0).uniform(0.3, 1.0, (7200, 2)))
     base = make_scenario(name)
     loads_of = base.feeder.bus_ids[1:] if name == "ieee33" else base.feeder.network.phase_load.name
@@ -162,7 +162,7 @@ def test_every_interface_draws_the_same_loads(name):
     one = DcgridEnv(s)
     np.testing.assert_array_equal(one.reset(seed=1)[0], seen[1])
     for _ in range(3):
-        action = 0.3 * np.ones(batch.action_space.shape, np.float32)
+        action = np.full_like(batch.action_space.sample(), 0.3)
         seen = batch.step(action)[0]
         np.testing.assert_array_equal(one.step(action[1])[0], seen[1])
         np.testing.assert_allclose(tensors.step(action.astype(np.float64))[0], seen, atol=1e-6)
