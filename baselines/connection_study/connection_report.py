@@ -139,7 +139,8 @@ def answers(job: Job, found: Capacities | None) -> list[str]:
         fits = request.mw <= capacity.capacity_mw + 1e-9
         size = f"{'at least ' if capacity.at_most else ''}{capacity.capacity_mw:g} MW"
         why = "" if capacity.at_most else f" The next size breaks: {capacity.limit}."
-        delay = f" Work waits {capacity.delay_mean_s:.2f} s on average at that size." if capacity.delay_mean_s else ""
+        waits = capacity.delay_mean_s >= 0.005
+        delay = f" Work waits {capacity.delay_mean_s:.2f} s on average at that size." if waits else ""
         verdict = "fits" if fits else "does not fit"
         asked = f"{request.mw:g} MW at bus {request.bus} {verdict}"
         said.append(sentences((f"{under(name)}, {asked}: the bus carries {size}",)) + why + delay)

@@ -52,7 +52,8 @@ def base_case(job: Job) -> Section:
     if loading is not None and np.any(loading[0] > 0.0):
         most = int(loading[0].argmax())
         rows.append(("highest loading", f"{100.0 * loading[0, most]:.1f} % of the rating", branch_to(feeder, most)))
-        loaded = f", and the highest loading is {rows[-1][1]} ({rows[-1][2]})"
+        side = "above" if 100.0 * loading[0, most] > study.loading_max_pct else "within"
+        loaded = f", and the highest loading is {rows[-1][1]} ({rows[-1][2]}), {side} its limit"
     else:
         loaded = ", and no rating is known"
     coverage = study.coverage
