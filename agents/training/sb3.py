@@ -53,7 +53,7 @@ class Config(Training):
     def for_scenario(cls, scenario: str | None = None, view: str | None = None, **fields: Any) -> Self:
         """Return the configuration for a scenario, see :class:`Training`.
 
-        With difference rewards it has a discount of 0 instead of the tuned settings, which are those of the team reward.
+        The tuned settings are those of the team reward. With difference rewards the discount is 0 instead.
         """
         if fields.get("reward") != "difference":
             return super().for_scenario(scenario, view, **fields)

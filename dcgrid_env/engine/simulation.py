@@ -111,6 +111,10 @@ class Simulation:
         transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
         if self.scenario.cost.reward == "difference":
             saved = self._saved(now.state, state, action, outside) / difference_scale(self.scenario)
+            if difference.EXCESS_PRICE:
+                saved = saved - difference.EXCESS_PRICE * difference.excess(
+                    self.scenario, state, dynamics.setpoints_of(self.scenario, action)
+                )
             vector = np.where(grid.solution.converged[:, None], saved, -transition.cost_j[:, None])
             paid = difference.sums_by_agent(self.scenario, vector)
             transition = transition._replace(reward=paid, reward_vector=vector)
@@ -147,9 +151,7 @@ class Simulation:
         paid, vector = np.zeros_like(transition.reward), None
         if self.scenario.cost.reward == "difference":
             paid, vector = (np.zeros((len(seed), n)) for n in (self.scenario.n_agents, action_layout(self.scenario).n))
-        transition = transition._replace(
-            costs=free, cost_j=zeros, j_so_far=zeros, reward=paid, reward_vector=vector
-        )
+        transition = transition._replace(costs=free, cost_j=zeros, j_so_far=zeros, reward=paid, reward_vector=vector)
         return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
 
     def _merged(self, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:
@@ -231,7 +233,8 @@ def difference_scale(scenario: Scenario) -> np.ndarray:
     sampled.reset(range(SCALE_EPISODES))
     s, largest = sampled.scenario, []
     rest = np.tile(difference.rest_action(s), (SCALE_EPISODES, 1))
-    lowest, resting, highest = (dynamics.setpoints_of(s, action) for action in (0.0 * rest - 1.0, rest, 0.0 * rest + 1.0))
+    ends = (np.full_like(rest, -1.0), rest, np.ones_like(rest))
+    lowest, resting, highest = (dynamics.setpoints_of(s, action) for action in ends)
     for _ in range(min(SCALE_STEPS, s.horizon)):
         now = sampled.now
         outside = episode.exogenous(s, now.episode, now.step + 1, now.noise, now.p_ref_next_kw)

@@ -115,7 +115,7 @@ class Cost:
     def _check_default_action(self) -> None:
         gains = self.default_gains
         if not isinstance(gains, tuple) or len(gains) != 3 or not all(finite(gain, 0.0, 1e9) for gain in gains):
-            raise refuse(self, "default_gains", "give three numbers >= 0: k_p_mw_per_pu, k_q_mvar_per_pu_s, alpha_per_s")
+            raise refuse(self, "default_gains", "give 3 numbers >= 0: k_p_mw_per_pu, k_q_mvar_per_pu_s, alpha_per_s")
         for name, user in (("default_action", "reward"), ("default_gains", "default_action")):
             is_given = getattr(self, name) != type(self).__dataclass_fields__[name].default
             needed = "difference" if user == "reward" else "droop"

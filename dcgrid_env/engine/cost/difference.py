@@ -37,7 +37,7 @@ from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
 from dcgrid_env.scenario.scenario import Scenario
 
-
+EXCESS_PRICE = 0.0
 COMPILED = ("l1",)
 """Forms of the voltage cost that the kernel has."""
 
@@ -57,8 +57,8 @@ class Sensitivities(NamedTuple):
 def sensitivities(scenario: Scenario) -> Sensitivities:
     """Return the sensitivities of a scenario's feeder."""
     charged = scenario.feeder.load_slice
-    by = (np.ascontiguousarray(matrix[charged].T) / 1e3 for matrix in true_sensitivity(scenario))
-    return Sensitivities(*by, isinstance(scenario.feeder, Feeder))
+    by_p, by_q = (np.ascontiguousarray(matrix[charged].T) / 1e3 for matrix in true_sensitivity(scenario))
+    return Sensitivities(by_p, by_q, isinstance(scenario.feeder, Feeder))
 
 
 @cached_on_owner
@@ -164,6 +164,35 @@ def changes(scenario: Scenario) -> Changes:
     )  # fmt: skip
 
 
+class Run(NamedTuple):
+    """A repeated step of a group of devices with the default in one channel, of all slots or of one."""
+
+    device: int
+    channel: int
+    """Position among the channels of the device without the reactive one."""
+    slots: np.ndarray
+    entries: np.ndarray
+    """Entries of the joint action of these slots."""
+    changes: np.ndarray
+    """Changes that the draws of all slots are, in the order of ``Changes``."""
+    is_coupled: bool
+
+
+@cached_on_owner
+def runs(scenario: Scenario) -> tuple[Run, ...]:
+    """Return the repeated steps of a scenario: one for each channel, or one for each slot that acts on others."""
+    layout, first, needed = action_layout(scenario), changes(scenario).first, []
+    for i, columns in enumerate(layout.columns):
+        coupled = _is_coupled(scenario.devices[i])
+        for k, column in enumerate(columns):
+            entries = np.arange(layout.n)[column]
+            slots = np.arange(len(entries))
+            for chosen in slots[:, None] if coupled else [slots]:
+                together = np.arange(*first[entries[chosen[0]] :][:2]) if coupled else first[entries]
+                needed.append(Run(i, k, chosen, entries[chosen], together, coupled))
+    return tuple(needed)
+
+
 def _is_coupled(device: Any) -> bool:
     """Return whether a set point of one slot acts on the others, because work is routed among them."""
     return getattr(device, "routing", None) is not None
@@ -188,28 +217,32 @@ def differences(
     params, of, saved = parameters(scenario, default), changes(scenario), np.zeros(default.shape)
     p_kw = after.p_kw[:, of.agent]
     drawn = p_kw.copy()
-    for i, columns in enumerate(action_layout(scenario).columns):
-        charged_now = _prices(scenario, i, params, after.devices[i]) if columns else None
-        chosen = [setpoints[:, column] for column in columns]
-        for k, column in enumerate(columns):
-            at_default, coupled = default[:, column], _is_coupled(scenario.devices[i])
-            for slots in range(at_default.shape[1]) if coupled else (slice(None),):
-                changed = chosen[k].copy()
-                changed[:, slots] = at_default[:, slots]
-                given = (*chosen[:k], changed, *chosen[k + 1 :])
-                state, drawn_kw = device_step(scenario, params, before, i, given, exogenous)
-                more = _prices(scenario, i, params, state) - charged_now
-                if coupled:
-                    entry = (column.start or 0) + slots * (column.step or 1)
-                    drawn[:, of.first[entry] : of.first[entry + 1]], saved[:, entry] = drawn_kw, more.sum(-1)
-                else:
-                    drawn[:, of.first[:-1][column]], saved[:, column] = drawn_kw, more
+    for run in runs(scenario):
+        given = [setpoints[:, column] for column in action_layout(scenario).columns[run.device]]
+        given[run.channel] = given[run.channel].copy()
+        given[run.channel][:, run.slots] = default[:, run.entries]
+        state, drawn[:, run.changes] = device_step(scenario, params, before, run.device, tuple(given), exogenous)
+        prices = (_prices(scenario, run.device, params, s) for s in (state, after.devices[run.device]))
+        more = np.subtract(*prices)
+        saved[:, run.entries] = more.sum(-1, keepdims=True) if run.is_coupled else more
     asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
     q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], drawn, asked)
     if exogenous.available is not None:
         available = exogenous.available[:, of.agent]
         drawn, q_kvar = drawn * available, q_kvar * available
     return saved + saved_costs(scenario, after, exogenous.nodes, drawn - p_kw, q_kvar - after.q_kvar[:, of.agent])
+
+
+def excess(scenario: Scenario, after: State, setpoints: np.ndarray) -> np.ndarray:
+    """Return how far reactive set points are beyond the converters' limits in a step, (row, n_action).
+
+    In shares of the limit at zero active power; 0 for other channels.
+    """
+    beyond, has_q = np.zeros(setpoints.shape), scenario.q_scale_kvar > 0.0
+    entries = parameters(scenario, setpoints).reactive[has_q]
+    over_kvar = np.abs(setpoints[:, entries]) - after.q_limit_kvar[:, has_q]
+    beyond[:, entries] = np.maximum(over_kvar, 0.0) / scenario.q_scale_kvar[has_q]
+    return beyond
 
 
 def sums_by_agent(scenario: Scenario, of_entries: np.ndarray) -> np.ndarray:
@@ -227,7 +260,7 @@ def _owners(scenario: Scenario) -> np.ndarray:
 def _prices(scenario: Scenario, i: int, params: Any, state: Any) -> np.ndarray:
     """Return what the team is charged for each slot of a device, now and at the end at once, (row, slot)."""
     device = scenario.devices[i]
-    total = np.zeros((1, device.count))
+    total: Any = np.zeros((1, device.count))
     for position, amount, scale, charges in terms(scenario).shares:
         if position == i:
             price = sum(weight for weight, _, _ in charges) / scale

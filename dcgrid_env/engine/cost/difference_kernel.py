@@ -6,14 +6,32 @@ import numpy as np
 
 from dcgrid_env.core.compiled import compiled
 
+SUMS = {"reassoc", "nsz", "contract"}
+"""Liberties that the compiler may take in sums over nodes, which it then vectorises."""
 
-@compiled(inner=True, fastmath={"reassoc", "nsz", "contract"})
+
+@compiled(inner=True, fastmath=SUMS)
 def _cost(v_pu, targets, uncharged_pu, band_pu, w_voltage, w_violation):
     """Voltage and violation cost of voltages (n_node,)."""
     off, beyond = 0.0, 0.0
     for j in range(len(v_pu)):
-        off += max(abs(v_pu[j] - targets[j]) - uncharged_pu, 0.0)
-        beyond += max(abs(v_pu[j] - 1.0) - band_pu, 0.0)
+        from_target = abs(v_pu[j] - targets[j]) - uncharged_pu
+        from_one = abs(v_pu[j] - 1.0) - band_pu
+        off += from_target if from_target > 0.0 else 0.0
+        beyond += from_one if from_one > 0.0 else 0.0
+    return w_voltage * off + w_violation * beyond
+
+
+@compiled(inner=True, fastmath=SUMS)
+def _cost_with(v_pu, per_v, by, change, targets, uncharged_pu, band_pu, w_voltage, w_violation):
+    """``_cost`` after a change of one power at one node, by which voltages change as ``by`` (n_node,) over v."""
+    off, beyond = 0.0, 0.0
+    for j in range(len(v_pu)):
+        v = v_pu[j] + by[j] * change * per_v[j]
+        from_target = abs(v - targets[j]) - uncharged_pu
+        from_one = abs(v - 1.0) - band_pu
+        off += from_target if from_target > 0.0 else 0.0
+        beyond += from_one if from_one > 0.0 else 0.0
     return w_voltage * off + w_violation * beyond
 
 
@@ -25,14 +43,27 @@ def saved_costs_rows(
     """Fill ``out`` (row, n_action) for the rows from ``begin`` up to ``end``; see ``difference.saved_costs``."""
     n_node, n_seen = v_pu.shape[1], by_p.shape[1]
     first, parts = n_node - n_seen, nodes.shape[2]
-    moved = np.empty(n_seen)
+    moved, per_v = np.empty(n_seen), np.ones(n_seen)
     for row in range(begin, end):
         v = v_pu[row, first:]
+        if is_squared:
+            for j in range(n_seen):
+                per_v[j] = 1.0 / v[j]
         now = _cost(v, targets, uncharged_pu, band_pu, w_voltage, w_violation)
         for entry in range(out.shape[1]):
+            change, end_change = first_change[entry], first_change[entry + 1]
+            if end_change == change + 1 and parts == 1 and p_change[row, change] == 0.0:
+                q, i = q_change[row, change], agent[change]
+                saved = 0.0
+                if q != 0.0:
+                    by = by_q[nodes[row, i, 0] - row * n_node]
+                    moved_cost = _cost_with(v, per_v, by, q, targets, uncharged_pu, band_pu, w_voltage, w_violation)
+                    saved = moved_cost - now + effort[i] * (abs(q_kvar[row, i] + q) - abs(q_kvar[row, i]))
+                out[row, entry] = saved
+                continue
             moved[:] = 0.0
             more = 0.0
-            for change in range(first_change[entry], first_change[entry + 1]):
+            for change in range(first_change[entry], end_change):
                 i, p, q = agent[change], p_change[row, change] / parts, q_change[row, change] / parts
                 if p == 0.0 and q == 0.0:
                     continue
@@ -42,7 +73,6 @@ def saved_costs_rows(
                     node = nodes[row, i, part] - row * n_node
                     for j in range(n_seen):
                         moved[j] += by_q[node, j] * q - by_p[node, j] * p
-            for j in range(n_seen):
-                moved[j] = v[j] + (moved[j] / v[j] if is_squared else moved[j])
-            out[row, entry] = _cost(moved, targets, uncharged_pu, band_pu, w_voltage, w_violation) - now + more
+            moved_cost = _cost_with(v, per_v, moved, 1.0, targets, uncharged_pu, band_pu, w_voltage, w_violation)
+            out[row, entry] = moved_cost - now + more
     return 0

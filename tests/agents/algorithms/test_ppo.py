@@ -177,5 +177,7 @@ def test_difference_rewards_have_settings_of_their_own(tmp_path):
     assert (vec_env.scenario.cost.reward, vec_env.end_as_it_arises) == ("difference", False)
     assert vec_env.scenario.cost.weights == make_scenario("toy6").cost.weights
     assert [row["step"] for row in read_curve(ppo.main(cfg))] == [600, 1200]
-    with pytest.raises(ValueError, match="gamma is 0.9; a difference reward charges later costs at once: give gamma 0"):
+    with pytest.raises(
+        ValueError, match=r"gamma is 0\.9; a difference reward charges later costs at once: give gamma 0"
+    ):
         sb3.vec_env_for(tiny(tmp_path, reward="difference"))

@@ -58,7 +58,7 @@ def test_corrections_of_a_droop_are_compared_with_that_droop():
     vec_env = sb3_vec_env(
         "ieee33-weak", 2, "shared", outputs="droop", reward="difference", cost={"default_action": "droop"}
     )
-    assert vec_env.scenario.cost.default_gains == tuple(vec_env.gains)
+    assert vec_env.scenario.cost.default_gains == vec_env.gains
     vec_env.seed(0)
     vec_env.reset()
     for _ in range(3):

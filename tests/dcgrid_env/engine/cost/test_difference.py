@@ -8,7 +8,7 @@ import pytest
 from dcgrid_env import Scenario, action_layout, make_scenario
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.engine.cost import difference
-from dcgrid_env.engine.simulation import Simulation, difference_scale
+from dcgrid_env.engine.simulation import Simulation, Transition, difference_scale
 from helpers.forms import each_preset
 
 N_ENV = 3
@@ -23,6 +23,12 @@ def after_some_steps(scenario: Scenario, steps: int = 4) -> tuple[Simulation, np
     for _ in range(steps):
         simulation.step(rng.uniform(-widest, widest, (N_ENV, layout.n)))
     return simulation, rng.uniform(-widest, widest, (N_ENV, layout.n))
+
+
+def vector_of(transition: Transition) -> np.ndarray:
+    """The difference reward of each entry of the joint action."""
+    assert transition.reward_vector is not None
+    return transition.reward_vector
 
 
 def priced(simulation: Simulation) -> np.ndarray:
@@ -55,8 +61,7 @@ def test_it_is_the_change_of_cost_with_another_power_flow(name: str, tolerance: 
     simulation, action = after_some_steps(scenario)
     before, layout = simulation.now, action_layout(scenario)
     simulation.step(action)
-    cost, vector = priced(simulation), simulation.transition.reward_vector
-    assert vector is not None
+    cost, vector = priced(simulation), vector_of(simulation.transition)
     saved, exact = vector * difference_scale(scenario), np.empty_like(vector)
     for entry in range(layout.n):
         simulation.restore(before)
@@ -78,7 +83,7 @@ def test_the_default_action_is_paid_nothing(default: str) -> None:
     setpoints = difference.default_setpoints(scenario, now.state, now.p_ref_next_kw)
     params = difference.parameters(scenario, setpoints)
     transition = simulation.step((setpoints - params.middle) / params.half_range)
-    np.testing.assert_allclose(transition.reward_vector, 0.0, atol=1e-12)
+    np.testing.assert_allclose(vector_of(transition), 0.0, atol=1e-12)
 
 
 def test_the_droop_as_default_is_the_law_by_hand() -> None:
@@ -112,8 +117,7 @@ def test_an_injection_by_hand() -> None:
         100.0 * np.abs(u - 1.0).mean() + 1000.0 * np.maximum(np.abs(u - 1.0) - 0.05, 0.0).mean() for u in (without, v)
     ]
     effort = 0.02 / 3 * q / scenario.inverters.converter_kva[0]
-    assert transition.reward_vector is not None
-    saved = (transition.reward_vector * difference_scale(scenario))[0, 2]
+    saved = (vector_of(transition) * difference_scale(scenario))[0, 2]
     assert q > 0.0
     assert saved == pytest.approx(cost[0] - cost[1] - effort, rel=1e-9)
 
@@ -123,16 +127,16 @@ def test_kernel_and_arrays_agree(scenario: tuple[str, dict[str, Any]], monkeypat
     name, cost = scenario
     simulation, action = after_some_steps(make_scenario(name, reward="difference", cost=cost))
     before = simulation.now
-    compiled = simulation.step(action).reward_vector
+    compiled = vector_of(simulation.step(action))
     monkeypatch.setattr(difference, "COMPILED", ())
     simulation.go_on(before)
-    np.testing.assert_allclose(simulation.step(action).reward_vector, compiled, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(vector_of(simulation.step(action)), compiled, rtol=1e-9, atol=1e-11)
 
 
 def test_other_forms_of_the_voltage_cost_and_two_work_classes() -> None:
     for changes in ({"cost": {"voltage": "bowl"}}, {"datacenters": {"clock_law": "prefill-decode"}, "trace": "mixed"}):
         simulation, action = after_some_steps(make_scenario("ieee33-weak", reward="difference", **changes))
-        vector = simulation.step(action).reward_vector
+        vector = vector_of(simulation.step(action))
         assert np.isfinite(vector).all()
         assert (vector != 0.0).any(axis=0)[action_layout(simulation.scenario).reactive].all()
 
@@ -149,8 +153,7 @@ def test_a_site_that_a_fault_has_disconnected_is_paid_only_for_its_work() -> Non
     else:
         pytest.fail("no fault")
     reactive = action_layout(scenario).reactive
-    assert transition.reward_vector is not None
-    np.testing.assert_array_equal(transition.reward_vector[:, reactive][lost], 0.0)
+    np.testing.assert_array_equal(vector_of(transition)[:, reactive][lost], 0.0)
 
 
 def test_without_a_solution_every_entry_is_charged_the_teams_cost() -> None:
@@ -159,7 +162,7 @@ def test_without_a_solution_every_entry_is_charged_the_teams_cost() -> None:
     while not (transition := simulation.step(0.0 * action + 1.0)).terminated.any():
         assert not transition.truncated.any()
     over = transition.terminated
-    assert (transition.reward_vector[over] == -transition.cost_j[over, None]).all()
+    assert (vector_of(transition)[over] == -transition.cost_j[over, None]).all()
     assert np.isfinite(transition.reward).all()
 
 

@@ -10,7 +10,11 @@ from dcgrid_env import ScenarioError, make_scenario, scenario_hash
     [
         ("zero-shot", {}, "needs the model of one feeder, and feeder is RandomFeeders"),
         ("ride-through", {}, "compares single steps, and ride_through of kind 'datacenter' acts on later ones"),
-        ("ieee33-weak", {"weights": {"loss": 2.0}}, "does not compare what weights.loss = 2 charges; set it to 0, or use"),
+        (
+            "ieee33-weak",
+            {"weights": {"loss": 2.0}},
+            "does not compare what weights.loss = 2 charges; set it to 0",
+        ),
         ("ieee13-3ph", {"grid_control": {"regulators": "agent"}}, "give under_own_control"),
     ],
 )
@@ -26,7 +30,10 @@ def test_what_it_does_not_cover_is_refused(name, fields, message):
     [
         ({"default_action": "rest"}, "default_action is 'rest'; set reward to 'difference'"),
         ({"reward": "difference", "default_gains": (1, 2, 3)}, "set default_action to 'droop'"),
-        ({"reward": "difference", "default_action": "droop", "default_gains": (1.0, -2.0, 3.0)}, "give three numbers >= 0"),
+        (
+            {"reward": "difference", "default_action": "droop", "default_gains": (1.0, -2.0)},
+            "give 3 numbers >= 0",
+        ),
         ({"reward": "difference", "default_action": "mean"}, "previous, rest, droop"),
     ],
 )
