@@ -111,10 +111,6 @@ class Simulation:
         transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
         if self.scenario.cost.reward == "difference":
             saved = self._saved(now.state, state, action, outside) / difference_scale(self.scenario)
-            if difference.EXCESS_PRICE:
-                saved = saved - difference.EXCESS_PRICE * difference.excess(
-                    self.scenario, state, dynamics.setpoints_of(self.scenario, action)
-                )
             vector = np.where(grid.solution.converged[:, None], saved, -transition.cost_j[:, None])
             paid = difference.sums_by_agent(self.scenario, vector)
             transition = transition._replace(reward=paid, reward_vector=vector)

@@ -37,7 +37,6 @@ from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
 from dcgrid_env.scenario.scenario import Scenario
 
-EXCESS_PRICE = 0.0
 COMPILED = ("l1",)
 """Forms of the voltage cost that the kernel has."""
 
@@ -231,18 +230,6 @@ def differences(
         available = exogenous.available[:, of.agent]
         drawn, q_kvar = drawn * available, q_kvar * available
     return saved + saved_costs(scenario, after, exogenous.nodes, drawn - p_kw, q_kvar - after.q_kvar[:, of.agent])
-
-
-def excess(scenario: Scenario, after: State, setpoints: np.ndarray) -> np.ndarray:
-    """Return how far reactive set points are beyond the converters' limits in a step, (row, n_action).
-
-    In shares of the limit at zero active power; 0 for other channels.
-    """
-    beyond, has_q = np.zeros(setpoints.shape), scenario.q_scale_kvar > 0.0
-    entries = parameters(scenario, setpoints).reactive[has_q]
-    over_kvar = np.abs(setpoints[:, entries]) - after.q_limit_kvar[:, has_q]
-    beyond[:, entries] = np.maximum(over_kvar, 0.0) / scenario.q_scale_kvar[has_q]
-    return beyond
 
 
 def sums_by_agent(scenario: Scenario, of_entries: np.ndarray) -> np.ndarray:

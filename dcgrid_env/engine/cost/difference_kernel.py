@@ -11,20 +11,8 @@ SUMS = {"reassoc", "nsz", "contract"}
 
 
 @compiled(inner=True, fastmath=SUMS)
-def _cost(v_pu, targets, uncharged_pu, band_pu, w_voltage, w_violation):
-    """Voltage and violation cost of voltages (n_node,)."""
-    off, beyond = 0.0, 0.0
-    for j in range(len(v_pu)):
-        from_target = abs(v_pu[j] - targets[j]) - uncharged_pu
-        from_one = abs(v_pu[j] - 1.0) - band_pu
-        off += from_target if from_target > 0.0 else 0.0
-        beyond += from_one if from_one > 0.0 else 0.0
-    return w_voltage * off + w_violation * beyond
-
-
-@compiled(inner=True, fastmath=SUMS)
 def _cost_with(v_pu, per_v, by, change, targets, uncharged_pu, band_pu, w_voltage, w_violation):
-    """``_cost`` after a change of one power at one node, by which voltages change as ``by`` (n_node,) over v."""
+    """Voltage and violation cost after a change of one power, by which voltages (n_node,) change as ``by`` over v."""
     off, beyond = 0.0, 0.0
     for j in range(len(v_pu)):
         v = v_pu[j] + by[j] * change * per_v[j]
@@ -49,7 +37,7 @@ def saved_costs_rows(
         if is_squared:
             for j in range(n_seen):
                 per_v[j] = 1.0 / v[j]
-        now = _cost(v, targets, uncharged_pu, band_pu, w_voltage, w_violation)
+        now = _cost_with(v, per_v, v, 0.0, targets, uncharged_pu, band_pu, w_voltage, w_violation)
         for entry in range(out.shape[1]):
             change, end_change = first_change[entry], first_change[entry + 1]
             if end_change == change + 1 and parts == 1 and p_change[row, change] == 0.0:
