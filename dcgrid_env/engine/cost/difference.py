@@ -265,7 +265,7 @@ def saved_costs(
     scenario, state
         The scenario and the state from which the powers change.
     nodes
-        As in ``Exogenous.nodes``.
+        Nodes of the agents, see ``Exogenous.nodes``.
     p_change, q_change
         Changes of draws, kW, and of reactive injections, kvar, (row, n_change) each, in the order of ``changes``.
     """

@@ -119,7 +119,7 @@ def test_a_scenario_of_parts_alone():
         (lambda: Sensing(noise_pu=-1.0), r"^Sensing: noise_pu is -1.0; give a finite number in \[0, 1\]$"),
         (lambda: Background(start_hour=24.0), r"^Background: start_hour is 24.0; give an hour from 0 to less than 24"),
         (lambda: Workload(trace="x"), r"^Workload: trace is 'x'; `dcgrid list traces` lists all"),
-        (lambda: Cost(reward="mine"), r"^Cost: reward is 'mine'; choose one of shared, local$"),  # type: ignore
+        (lambda: Cost(reward="mine"), r"^Cost: reward is 'mine'; choose one of shared, local, difference$"),  # type: ignore
         (lambda: Inverters(buses=("3",)), r"^Inverters: s_rated_kva is 0.0; give one positive number"),
         (lambda: DataCenters(count=-1, p_rated_kw=1.0, s_rated_share=1.0, q_max_share=0.0), "count is -1; give"),
     ],

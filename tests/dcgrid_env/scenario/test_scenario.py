@@ -245,7 +245,7 @@ def test_a_numpy_integer_is_a_count():
     [
         ("power_flow", ["distflow", "lindistflow", "sweep"]),
         ("cost.voltage", ["l1", "l2", "bowl", "courant_beltrami", "bump"]),
-        ("cost.reward", ["shared", "local"]),
+        ("cost.reward", ["shared", "local", "difference"]),
         ("sensing.observe", ["local", "neighbours", "feeder"]),
         ("workload.window", ["random", "start", "together"]),
         ("workload.recording_split", ["time", "recording"]),
