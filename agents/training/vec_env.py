@@ -64,8 +64,8 @@ def sb3_vec_env(
     ScenarioError
         For an unknown scenario; TypeError for an override that is not a field of it.
     ValueError
-        For another view or other outputs, a shared view of a scenario with regulators or capacitor banks among its
-        agents, nameplate figures in a joint view, or corrections of a droop on a scenario without tuned gains.
+        For an unknown view or unknown outputs, nameplate figures in a joint view, or corrections of a droop without
+        tuned gains. Also for a shared view if regulators or capacitor banks are among the agents.
     """
     if view not in get_args(SB3View):
         raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")

@@ -217,11 +217,10 @@ SCALE_EPISODES, SCALE_STEPS = 16, 8
 def difference_scale(scenario: Scenario) -> np.ndarray:
     """Return the divisor of the cost that each entry of the joint action saves, (n_action,), the same for a channel.
 
-    It is the mean cost of moving one set point to that end of its range which costs or saves more, over all agents with
-    the channel, in the first training episodes without any other control; 1 if the channel has no effect. The violation
-    is not counted, because a trained policy has few. A positive divisor does not change which action of a channel is
-    best. It makes the channels about equally large in the reward of an agent: deferred work costs about ten times as
-    much as reactive power saves.
+    One set point is moved to either end of its range, in the first training episodes and without other control. The
+    divisor is the mean over all agents with the channel of the larger change in cost, or 1 if the channel has no
+    effect. The violation is not counted, because a trained policy has little. A positive divisor does not change which
+    action of a channel is best.
     """
     layout = action_layout(scenario)
     plain = {name: getattr(Cost(), name) for name in ("reward", "default_action", "default_gains")}

@@ -2,8 +2,8 @@
 
 The saved cost of an entry of the joint action is the team's cost of the step with that entry alone replaced by the
 default, less its cost as it was. It is a difference reward (D. Wolpert and K. Tumer, "Optimal payoff functions for
-members of collectives", Advances in Complex Systems 4, 2001), for each channel of an agent. Where the default is the
-policy's mean, it is close to the advantage of J. Foerster et al., "Counterfactual multi-agent policy gradients",
+members of collectives", Advances in Complex Systems 4, 2001), for each channel of an agent. With the policy's mean as
+the default it would be close to the advantage in J. Foerster et al., "Counterfactual multi-agent policy gradients",
 arXiv 1705.08926.
 
     saved(a) = c(V + dV) - c(V) + w_effort (|q'|/s - |q|/s) + sum over a's terms of price (amount' - amount)
@@ -126,7 +126,7 @@ def _set_clocks(
 class Changes(NamedTuple):
     """Changes of agents' powers that are compared: those of each entry of the joint action, one entry after the other.
 
-    An entry changes the powers of its own agent, and of all sites together if it routes work.
+    An entry changes the powers of one agent, or of all sites if these route work.
     """
 
     agent: np.ndarray
