@@ -70,7 +70,7 @@ class Ppo(sb3.Config):
     """Maximum norm of the gradient; larger gradients are scaled down."""
 
     with_difference = sb3.Config.with_difference | {
-        "gae_lambda": 0.0, "outputs": "change", "log_std": -1.0, "steps": 5_000_000,
+        "gae_lambda": 0.0, "outputs": "change", "log_std": -1.0, "steps": 3_000_000,
     }  # fmt: skip
 
 
