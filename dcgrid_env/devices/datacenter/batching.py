@@ -21,11 +21,11 @@ on four.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dcgrid_env.core.arrays import Array, positive_part
 from dcgrid_env.core.checked import check_fields, number, refuse, settle
@@ -63,7 +63,7 @@ class Batching:
             raise refuse(self, "reference", f"give a size from {self.lowest:g} to {self.highest:g}")
 
     @classmethod
-    def fitted(cls, batch: Sequence[float], energy: Sequence[float], **fields: float) -> Batching:
+    def fitted(cls, batch: ArrayLike, energy: ArrayLike, **fields: float) -> Batching:
         """Batches whose energy is fitted to measurements, by least squares of the energies' ratios.
 
         Parameters
