@@ -92,7 +92,7 @@ def test_scores_come_out_again(scenario):
 
 def test_overrides_of_the_text_work_on_the_presets_they_are_for():
     rows = SCENARIOS[SCENARIOS.index("| change | fields |") :].split("\n\n")[0].splitlines()[2:]
-    assert len(rows) == 8
+    assert len(rows) == 9
     for overrides in (row.split("`")[1] for row in rows):
         name = "dcgrid/IEEE33Weak-v0" if "n_datacenters" not in overrides else "dcgrid/IEEE123-v0"
         names = {"gymnasium": gymnasium, "Fault": dcgrid_env.Fault}
