@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import html
 from collections.abc import Callable, Sequence
@@ -12,11 +11,13 @@ from typing import Any
 from dcgrid_env import rating_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC
-from dcgrid_env.baselines.connection_study.section import Section, png
+from dcgrid_env.baselines.connection_study.section import Section
 from dcgrid_env.baselines.connection_study.sections import BUILDERS, Job
 from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
 from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
+from dcgrid_env.core.html_page import image, png
+from dcgrid_env.core.html_page import page as html_page
 from dcgrid_env.core.versions import meta
 from dcgrid_env.grid import AnyFeeder
 
@@ -25,16 +26,11 @@ NOT_MODELLED = (
     "grid are not in the model. Loads have no dynamics within a second."
 )
 _STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;color:#1a1a1a;max-width:72rem;margin:0 auto;padding:1rem}
-h1{font-size:1.7rem;margin:.5rem 0}h2{font-size:1.25rem;border-bottom:1px solid #ccc;margin-top:2rem}
-nav a{margin-right:.8rem;white-space:nowrap}.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.85rem}
-th,td{padding:.25rem .6rem;text-align:right;border-bottom:1px solid #e3e3e3;vertical-align:top}
-th:first-child,td:first-child{text-align:left;font-weight:normal}thead th{border-bottom:2px solid #888;font-weight:600}
-.text td{text-align:left}img{max-width:100%;height:auto}figcaption,.note{color:#444;font-size:.9rem}
-.answer{border-left:5px solid #0072B2;padding:.2rem 1rem;background:#f4f8fb}code{overflow-wrap:anywhere}
-caption{text-align:left;font-weight:600;padding:.6rem 0 .2rem}
-@media print{body{max-width:none;padding:0;font-size:10pt}nav{display:none}h2{break-after:avoid}
-table,figure{break-inside:avoid}.wide{overflow:visible}}
+body { font-size: 16px } th:first-child, td:first-child { text-align: left; font-weight: normal }
+thead th { font-weight: 600 } figcaption, .note { color: #444; font-size: .9rem } figure { margin: 1rem 0 }
+.answer { border-left: 5px solid #0072B2; padding: .2rem 1rem; background: #f4f8fb }
+@media print { body { max-width: none; padding: 0; font-size: 10pt } nav { display: none } h2 { break-after: avoid }
+  table, figure { break-inside: avoid } .wide { overflow: visible } }
 """
 
 
@@ -81,11 +77,9 @@ def answers(job: Job, found: Capacities | None) -> list[str]:
 def page(job: Job, found: Capacities | None, sections: Sequence[Section], file: Path) -> str:
     """The report as HTML; ``file`` is the study's file."""
     request, about = job.request, meta()
-    title = html.escape(request.title)
     links = " ".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
     said = "".join(f"<p>{html.escape(text)}</p>" for text in answers(job, found))
     parts = [
-        f"<h1>{title}</h1>",
         f"<p>{html.escape(f'Feeder {job.study.scenario.feeder.name}, {request.mw:g} MW at bus {request.bus}')}</p>",
         f"<nav>{links} <a href='#inputs'>Inputs</a></nav>",
         f"<div class=answer>{said}</div>",
@@ -93,10 +87,7 @@ def page(job: Job, found: Capacities | None, sections: Sequence[Section], file: 
         _section(_inputs(job, file, about)),
         f"<p>Reproduce: <code>{html.escape(about['command'])}</code></p>",
     ]
-    head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{title}</title>"
-    return (
-        f"<!doctype html><html lang=en><head>{head}<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
-    )
+    return html_page(request.title, "".join(parts), _STYLE)
 
 
 def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> dict[str, Any]:
@@ -170,8 +161,7 @@ def _section(section: Section) -> str:
     texts = "".join(f"<p>{html.escape(text)}</p>" for text in section.paragraphs)
     tables = "".join(f"<p><b>{html.escape(table.title)}</b></p>{table.html()}" for table in section.tables)
     pictures = "".join(
-        f'<figure><img alt="{html.escape(text, quote=True)}" src="data:image/png;base64,'
-        f'{base64.b64encode(data).decode()}"><figcaption>{html.escape(text)}</figcaption></figure>'
+        f"<figure>{image(data, text)}<figcaption>{html.escape(text)}</figcaption></figure>"
         for text, data in section.pictures
     )
     return f'<section id="{section.name}"><h2>{html.escape(section.title)}</h2>{texts}{tables}{pictures}</section>'

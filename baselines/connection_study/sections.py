@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from dcgrid_env import Feeder, Scenario, metrics_in, rating_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.connection_study.section import Section, figure_of, png
+from dcgrid_env.baselines.connection_study.section import Section, figure_of
 from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
@@ -26,6 +26,7 @@ from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
 from dcgrid_env.baselines.hosting_capacity.trial import branch_to, run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
+from dcgrid_env.core.html_page import png
 from dcgrid_env.rendering import draw_feeder, positions, run_figure
 
 DAY_DT_S, DAY_STEPS = 60.0, 1440
