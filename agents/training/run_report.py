@@ -88,7 +88,7 @@ def write_report(configs: Sequence[Training], path: Path) -> None:
         f"<div class=text>{_settings(runs).html()}</div>",
         "<h2>How to reproduce</h2>",
         *(f"<pre>{html.escape(run.card.command)}</pre>" for run in runs),
-        f"<div class="text hashes">{_origin(runs, validated).html()}</div>",
+        f'<div class="text hashes">{_origin(runs, validated).html()}</div>',
     ]
     write_text(path, page(title, "\n".join(body), _STYLE))
 
