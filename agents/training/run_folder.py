@@ -299,7 +299,13 @@ def progress(description: str, total: int, done: int) -> Iterator[Callable[..., 
     columns = (label, BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), status)
     with Progress(*columns, console=console, get_time=_computing_s) as bar:
         task = bar.add_task(description, total=total, completed=done, text="")
-        yield lambda completed, text="": bar.update(task, completed=completed, **({"text": text} if text else {}))
+
+        def advance(completed: int, text: str = "") -> None:
+            bar.update(task, completed=completed)
+            if text:
+                bar.update(task, text=text)
+
+        yield advance
 
 
 def _computing_s() -> float:

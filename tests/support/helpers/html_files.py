@@ -16,7 +16,7 @@ class Balanced(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.tags.add(tag)
-        self.links += [to for name, to in attrs if name in ("src", "href") and not to.startswith("data:")]
+        self.links += [to for name, to in attrs if name in ("src", "href") and not (to or "").startswith("data:")]
         if tag not in VOID:
             self.open.append(tag)
 
