@@ -27,7 +27,7 @@ def page(title: str, body: str, style: str = "") -> str:
     Parameters
     ----------
     title
-        Title of the window, and the heading of the page. It is escaped.
+        Title of the browser tab, and the first heading. It is escaped.
     body
         Content below the heading, as HTML.
     style

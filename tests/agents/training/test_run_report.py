@@ -20,7 +20,7 @@ def read(path):
 
 
 def test_the_report_has_costs_with_intervals_curve_settings_and_versions(tmp_path, monkeypatch, capsys):
-    """Of one seed without hindsight, then of two with it; every figure is that of an evaluation of its own."""
+    """Of one seed without hindsight, then of two with it; every figure is compared with a separate evaluation."""
     monkeypatch.chdir(tmp_path)
     main(["train", "analytic", "--scenario", "toy6", *TINY, "--out", "a run"])
     assert "open a run/report.html" in capsys.readouterr().out
