@@ -46,7 +46,7 @@ _LOG_FROM = 5.0
 """Ratio of the largest to the least cost from which their axis is logarithmic."""
 _STYLE = """
 body { max-width: 860px } td { white-space: nowrap }
-.text td { white-space: normal; text-align: left } .hashes td { overflow-wrap: anywhere }
+.text td, .text th { white-space: normal; text-align: left } .hashes td { overflow-wrap: anywhere }
 """
 
 

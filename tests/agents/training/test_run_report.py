@@ -19,6 +19,7 @@ def read(path):
     return Balanced(path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_the_report_has_costs_with_intervals_curve_settings_and_versions(tmp_path, monkeypatch, capsys):
     """Of one seed without hindsight, then of two with it; every figure is compared with a separate evaluation."""
     monkeypatch.chdir(tmp_path)
