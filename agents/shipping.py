@@ -16,7 +16,7 @@ from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.unseen import on_purpose, trained_scenarios
-from dcgrid_env.agents.training.config import stored_config
+from dcgrid_env.agents.training.config import FREE, stored_config
 from dcgrid_env.baselines import NeedsPlacement, make_controller
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate, hindsight_costs
 from dcgrid_env.baselines.score import REFERENCE, SPLIT, mean_over_seeds, score_error
@@ -167,7 +167,7 @@ def _check_settings(folders: Sequence[Path]) -> None:
     for folder, settings in configurations.items():
         first, other = next(iter(configurations.items()))
         for field in sorted(set(settings) | set(other)):
-            if field not in ("seed", "out", "resume") and settings.get(field) != other.get(field):
+            if field not in ("seed", *FREE) and settings.get(field) != other.get(field):
                 raise PolicyError(
                     f"{folder}: {field} is {settings.get(field)!r}, that of {first} is {other.get(field)!r}; give runs "
                     "that differ in the seed alone"

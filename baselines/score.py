@@ -91,7 +91,7 @@ def score(j: ArrayLike, j_droop: ArrayLike, j_hindsight: ArrayLike, seed: int = 
     gained = droop - achieved
     return Score(
         _ratio(gained, droop - best, seed),
-        _ratio(100.0 * gained, droop, seed),
+        saved(achieved, droop, seed),
         _ratio(-gained, np.ones_like(gained), seed),
         float(trim_mean(achieved, 0.25)),
     )
@@ -103,6 +103,12 @@ def static_rules(scenario: Scenario) -> tuple[str, ...]:
     ``static-tuned`` applies where agents choose set points.
     """
     return STATIC if agents_choose_set_points(scenario) else STATIC[:-1]
+
+
+def saved(j: ArrayLike, j_reference: ArrayLike, seed: int = 0) -> Estimate:
+    """Compute :func:`saved_pct` with its interval, from the costs of at least 2 episodes, (n_episode,) each."""
+    achieved, reference = (np.asarray(values, dtype=np.float64) for values in (j, j_reference))
+    return _ratio(100.0 * (reference - achieved), reference, seed)
 
 
 def saved_pct(j: ArrayLike, j_reference: ArrayLike) -> float:

@@ -266,16 +266,15 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
 
 def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], validate: Validation) -> Path:
     """Train a model on its grids, from the checkpoint of the run if it has one, and return the output folder."""
-    algorithm = cfg.algorithm()
     each = np.mean([len(windows(grid.horizon, cfg.window)) for grid in grids])
     iterations = max(1, round(cfg.updates / each))
     best, done, state = math.inf, 0, run.load()
     if state is not None:
         model.restore(state)
         best, done = state["best"], state["iteration"]
-    with progress(f"{cfg.scenario}, {algorithm}", iterations, done) as advance:
+    with progress(f"{cfg.scenario}, {cfg.algorithm()}", iterations, done) as advance:
         for iteration in range(done + 1, iterations + 1):
-            run.step = iteration
+            run.step, text = iteration, ""
             model.set_rate(0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations)))
             figures = model.episodes((iteration - 1) % len(grids), iteration, run.require_finite)
             if iteration % cfg.validate_every == 0 or iteration == iterations:
@@ -283,12 +282,12 @@ def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], v
                 validated = validate(policy)
                 if cfg.limits.merit(validated) < best:
                     best = cfg.limits.merit(validated)
-                    card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": validated["J"]}
-                    policy.save(run.folder / "policy.safetensors", card | {"algorithm": algorithm})
+                    run.keep(policy, validated["J"], validate.scenarios[0])
                 run.record(validated | figures | model.progress() | stepped(grids, cfg.num_envs, iteration))
-                advance(iteration, f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}")
+                text = f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}"
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save({**model.state(), "best": best, "iteration": iteration})
+            advance(iteration, text)
     finish(run, grids)
     print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
     return run.folder

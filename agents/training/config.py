@@ -60,6 +60,9 @@ class Training:
     """Iterations between validations; an iteration is a batch of complete episodes."""
     checkpoint_every: int = 10
     """Iterations between checkpoints."""
+    replay: bool = True
+    """Write replay.html whenever the best policy improves: the first validation episode under this policy and under the
+    baseline of the validation. Needs the extra replay. It does not affect the training."""
     threads: int = 1
     """Number of torch threads. More threads help small networks little and slow them down when other processes run."""
 
@@ -105,6 +108,8 @@ class Training:
         return re.sub("(?<=[a-z])(?=[A-Z])", "-", cls.__name__).lower()
 
 
+FREE = ("out", "resume", "replay")
+"""Configuration fields that do not affect the result; a resumed run may change them."""
 RENAMED: dict[str, str] = {"lanes": "num_envs"}
 """Old names of configuration fields, as earlier runs may have stored them, and their current names."""
 

@@ -4,7 +4,8 @@ config.json        configuration and version of dcgrid
 curve.csv          a row for each record: step and measurements; only times and rates differ when a run is repeated
 events.out.*       the same data for TensorBoard
 checkpoint.pt      tensors and plain numbers, read with ``weights_only=True``, so loading does not run code
-policy.*           the best policy on the validation split so far, written by the algorithm
+policy.*           the best policy on the validation split so far, with its card
+replay.html        the first validation episode under this policy
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TextIO
 
 import torch
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from dcgrid_env import Scenario, scenario_hash
@@ -30,15 +33,16 @@ from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
-from dcgrid_env.agents.training.config import Training, stored_config
+from dcgrid_env.agents.training.best_replay import BestReplay
+from dcgrid_env.agents.training.config import FREE, Training, stored_config
+from dcgrid_env.baselines.score import REFERENCE
+from dcgrid_env.core.compiled import compiling_s
 from dcgrid_env.core.files import clear_parts, naming, new_folder, require_space, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
 
 CHECKPOINT = "checkpoint.pt"
 EVENT_BYTES = 2**16
 """Upper bound on the size of a TensorBoard record."""
-FREE = ("out", "resume")
-"""Configuration fields that a resumed run may change."""
 
 
 def device_of(name: str) -> torch.device:
@@ -117,12 +121,13 @@ class Run:
     """Read and write the folder of a training run; use :func:`open_run` to create it."""
 
     def __init__(self, folder: Path, config: Training, resume: bool, scenarios: Sequence[Scenario]):
-        self.folder, self.scenarios, self.resume = folder, tuple(scenarios), resume
+        self.folder, self.config, self.scenarios, self.resume = folder, config, tuple(scenarios), resume
         self.checkpoint_path = folder / CHECKPOINT
         self.step = 0
         self._before_s = 0.0
         self._began_s = time.perf_counter()
         self._writer: SummaryWriter | None = None
+        self._replay = BestReplay(folder, config) if config.replay else None
         about = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         about["scenario_hashes"] = [scenario_hash(scenario) for scenario in scenarios]
         if (folder / "config.json").exists():
@@ -198,6 +203,25 @@ class Run:
         for watcher in tuple(_watchers):
             watcher(row)
 
+    def keep(self, policy: Policy, validation_j: float, scenario: Scenario, reference: str = REFERENCE) -> None:
+        """Save the best policy so far, with its card and a replay of an episode.
+
+        Parameters
+        ----------
+        policy
+            The policy.
+        validation_j
+            Its mean J on validation.
+        scenario
+            First validation scenario; the replay shows its episode of seed 0.
+        reference
+            Name of the controller with which the validation compares the policy, and the replay too.
+        """
+        card = {"algorithm": self.config.algorithm(), "seed": self.config.seed, "training_s": self.seconds}
+        policy.save(self.folder / f"policy{SUFFIX}", card | {"validation_J": validation_j})
+        if self._replay is not None:
+            self._replay.write(policy, scenario, reference)
+
     def require_finite(self, what: str, tensors: Iterable[torch.Tensor]) -> None:
         """Raise TrainingError, with the step and the last checkpoint, unless all values are finite."""
         if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
@@ -254,10 +278,36 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
 
 
 @contextmanager
-def progress(description: str, total: int, done: int) -> Iterator[Any]:
-    """Show a progress bar and yield ``advance(completed, text)``."""
+def progress(description: str, total: int, done: int) -> Iterator[Callable[..., None]]:
+    """Show the progress of a training and yield ``advance(completed, text)``.
+
+    ``text`` has the figures of a validation. A terminal shows a bar with the last figures and the time left. Other
+    outputs, such as log files, receive a line for each validation.
+    """
+    console, began_s = Console(), _computing_s()
+    if not console.is_terminal:
+
+        def line(completed: int, text: str = "") -> None:
+            if text:
+                left_s = (_computing_s() - began_s) / max(1, completed - done) * (total - completed)
+                share = f"{100 * completed // total} % of {total} iterations"
+                print(f"{description}: {share}, {text}, {timedelta(seconds=round(left_s))} left", flush=True)
+
+        yield line
+        return
     label, status = (TextColumn(form, markup=False) for form in ("{task.description}", "{task.fields[text]}"))
-    columns = (label, BarColumn(), TimeRemainingColumn(), status)
-    with Progress(*columns) as bar:
+    columns = (label, BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), status)
+    with Progress(*columns, console=console, get_time=_computing_s) as bar:
         task = bar.add_task(description, total=total, completed=done, text="")
-        yield lambda completed, text="": bar.update(task, completed=completed, text=text)
+
+        def advance(completed: int, text: str = "") -> None:
+            bar.update(task, completed=completed)
+            if text:
+                bar.update(task, text=text)
+
+        yield advance
+
+
+def _computing_s() -> float:
+    """Return a time, s, that excludes the compilation of kernels."""
+    return time.monotonic() - compiling_s()

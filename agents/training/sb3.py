@@ -216,25 +216,25 @@ def train(
             began_s, vec_env.physics_s = time.perf_counter(), 0.0
             _iterate(run, vec_env, model, cfg.seed, iteration, learning_rate((iteration - 1) / iterations))
             spent += (vec_env.physics_s, time.perf_counter() - began_s - vec_env.physics_s, 0.0)
-            run.step = model.num_timesteps
+            run.step, text = model.num_timesteps, ""
             if iteration % cfg.validate_every == 0 or iteration == iterations:
                 began_s = time.perf_counter()
                 policy = exported()
                 figures = validate(policy)
                 if figures["J"] < best:
                     best = figures["J"]
-                    card = {"seed": cfg.seed, "training_s": run.seconds, "validation_J": best}
-                    policy.save(run.folder / "policy.safetensors", card | {"algorithm": cfg.algorithm()})
+                    run.keep(policy, best, judged_on)
                 spent[2] += time.perf_counter() - began_s
                 stepped = {"env_steps": run.step // vec_env.rows_per_env}
                 run.record(figures | {"J_best": best} | stepped | logged(model) | timing(run.step, spent))
-                advance(iteration, f"J {figures['J']:.4f}, droop {validate.j_droop:.4f}")
+                text = f"J {figures['J']:.4f}, droop {validate.j_droop:.4f}"
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
                 run.save(
                     {"parameters": model.get_parameters(), "iteration": iteration, "best": best,
                      "spent_s": spent.tolist(), "updates": model._n_updates,
                      "extra": {name: torch.as_tensor(values) for name, values in extra().items()}}
                 )  # fmt: skip
+            advance(iteration, text)
     finish(run)
     print(f"{run.folder}: J {best:.4f} on validation, tuned droop {validate.j_droop:.4f}")
     print(", ".join(f"{name} {value:,.3g}" for name, value in timing(run.step, spent).items()))

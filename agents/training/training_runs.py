@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
+from dcgrid_env.agents.training.config import FREE
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.core.files import new_folder, write_bytes, write_json
 from dcgrid_env.core.lock import LockedError, locked
@@ -25,8 +26,6 @@ from dcgrid_env.core.versions import command_of, command_words
 from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
 
 FINISHED, LOG = "finished.json", "training.log"
-PLACES = ("out", "resume")
-"""Configuration fields that do not affect the result."""
 
 
 def command(config: Any) -> str:
@@ -102,7 +101,7 @@ def train_seed(config: Any) -> str | None:
 
 
 def _settings(config: Any) -> dict[str, Any]:
-    about = {name: value for name, value in dataclasses.asdict(config).items() if name not in PLACES}
+    about = {name: value for name, value in dataclasses.asdict(config).items() if name not in FREE}
     return json.loads(json.dumps(about, default=str))
 
 

@@ -75,7 +75,8 @@ def train_trial(config: Any, earlier: Sequence[Any]) -> None:
     try:
         with watched(report), contextlib.redirect_stdout(io.StringIO()):
             begun = (config.out / "config.json").exists()
-            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=begun))
+            again = dataclasses.replace(config, resume=begun, replay=False)
+            importlib.import_module(type(config).__module__).main(again)
     except (Diverged, _Stopped):  # one that diverged has no cost, and is nothing to stop the search for
         keep(stopped=True)
     except BaseException:

@@ -55,12 +55,13 @@ class Validation:
 
 
 def made_with() -> str:
-    """The command that runs, without where it writes and whether it was interrupted."""
+    """The command that runs, without options that do not affect the policy."""
+    free = ("--resume", "--no-resume", "--replay", "--no-replay", "--traceback")
     given, words = iter(command_words()), []
     for word in given:
         if word == "--out":
             next(given, None)
-        elif word not in ("--resume", "--no-resume", "--traceback") and not word.startswith("--out="):
+        elif word not in free and not word.startswith("--out="):
             words.append(word)
     return shlex.join(words)
 

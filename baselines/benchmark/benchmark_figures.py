@@ -6,7 +6,6 @@ colour blindness. Names are next to the points.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from dcgrid_env.baselines.benchmark.summary import ScenarioSummary, Summary, by_
 from dcgrid_env.baselines.rollout import ControllerError
 from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.baselines.user_code import described
+from dcgrid_env.core.html_page import png
 from dcgrid_env.rendering import run_figure
 
 REFERENCE_COLOUR, FRONT_COLOUR, REST_COLOUR = "#D55E00", "#0072B2", "#6b6b6b"
@@ -84,13 +84,6 @@ def replay(task: Replay) -> tuple[bytes, ...] | str:
         png(run_figure(scenario, {name: recorder.series(i) for name, recorder in runs.items()}, seed), dpi=80)
         for i, seed in enumerate(task.seeds)
     )
-
-
-def png(figure: Figure, dpi: int = 110) -> bytes:
-    """A figure as a PNG file's bytes."""
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=dpi)
-    return file.getvalue()
 
 
 def short(name: str) -> str:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.baselines.benchmark import report
-from dcgrid_env.baselines.benchmark.benchmark_figures import draw, png, score_figure
+from dcgrid_env.baselines.benchmark.benchmark_figures import draw, score_figure
 from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, saved_table, scenario_table, score_table
 from dcgrid_env.baselines.benchmark.gather import Results
 from dcgrid_env.core.files import write_json, write_text
+from dcgrid_env.core.html_page import png
 from dcgrid_env.core.versions import code_block
 from dcgrid_env.core.work.unit import Place, Unit
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,18 +9,11 @@ from typing import Any
 
 from dcgrid_env.baselines.benchmark.benchmark_figures import Drawn, Replay
 from dcgrid_env.baselines.benchmark.benchmark_tables import LEGEND, Table
+from dcgrid_env.core.html_page import image
+from dcgrid_env.core.html_page import page as html_page
 from dcgrid_env.core.work.unit import Lost
 
-STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #222; margin: 2rem auto; max-width: 1180px; padding: 0 1rem }
-h1 { font-size: 1.5rem } h2 { font-size: 1.2rem; margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: 1rem }
-table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
-th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #e4e4e4 }
-thead th { border-bottom: 2px solid #888; vertical-align: bottom } tbody th, th:first-child { text-align: left }
-tbody th { font-weight: 600; white-space: nowrap } td { white-space: nowrap }
-.wide { overflow-x: auto } img { max-width: 100%; height: auto } .note { color: #444; font-size: 13px; margin: .3rem 0 }
-nav a { margin-right: .9rem }
-""".strip()
+_STYLE = "tbody th { font-weight: 600; white-space: nowrap } td { white-space: nowrap }"
 
 
 @dataclass(frozen=True)
@@ -43,14 +35,9 @@ def page(
     links = "".join(f'<a href="#{html.escape(s.name)}">{html.escape(s.name)}</a>' for s in sections)
     legend = "".join(f"<p class=note>{html.escape(text)}</p>" for text in LEGEND)
     tables = "\n".join(f"<h2>{html.escape(table.title)}</h2>\n{table.html()}" for table in scores)
-    plot = _image(score_figure, "Scores with their intervals") if score_figure else ""
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>dcgrid benchmark</title>'
-        f"<style>{STYLE}</style></head><body>\n<h1>dcgrid benchmark</h1>\n<nav>{links}</nav>\n"
-        f"{tables}\n{legend}\n{plot}\n"
-        + "\n".join(map(_section, sections))
-        + f"\n<h2>How it was made</h2>\n{_about(meta)}\n</body></html>\n"
-    )
+    plot = f"<p>{image(score_figure, 'Scores with their intervals')}</p>" if score_figure else ""
+    body = [f"<nav>{links}</nav>", tables, legend, plot, *map(_section, sections)]
+    return html_page("dcgrid benchmark", "\n".join([*body, "<h2>How it was made</h2>", _about(meta)]), _STYLE)
 
 
 def _section(section: Section) -> str:
@@ -58,7 +45,8 @@ def _section(section: Section) -> str:
     if isinstance(section.figures, Lost):
         parts.append(f"<p class=note>There are no figures: {html.escape(section.figures.reason)}</p>")
     elif section.figures and section.worst:
-        parts.append(_image(section.figures.scenario, f"Voltage against delay and voltages on {section.name}"))
+        picture = image(section.figures.scenario, f"Voltage against delay and voltages on {section.name}")
+        parts.append(f"<p>{picture}</p>")
         parts += _replayed(section.name, section.worst, section.figures.worst)
     return "\n".join(parts)
 
@@ -71,12 +59,8 @@ def _replayed(name: str, worst: Replay, drawn: tuple[bytes, ...] | str) -> list[
     for seed, png in zip(worst.seeds, drawn, strict=True):
         whose = html.escape(" and of ".join(law for law, costliest in worst.costliest.items() if costliest == seed))
         parts.append(f"<p>The worst episode of {whose} (seed {seed}, where J is highest), replayed:</p>")
-        parts.append(_image(png, f"Seed {seed} of {name}"))
+        parts.append(f"<p>{image(png, f'Seed {seed} of {name}')}</p>")
     return parts
-
-
-def _image(png: bytes, text: str) -> str:
-    return f'<p><img alt="{html.escape(text)}" src="data:image/png;base64,{base64.b64encode(png).decode()}"></p>'
 
 
 def _about(meta: Mapping[str, Any]) -> str:

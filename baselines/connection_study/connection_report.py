@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import hashlib
 import html
@@ -15,12 +14,14 @@ from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC, OTHER_MEANS
 from dcgrid_env.baselines.connection_study.outage_section import capacities_with, outages_section
-from dcgrid_env.baselines.connection_study.section import Section, png, sentences, under
+from dcgrid_env.baselines.connection_study.section import Section, sentences, under
 from dcgrid_env.baselines.connection_study.sections import BUILDERS
 from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
 from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record, unseen_pct
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
+from dcgrid_env.core.html_page import image, png
+from dcgrid_env.core.html_page import page as html_page
 from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
@@ -34,22 +35,17 @@ ORDER = (
 _JOB = "job"
 """Name of the shared value."""
 _STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;color:#1a1a1a;max-width:72rem;margin:0 auto;padding:1rem}
-h1{font-size:1.7rem;margin:.5rem 0}h2{font-size:1.25rem;border-bottom:1px solid #ccc;margin-top:2rem}
-h3{font-size:1rem;margin:1.2rem 0 .2rem;break-after:avoid}
-nav a{margin-right:.8rem;white-space:nowrap;line-height:2}.wide{overflow-x:auto}
-table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums}
-th,td{padding:.25rem .8rem .25rem 0;text-align:left;vertical-align:top;white-space:nowrap}
-tr{border-bottom:1px solid #e3e3e3}thead tr{border-bottom:2px solid #888}
-tbody th{font-weight:normal}thead th{font-weight:600;white-space:normal}
-#checklists :is(td,th),#not-checked :is(td,th),#inputs td{white-space:normal;min-width:7rem}
-#inputs td,code{overflow-wrap:anywhere}figure{margin:1rem 0;overflow-x:auto}img{max-width:100%;height:auto}
-figcaption,.note{color:#444;font-size:.9rem}
-.answer{border-left:5px solid #0072B2;padding:.2rem 1rem;background:#f4f8fb}
-@media screen and (max-width:700px){body{padding:.6rem}img{max-width:none;width:44rem}ul{padding-left:1.1rem}}
-@media print{body{max-width:none;padding:0;font-size:10pt}nav{display:none}h2{break-after:avoid}
-tr,figure{break-inside:avoid}.wide,figure{overflow:visible}table{font-size:.8rem}
-th,td{white-space:normal;padding-right:.5rem}}
+body { font-size: 16px } h3 { font-size: 1rem; margin: 1.2rem 0 .2rem; break-after: avoid } nav a { line-height: 2 }
+th, td { padding: .25rem .8rem .25rem 0; text-align: left; white-space: nowrap } tbody th { font-weight: normal }
+thead th { font-weight: 600; white-space: normal }
+#checklists :is(td, th), #not-checked :is(td, th), #inputs td { white-space: normal; min-width: 7rem }
+#inputs td { overflow-wrap: anywhere } figure { margin: 1rem 0; overflow-x: auto }
+figcaption, .note { color: #444; font-size: .9rem }
+.answer { border-left: 5px solid #0072B2; padding: .2rem 1rem; background: #f4f8fb }
+@media screen and (max-width: 700px) { img { max-width: none; width: 44rem } ul { padding-left: 1.1rem } }
+@media print { body { max-width: none; padding: 0; font-size: 10pt } nav { display: none } h2 { break-after: avoid }
+  tr, figure { break-inside: avoid } .wide, figure { overflow: visible } table { font-size: .8rem }
+  th, td { white-space: normal; padding-right: .5rem } }
 """
 
 
@@ -161,7 +157,6 @@ def confidence(job: Job) -> str:
 def page(job: Job, found: Capacities | None, sections: Sequence[Section]) -> str:
     """The report as HTML."""
     request, study = job.request, job.study
-    title = html.escape(request.title)
     links = " ".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
     said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in answers(job, found))
     more = "".join(
@@ -174,17 +169,13 @@ def page(job: Job, found: Capacities | None, sections: Sequence[Section]) -> str
         f"Limits: {study.v_min_pu:g} to {study.v_max_pu:g} p.u. and {study.loading_max_pct:g} % of known ratings."
     )
     parts = [
-        f"<h1>{title}</h1>",
         f"<p>{html.escape(asked)}</p>",
         f"<div class=answer>{said}<p>{html.escape(confidence(job))}</p><ul>{more}</ul></div>",
         f"<nav>{links}</nav>",
         *(_section(section) for section in sections),
         f"<p>Reproduce: <code>{html.escape(meta()['command'])}</code></p>",
     ]
-    head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{title}</title>"
-    return (
-        f"<!doctype html><html lang=en><head>{head}<style>{_STYLE}</style></head><body>{''.join(parts)}</body></html>\n"
-    )
+    return html_page(request.title, "".join(parts), _STYLE)
 
 
 def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> dict[str, Any]:
@@ -288,8 +279,7 @@ def _section(section: Section) -> str:
     texts = answer + "".join(f"<p>{html.escape(text)}</p>" for text in section.paragraphs)
     tables = "".join(f"<h3>{html.escape(table.title)}</h3>{table.html()}" for table in section.tables)
     pictures = "".join(
-        f'<figure><img alt="{html.escape(text, quote=True)}" src="data:image/png;base64,'
-        f'{base64.b64encode(data).decode()}"><figcaption>{html.escape(text)}</figcaption></figure>'
+        f"<figure>{image(data, text)}<figcaption>{html.escape(text)}</figcaption></figure>"
         for text, data in section.pictures
     )
     return f'<section id="{section.name}"><h2>{html.escape(section.title)}</h2>{texts}{tables}{pictures}</section>'

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-
-from matplotlib.figure import Figure
 
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.hosting_capacity.hosting import UNCONTROLLED
@@ -25,13 +22,6 @@ class Section:
     tables: tuple[Table, ...] = ()
     pictures: tuple[tuple[str, bytes], ...] = ()
     """Description and PNG file of each picture."""
-
-
-def png(figure: Figure) -> bytes:
-    """A figure as a PNG file."""
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=110)
-    return file.getvalue()
 
 
 def figure_of(value: float, digits: int = 4) -> str:

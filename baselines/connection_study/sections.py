@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, metrics_in
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.limit_distances import limits_table, nearest, time_of
-from dcgrid_env.baselines.connection_study.section import Section, figure_of, png, sentences, under
+from dcgrid_env.baselines.connection_study.section import Section, figure_of, sentences, under
 from dcgrid_env.baselines.connection_study.several_sites import several_sites
 from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.connection_study.study_request import NOT_STATED
@@ -24,6 +24,7 @@ from dcgrid_env.baselines.hosting_capacity.hosting import snapshot_capacity
 from dcgrid_env.baselines.hosting_capacity.trial import branch_to, overloaded_nodes, run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
+from dcgrid_env.core.html_page import png
 from dcgrid_env.rendering import draw_feeder, positions, run_figure
 
 DAY_DT_S, DAY_STEPS = 60.0, 1440

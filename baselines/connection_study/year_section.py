@@ -12,11 +12,12 @@ from matplotlib.figure import Figure
 
 from dcgrid_env import profile_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.connection_study.section import Section, figure_of, png
+from dcgrid_env.baselines.connection_study.section import Section, figure_of
 from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.year_flow import YearFlow, hour_scenario, year_flow
 from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.core.html_page import png
 
 _METRICS = ("voltage_min_pu", "voltage_max_pu", "loss_mean_kw")
 """Metrics of the simulated hours."""

@@ -8,23 +8,15 @@ from pathlib import Path
 
 from dcgrid_env.cli.import_record import ImportRecord, effect_figures
 from dcgrid_env.core.files import write_json, write_text
+from dcgrid_env.core.html_page import page as html_page
 from dcgrid_env.grid.formats.import_report import Finding, shown_names
 
 JSON_FILE, HTML_FILE = "import_report.json", "import_report.html"
 _STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #222; margin: 1.5rem auto; max-width: 1080px; padding: 0 1rem }
-h1 { font-size: 1.5rem; overflow-wrap: anywhere }
-h2 { font-size: 1.15rem; margin-top: 2rem; border-top: 1px solid #ccc; padding-top: .8rem }
-p { margin: .4rem 0; overflow-wrap: anywhere }
-.wide { overflow-x: auto }
-table { border-collapse: collapse; font-size: 14px }
-th, td { padding: .3rem 1rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid #e4e4e4 }
-thead th { border-bottom: 2px solid #888; white-space: nowrap }
-th.number, td.number { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums }
-td.text { overflow-wrap: anywhere; min-width: 4.5rem }
+body { max-width: 1080px } table { font-size: 14px } thead th { white-space: nowrap }
+th, td { padding: .3rem 1rem .3rem 0 } th.text, td.text { text-align: left }
+th.number, td.number { white-space: nowrap } td.text { overflow-wrap: anywhere; min-width: 4.5rem }
 .lost { color: #9a3412; font-weight: 600 } .fine { color: #166534; font-weight: 600 }
-code { font: 13px/1.4 ui-monospace, monospace; overflow-wrap: anywhere }
-pre { background: #f4f4f4; padding: .6rem; white-space: pre-wrap; overflow-wrap: anywhere }
 td:first-child { overflow-wrap: break-word } summary { cursor: pointer }
 @media (max-width: 600px) { table { font-size: 12.5px } th, td { padding-right: .5rem } }
 """.strip()
@@ -38,15 +30,9 @@ def write_report(record: ImportRecord, folder: Path) -> None:
 
 def page(record: ImportRecord) -> str:
     """The whole file; all names are escaped."""
-    title = html.escape(f"Import of {record.feeder}")
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{_STYLE}</style></head><body>\n<h1>{title}</h1>\n"
-        f"<p>{html.escape(record.source)}. {html.escape(record.size)}.</p>\n"
-        + "\n".join([_result(record), _elements(record), *_losses(record), _ratings(record), _made(record)])
-        + "\n</body></html>\n"
-    )
+    parts = [_result(record), _elements(record), *_losses(record), _ratings(record), _made(record)]
+    about = f"<p>{html.escape(record.source)}. {html.escape(record.size)}.</p>"
+    return html_page(f"Import of {record.feeder}", "\n".join([about, *parts]), _STYLE)
 
 
 def _result(record: ImportRecord) -> str:

@@ -20,7 +20,7 @@ from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.options import parsed
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.terminal import plain_console, say, working
 from dcgrid_env.cli.workers import place
 from dcgrid_env.core.install import from_clone
 
@@ -31,8 +31,8 @@ DECIDING = {"view", "reward"}
 SEEDS = (
     "Further options: --seeds N trains N policies with the seeds SEED to SEED + N - 1, each in a separate folder. "
     "--workers sets how many run in parallel on this machine (default: one per core). --ray ADDRESS trains them on a "
-    "Ray cluster instead (auto, HOST:PORT or ray://HOST:PORT). --open opens the learning curve at the end. --wandb "
-    "also logs to Weights & Biases."
+    "Ray cluster instead (auto, HOST:PORT or ray://HOST:PORT). --open opens the report at the end. --wandb also logs "
+    "to Weights & Biases."
 )
 """Help on the options that every algorithm has in addition to its configuration."""
 
@@ -100,7 +100,7 @@ class Training(Command):
     """Module of the algorithm."""
     configuration: Any
     opens: bool = False
-    """Open the learning curve at the end."""
+    """Open the report at the end."""
     wandb: bool = False
     """Also log to Weights & Biases."""
 
@@ -112,6 +112,7 @@ class Training(Command):
     def run(self) -> None:
         """Train; raise ValueError if the run cannot start or resume."""
         from dcgrid_env.agents.training.run_folder import TrainingError
+        from dcgrid_env.agents.training.run_report import REPORT, write_report
         from dcgrid_env.cli.weights_and_biases import logged
 
         if line := shipped_settings(self.configuration):
@@ -121,9 +122,11 @@ class Training(Command):
                 folder = self.module.main(self.configuration)
         except TrainingError as error:
             raise ValueError(error) from error
-        console = plain_console()
+        console, report = plain_console(), Path(folder) / REPORT
+        with working(console, "report"):
+            write_report([self.configuration], report)
         say(console, f"score it: dcgrid evaluate {folder}; plot its curve: tensorboard --logdir {folder}")
-        offer(console, Path(folder) / "curve.csv", self.opens)
+        offer(console, report, self.opens)
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,7 @@ class Seeds(Command):
     def run(self) -> None:
         """Train the remaining seeds and print the validation cost of each; raise ValueError if a seed fails."""
         from dcgrid_env.agents import Card
+        from dcgrid_env.agents.training.run_report import REPORT, write_report
         from dcgrid_env.agents.training.training_runs import train_all, train_seed, words_of
 
         where, first = place(self.workers, self.ray), self.configurations[0]
@@ -167,6 +171,14 @@ class Seeds(Command):
             say(console, f"seed {seed}: {cost}, {spent_s}, {folders[seed]}")
         costs, where = [card.validation_J or 0.0 for card in cards.values()], " ".join(str(folders[s]) for s in cards)
         say(console, f"J {sum(costs) / len(costs):.4f} on average, {min(costs):.4f} to {max(costs):.4f}")
+        report = (
+            first.out.parent / REPORT if first.out else first.folder.with_name(f"{first.subject}-{first.kind}.html")
+        )
+        with working(console, "reports"):
+            for configuration in self.configurations:
+                write_report([configuration], configuration.folder / REPORT)
+            write_report(self.configurations, report)
+        say(console, f"wrote {report}, the report over the seeds")
         say(console, f"score them on the test split: dcgrid ship {where} --name NAME")
 
 

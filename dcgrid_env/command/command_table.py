@@ -90,6 +90,7 @@ COMMANDS = Group(
             "submit": Entry("Create an entry for the leaderboard.", "submit:Submit"),
             "verify": Entry("Rerun leaderboard entries and report their scores.", "verify:Verify"),
             "export-sb3": Entry("Convert a Stable-Baselines3 model into a policy file.", "sb3_export:ExportSb3"),
+            "export-hub": Entry("Write a policy as a folder for the Hugging Face hub.", "hub:ExportHub"),
             "reproduce": Entry("Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).", "reproduce:Reproduce"),
         },
         "Data": {"traces": _TRACES},

@@ -8,6 +8,7 @@ import html
 import importlib
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -153,7 +154,7 @@ def _page(data: dict[str, Any]) -> str:
     parts = {
         "title": html.escape(data["title"]),
         "style": text("page.css"),
-        "plotly": _zipped(plotting_script()),
+        "plotly": _zipped_script(),
         "data": _zipped(json.dumps(data, separators=(",", ":"), allow_nan=False)),
         "script": "\n".join(text(name) for name in _SCRIPTS),
     }
@@ -161,6 +162,11 @@ def _page(data: dict[str, Any]) -> str:
     for name, part in parts.items():
         page = page.replace(f"<!-- {name} -->", part, 1)
     return page
+
+
+@cache
+def _zipped_script() -> str:
+    return _zipped(plotting_script())
 
 
 def _zipped(text: str) -> str:

@@ -60,6 +60,7 @@ SHORTER = {
     "dcgrid submit": {"--episodes": "2"},
     "dcgrid verify": {"--fresh": "2"},
     "dcgrid ship": {"--episodes": "2", "--out": "results/ship"},
+    "dcgrid export-hub": {"--episodes": "2"},
     "dcgrid replay": {"--set": "horizon=4"},
     "dcgrid check": {"--episodes": "1", "--seconds": "1", "--workers": "1"},
     "dcgrid import matpower": {},

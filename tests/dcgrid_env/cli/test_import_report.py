@@ -3,7 +3,6 @@
 import hashlib
 import json
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -16,10 +15,10 @@ from dcgrid_env.cli.main import main
 from dcgrid_env.grid.formats.import_report import Finding
 from dcgrid_env.grid.formats.matpower import write_matpower
 from dcgrid_env.grid.formats.opendss import LossEffect
+from helpers.html_files import Balanced
 from helpers.opendss_text import script_of
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
-VOID = {"meta"}
 LOST = """
 New Line.rated bus1=680 bus2=r phases=3 r1=0.1 x1=0.1 normamps=400
 New Line.default bus1=r bus2=d phases=3 r1=0.1 x1=0.1
@@ -29,28 +28,6 @@ New Load.off bus1=d kv=4.16 kw=90 model=8 zipv=(0 0 1 0 0 1 1.2)
 New Recloser.x line.650632
 CalcVoltageBases
 """
-
-
-class Balanced(HTMLParser):
-    """Checks that every tag is closed, and keeps the text and the tags."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.tags, self.text = [], set(), []
-        self.feed(text)
-        assert not self.open
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        assert not {"src", "href"} & dict(attrs).keys(), "another file"
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.text.append(data)
 
 
 @pytest.fixture
@@ -80,6 +57,7 @@ def test_the_report_has_what_the_lost_elements_change(master, capsys, tmp_path):
     assert "b" not in html.tags
     assert "g<b>&bold" in "".join(html.text)
     assert "script" not in html.tags
+    assert not html.links
     assert report["format"] == "dcgrid import report 1"
     assert report["files"] == [{"name": "Master.dss", "sha256": hashlib.sha256(master.read_bytes()).hexdigest()}]
     assert report["files"][0]["sha256"] in text

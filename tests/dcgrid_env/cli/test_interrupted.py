@@ -91,7 +91,7 @@ def test_an_interrupted_training_keeps_what_is_whole_and_no_half_of_a_checkpoint
     assert ended.value.code == 130
     assert capsys.readouterr().err == "dcgrid: interrupted; run the same command with --resume to continue\n"
     kept = {name for name in names(here) if not name.startswith("events.out")}
-    assert kept == {"config.json", "curve.csv", "policy.json", "policy.safetensors"}
+    assert kept == {"config.json", "curve.csv", "policy.json", "policy.safetensors", "replay.html"}
 
 
 @pytest.mark.slow

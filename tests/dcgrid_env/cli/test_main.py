@@ -111,7 +111,7 @@ def test_the_commands_are_in_their_groups():
             "curves",
             "dataset",
         ],
-        "Publish": ["ship", "submit", "verify", "export-sb3", "reproduce"],
+        "Publish": ["ship", "submit", "verify", "export-sb3", "export-hub", "reproduce"],
         "Data": ["traces"],
     }
 

@@ -143,6 +143,7 @@ def training(tmp_path, monkeypatch):
     made, seen = ModuleType("dcgrid_env.agents.algorithms.ppo", "A stand-in."), []
     made.Ppo = Ppo  # type: ignore[attr-defined]
     made.main = lambda cfg: seen.append("trained") or tmp_path  # type: ignore[attr-defined]
+    monkeypatch.setattr("dcgrid_env.agents.training.run_report.write_report", lambda *_: None)
     monkeypatch.setitem(sys.modules, made.__name__, made)
     return seen
 
@@ -161,7 +162,7 @@ def test_a_training_is_mirrored_to_weights_and_biases(training, tmp_path, monkey
     monkeypatch.setitem(sys.modules, "wandb", wandb)
     main(["train", "ppo", "--scenario", "toy6", "--seed", "3", "--wandb", "--open"])
     assert training == ["begun", "trained", "finished 0"]
-    assert opened == [(tmp_path / "curve.csv").as_uri()]
+    assert opened == [(tmp_path / "report.html").as_uri()]
     assert f"tensorboard --logdir {tmp_path}" in capsys.readouterr().out
     for words, message in (
         (["--wandb", "--seeds", "2"], "seeds: must not be combined with --open or --wandb"),
