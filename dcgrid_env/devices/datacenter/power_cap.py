@@ -1,7 +1,7 @@
 """A power cap instead of a clock: the firmware lowers the clock only while a GPU would draw more than the cap.
 
 The setpoint f / f_max is the cap, as a share c of the dynamic power (idle draw excluded). Each class of work gets the
-highest clock that meets it, by the curves of :mod:`dcgrid_env.devices.datacenter.prefill_decode`:
+highest clock that meets it, by the curves of ``prefill_decode.py``:
 
     a x + (1 - a) x^3 = c              compute-bound: prefill, training
     delta (mu + (1 - mu) x^3) = c      memory-bound: decode; x = 1 where delta <= c, and at least f_min / f_max
