@@ -29,7 +29,7 @@ def with_sites(study: Study, buses: Sequence[str] | None, mw: Sequence[float], *
     Raises
     ------
     ValueError
-        If the scenario draws the buses of its own data centres, and ``buses`` are given.
+        If the scenario draws the buses of its data centres, and ``buses`` are given.
     """
     base, others = study.scenario, study.others
     there = base.datacenters.buses if others else ()

@@ -32,9 +32,9 @@ def read_dmon_log(
 ) -> PowerTrace:
     """Read the power of all GPUs of a log, summed.
 
-    A reading applies until the next one of its GPU. The log contains no times of its own: each line begins with a time
-    that another program added, or `step_s` gives the delay between the readings of a GPU. The two lines of the header
-    may be repeated. `N/A` is a missing reading. Lines of other entities (instances of a GPU, switches) are skipped.
+    A reading applies until the next one of its GPU. dcgmi writes no times. Each line begins with a time that another
+    program added, or `step_s` gives the delay between the readings of a GPU. The two lines of the header may be
+    repeated. `N/A` is a missing reading. Lines of other entities (instances of a GPU, switches) are skipped.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def read_dmon_log(
     Raises
     ------
     TraceError
-        If there is no field POWER, a line cannot be read, times are missing, repeat or go back, or there is a gap. The
-        message contains the file and the line.
+        If the field POWER is missing, a line cannot be read, times are missing, repeat or go back, or there is a gap.
+        The message contains the file and the line.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""What is asked of an imported OpenDSS circuit: how far its voltages are from OpenDSS's, and what was reported."""
+"""Checks of an imported OpenDSS circuit: voltages against those of OpenDSS, and the report."""
 
 import numpy as np
 
