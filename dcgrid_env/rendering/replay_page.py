@@ -8,7 +8,7 @@ import html
 import importlib
 import json
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -154,7 +154,7 @@ def _page(data: dict[str, Any]) -> str:
     parts = {
         "title": html.escape(data["title"]),
         "style": text("page.css"),
-        "plotly": _zipped_script(),
+        "plotly": _zipped_script(plotting_script()),
         "data": _zipped(json.dumps(data, separators=(",", ":"), allow_nan=False)),
         "script": "\n".join(text(name) for name in _SCRIPTS),
     }
@@ -164,9 +164,10 @@ def _page(data: dict[str, Any]) -> str:
     return page
 
 
-@cache
-def _zipped_script() -> str:
-    return _zipped(plotting_script())
+@lru_cache(maxsize=1)
+def _zipped_script(script: str) -> str:
+    """Return the zipped drawing library, which takes seconds to compress and is the same for all pages."""
+    return _zipped(script)
 
 
 def _zipped(text: str) -> str:

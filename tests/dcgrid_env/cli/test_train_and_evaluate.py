@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import dcgrid_env.agents
 import dcgrid_env.agents.policy.policy as policies
 from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import Card, Network, Policy, controllers, evaluate
@@ -111,6 +112,8 @@ def test_training_without_torch_says_what_to_install(monkeypatch, capsys):
             context.setitem(sys.modules, missing, None)
             for name in [name for name in sys.modules if name.startswith("dcgrid_env.agents.")]:
                 context.delitem(sys.modules, name)
+                child = name.split(".")[2]  # importing it again replaces this attribute of the package
+                context.setattr(dcgrid_env.agents, child, getattr(dcgrid_env.agents, child))
             code, said = stopped(capsys, "train", "ppo")
         assert code == 2
         assert missing in said
