@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.balanced_nodes import OneNodeABus
 from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
-from dcgrid_env.grid.formats.folder_kind import is_three_phase
+from dcgrid_env.grid.formats.feeder_folder import is_three_phase
 from dcgrid_env.grid.network import (
     BusId,
     LineTable,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from dcgrid_env.grid.feeder import Feeder
-from dcgrid_env.grid.formats.folder_kind import is_three_phase
+from dcgrid_env.grid.formats.feeder_folder import is_three_phase
 from dcgrid_env.grid.three_phase import ThreePhaseFeeder
 
 AnyFeeder = Feeder | ThreePhaseFeeder

@@ -10,8 +10,6 @@ unknown coordinate or rating. Other keys and columns are refused, because a miss
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import tomllib
@@ -20,7 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env.core.files import write_text
+from dcgrid_env.grid.formats.feeder_folder import write_files
+from dcgrid_env.grid.formats.feeder_tables import cell_number, file_text, table_rows, table_text
 from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network, summed_at_nodes
 from dcgrid_env.grid.network_checks import check_balanced
@@ -42,7 +41,7 @@ def read_csv(folder: Path) -> Network:
         For a missing or unknown file, key or column, or a cell that is not a number, naming the file and the line.
     """
     try:
-        head = tomllib.loads(_text(folder / "feeder.toml"))
+        head = tomllib.loads(file_text(folder / "feeder.toml"))
     except tomllib.TOMLDecodeError as error:
         raise FeederError(f"{folder / 'feeder.toml'}: {error}") from None
     for key in head:
@@ -115,41 +114,20 @@ def write_csv(network: Network, folder: Path) -> None:
     branches = {column: getattr(line, column) for column in ("from_bus", "to_bus", "r_ohm", "x_ohm", "rating_a")}
     if not line.rating_a:
         del branches["rating_a"]
-    ratings = ratings_text(network.rating) if len(network.rating) else ""
-    write_text(folder / "buses.csv", _csv(buses))
-    write_text(folder / "branches.csv", _csv(branches))
-    if ratings:
-        write_text(folder / RATINGS_FILE, ratings)
+    texts = {"buses.csv": _table(buses), "branches.csv": _table(branches)}
+    if len(network.rating):
+        texts[RATINGS_FILE] = ratings_text(network.rating)
     source = network.source
     head = {"name": network.name, "base_kv": float(source.base_kv[0])}
     head |= {"substation": source.bus[0], "v0_pu": float(source.v_pu[0])}
-    # Last: without it the folder is no feeder. TOML's basic strings are JSON's, but for the one character.
+    # TOML's basic strings are JSON's, but for the one character.
     lines = (f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in head.items())
-    write_text(folder / "feeder.toml", "".join(lines).replace("\x7f", "\\u007f"))
+    write_files(folder, texts, "".join(lines).replace("\x7f", "\\u007f"))
 
 
-def _csv(columns: dict[str, Iterable[Any]]) -> str:
-    written = io.StringIO()
-    writer = csv.writer(written, lineterminator="\n")
-    writer.writerow(columns)
+def _table(columns: dict[str, Iterable[Any]]) -> str:
     rows = zip(*columns.values(), strict=True)
-    writer.writerows([v if isinstance(v, str) else _figure(float(v)) for v in row] for row in rows)
-    return written.getvalue()
-
-
-def _figure(value: float) -> str:
-    return "" if math.isnan(value) else repr(value)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FeederError(f"{path} is missing; a balanced feeder is feeder.toml, buses.csv and branches.csv") from None
-    except UnicodeDecodeError as error:
-        raise FeederError(f"{path}: {error}; save it as UTF-8") from None
-    except OSError as error:
-        raise FeederError(f"{path} cannot be read ({error.strerror}); give a file") from None
+    return table_text(list(columns), ([v if isinstance(v, str) else float(v) for v in row] for row in rows))
 
 
 def _columns(
@@ -159,34 +137,14 @@ def _columns(
 
     ``optional`` columns, with the default of an empty cell, are in the result only where the file has them.
     """
-    reader = csv.DictReader(_text(path).splitlines())
-    header = reader.fieldnames or []
-    missing = [c for c in [*names, *(n for n, default in numbers.items() if default is None)] if c not in header]
-    if missing:
-        raise FeederError(f"{path}: the column {missing[0]!r} is missing; the file has {list(header)}")
-    for i, c in enumerate(header):
-        if c not in (*names, *numbers, *optional):
-            there = ", ".join((*names, *numbers, *optional))
-            raise FeederError(f"{path}: {c!r} is no column of it; there are {there}")
-        if c in header[:i]:
-            raise FeederError(f"{path}: the column {c!r} is there twice; leave one out")
-    numbers = numbers | {c: default for c, default in optional.items() if c in header}
-    columns: dict[str, list[Any]] = {c: [] for c in [*names, *numbers]}
-    for row in reader:
-        if None in row:
-            raise FeederError(f"{path}, line {reader.line_num}: more cells than {len(header)} columns; take them out")
-        for c in names:
-            text = (row[c] or "").strip()
-            if not text:
-                raise FeederError(f"{path}, line {reader.line_num}: {c} is empty")
-            columns[c].append(text)
-        for c, default in numbers.items():
-            text = (row.get(c) or "").strip()
-            if not text and default is not None:
-                columns[c].append(default)
-                continue
-            try:
-                columns[c].append(float(text))
-            except ValueError:
-                raise FeederError(f"{path}, line {reader.line_num}: {c} is {text!r}; give a number") from None
+    needed = [*names, *(column for column, default in numbers.items() if default is None)]
+    columns: dict[str, list[Any]] = {column: [] for column in [*names, *numbers]}
+    for line, row in table_rows(path, needed, [column for column in [*numbers, *optional] if column not in needed]):
+        for column in names:
+            if not row[column]:
+                raise FeederError(f"{path}, line {line}: {column} is empty")
+            columns[column].append(row[column])
+        for column, default in (numbers | {column: optional[column] for column in optional if column in row}).items():
+            value = cell_number(path, line, column, row.get(column, ""), default)
+            columns.setdefault(column, []).append(value)
     return columns

@@ -13,8 +13,6 @@ folders (``RESULTS``).
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import tomllib
@@ -22,7 +20,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env.core.files import write_text
+from dcgrid_env.grid.formats.feeder_folder import write_files
+from dcgrid_env.grid.formats.feeder_tables import cell_number, file_text, table_rows, table_text
 from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File, says_nothing
 from dcgrid_env.grid.network import Network, NodeTable, SourceTable
@@ -66,7 +65,7 @@ def write_folder(network: Network, folder: Path) -> None:
         For a network that is not three-phase, or a text that a CSV file cannot give back; nothing is written.
     """
     check_three_phase(network)
-    texts = {"buses.csv": _csv(["bus", "phases", "base_kv_ln", "x", "y"], _bus_rows(network.node))}
+    texts = {"buses.csv": table_text(["bus", "phases", "base_kv_ln", "x", "y"], _bus_rows(network.node))}
     for kind, file in FILES.items():
         table = getattr(network, kind)
         if kind in ("core", "admittance", "capacitor_control") and not len(table):  # published folders have none
@@ -78,16 +77,14 @@ def write_folder(network: Network, folder: Path) -> None:
         columns = [(column, values) for column, values in columns if column.field not in unused]
         rows = ([cell for column, values in columns for cell in column.cells(values[k])] for k in range(len(table)))
         may_be_empty = [column.may_be_empty for column, _ in columns for _ in column.names]
-        texts[file.name] = _csv([name for column, _ in columns for name in column.names], rows, may_be_empty)
+        texts[file.name] = table_text([name for column, _ in columns for name in column.names], rows, may_be_empty)
     if len(network.rating):
         texts[RATINGS_FILE] = ratings_text(network.rating)
-    for name, text in texts.items():
-        write_text(folder / name, text)
     source = network.source
     head = {"name": network.name, "source_of_facts": network.source_of_facts, "frequency_hz": network.frequency_hz}
     values = (source.bus[0], source.base_kv[0], source.v_pu[0], source.angle_deg[0], source.r_ohm[0], source.x_ohm[0])
     lines = [*_toml(head.items()), "\n[source]\n", *_toml(zip(_SOURCE, values, strict=True))]
-    write_text(folder / "feeder.toml", "".join(lines))  # last: without it the folder is no feeder
+    write_files(folder, texts, "".join(lines))
 
 
 def _toml(pairs: Iterable[tuple[str, Any]]) -> list[str]:
@@ -98,7 +95,7 @@ def _toml(pairs: Iterable[tuple[str, Any]]) -> list[str]:
 
 def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     try:
-        head = tomllib.loads(_text(path))
+        head = tomllib.loads(file_text(path))
     except tomllib.TOMLDecodeError as error:
         raise FeederError(f"{path}: {error}") from None
     source = head.get("source")
@@ -133,9 +130,9 @@ def _as_floats(value: Any) -> Any:
 def _read_buses(path: Path) -> NodeTable:
     rows: list[tuple] = []
     before: set[str] = set()
-    for line, row in _rows(path, ["bus", "phases", "base_kv_ln"], ["x", "y"], ()):
-        figures = [_number(path, line, c, row.get(c, ""), math.nan) for c in ("x", "y")]
-        base_kv = _number(path, line, "base_kv_ln", row["base_kv_ln"], None)
+    for line, row in table_rows(path, ["bus", "phases", "base_kv_ln"], ["x", "y"]):
+        figures = [cell_number(path, line, c, row.get(c, ""), math.nan) for c in ("x", "y")]
+        base_kv = cell_number(path, line, "base_kv_ln", row["base_kv_ln"])
         if not row["phases"] or sorted(set(row["phases"]) & set(LETTERS)) != list(row["phases"]):
             raise FeederError(
                 f"{path}, line {line}: phases is {row['phases']!r}; give letters in order, a, b, c for the phases and "
@@ -164,7 +161,7 @@ def _read_table(folder: Path, file: File) -> Any:
     needed = [name for column in file.columns if not column.may_be_missing for name in column.names]
     more = [name for column in file.columns if column.may_be_missing for name in column.names]
     found: dict[str, list[Any]] = {column.field: [] for column in file.columns}
-    for line, row in _rows(path, needed, more, RESULTS.get(file.name, ())):
+    for line, row in table_rows(path, needed, more, RESULTS.get(file.name, ())):
         for column in file.columns:
             if column.field in FALLBACKS and column.field not in row:
                 continue
@@ -179,72 +176,14 @@ def _read_cells(path: Path, line: int, row: dict[str, str], column: Column) -> A
     for name in column.names:
         text = row.get(name, "")
         if column.shape == "list":
-            cells += [_number(path, line, name, word, None) for word in text.split()]
+            cells += [cell_number(path, line, name, word) for word in text.split()]
         elif column.is_text:
             if not text and not column.may_be_empty:
                 raise FeederError(f"{path}, line {line}: {name} is empty")
             cells.append(text)
         elif not column.is_whole:
-            cells.append(_number(path, line, name, text, math.nan if column.may_be_empty else None))
+            cells.append(cell_number(path, line, name, text, math.nan if column.may_be_empty else None))
         else:
-            value = _number(path, line, name, text, None)
+            value = cell_number(path, line, name, text)
             cells.append(int(value) if value == int(value) else value)
     return column.joined(cells)
-
-
-def _rows(
-    path: Path, needed: Sequence[str], more: Sequence[str], results: Sequence[str]
-) -> Iterable[tuple[int, dict[str, str]]]:
-    reader = csv.DictReader(_text(path).splitlines(), restkey="", restval="")
-    header = list(reader.fieldnames or [])
-    known = [*needed, *more]
-    for column in needed:
-        if column not in header:
-            raise FeederError(f"{path}: the column {column!r} is missing; the file has {header}")
-    for k, column in enumerate(header):
-        if column not in (*known, *results) or column in header[:k]:
-            raise FeederError(f"{path}: the column {column!r} is not known, or comes twice; the columns are {known}")
-    for row in reader:
-        if "" in row:
-            raise FeederError(f"{path}, line {reader.line_num}: {row['']} stands beyond the last column")
-        yield reader.line_num, {column: text.strip() for column, text in row.items()}
-
-
-def _number(path: Path, line: int, column: str, text: str, if_empty: float | None) -> float:
-    if not text and if_empty is not None:
-        return if_empty
-    try:
-        value = float(text)
-    except ValueError:
-        raise FeederError(f"{path}, line {line}: {column} is {text!r}; give a number") from None
-    if not math.isfinite(value):
-        raise FeederError(f"{path}, line {line}: {column} is {text!r}; give a finite number")
-    return value
-
-
-def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]], may_be_empty: Sequence[bool] = ()) -> str:
-    written = io.StringIO()
-    writer = csv.writer(written, lineterminator="\n")
-    writer.writerow(header)
-    for row in rows:
-        for cell, may_be in zip(row, may_be_empty or [False] * len(header), strict=True):
-            lines = cell.splitlines() or [cell] * may_be if isinstance(cell, str) else [cell]
-            if isinstance(cell, str) and (cell != cell.strip() or len(lines) != 1):
-                raise FeederError(f"{cell!r} cannot be written; leave out spaces at its ends and line ends")
-        writer.writerow([cell if isinstance(cell, str) else _figure(cell) for cell in row])
-    return written.getvalue()
-
-
-def _figure(value: float) -> str:
-    if isinstance(value, int):
-        return str(value)
-    return "" if math.isnan(value) else repr(float(value))
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FeederError(f"{path} is missing; a three-phase feeder has feeder.toml and buses.csv at least") from None
-    except UnicodeDecodeError as error:
-        raise FeederError(f"{path}: {error}; save it as UTF-8") from None

@@ -86,11 +86,11 @@ def test_an_unknown_choice_is_refused(rating, season, said):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("element,season,normal\n", "they must be element, season, normal, emergency"),
+        ("element,season,normal\n", "the column 'emergency' is missing"),
         ("element,season,normal,emergency\n,winter,1,2\n", "line 2: element is empty"),
         ("element,season,normal,emergency\nbranch 1-2,winter,x,2\n", "line 2: normal is 'x'; give a number"),
-        ("element,season,normal,emergency\nbranch 1-2,winter,nan,2\n", "line 2: normal is 'nan'; give a number"),
-        ("element,season,normal,emergency\nbranch 1-2,winter,1,2,3\n", "stands beyond the last column"),
+        ("element,season,normal,emergency\nbranch 1-2,winter,nan,2\n", "line 2: normal is 'nan'; give a finite number"),
+        ("element,season,normal,emergency\nbranch 1-2,winter,1,2,3\n", "\\['3'\\] is beyond the last column"),
     ],
 )
 def test_an_invalid_file_is_refused_by_line(text, said, tmp_path):
@@ -98,3 +98,13 @@ def test_an_invalid_file_is_refused_by_line(text, said, tmp_path):
     (tmp_path / "ratings.csv").write_text(text)
     with pytest.raises(FeederError, match=said):
         read_feeder(tmp_path)
+
+
+def test_a_feeder_replaces_the_tables_of_another_in_its_folder(tmp_path):
+    load_feeder("ieee13-3ph").to_csv(tmp_path)
+    feeder = load_feeder("ieee33")
+    (tmp_path / "ratings.csv").write_text("element,season,normal,emergency\nline 650632,,400,\n")
+    (tmp_path / "notes.txt").write_text("not of a feeder")
+    feeder.to_csv(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["branches.csv", "buses.csv", "feeder.toml", "notes.txt"]
+    assert Feeder.from_csv(tmp_path).to_network() == feeder.to_network()

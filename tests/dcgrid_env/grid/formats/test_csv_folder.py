@@ -156,11 +156,11 @@ def test_missing_column(folder, name, column):
 
 @pytest.mark.parametrize(("name", "text", "said"), [
     ("buses", "bus,p_kw,q_kvar,capacitors_kvar\n3,30,3,9\n7,0,0,0\n5,5,5,0\n",
-     r"buses\.csv: 'capacitors_kvar' is no column of it; there are bus, p_kw, q_kvar, capacitor_kvar, x, y"),
+     r"buses\.csv: the column 'capacitors_kvar' is unknown; the columns are bus, p_kw, q_kvar, capacitor_kvar, x"),
     ("branches", "from_bus,to_bus,r_ohm,x_ohm,length\n3,5,1,1,2\n7,3,1,1,2\n",
-     r"branches\.csv: 'length' is no column of it; there are from_bus, to_bus, r_ohm, x_ohm, rating_a$"),
+     r"branches\.csv: the column 'length' is unknown; the columns are from_bus, to_bus, r_ohm, x_ohm, rating_a$"),
     ("buses", "bus,p_kw,q_kvar,p_kw\n3,30,3,9\n7,0,0,0\n5,5,5,0\n", r"the column 'p_kw' is there twice; leave one out"),
-    ("branches", "from_bus,to_bus,r_ohm,x_ohm\n3,5,1,1\n7,3,1,1,2\n", r"line 3: more cells than 4 columns; take"),
+    ("branches", "from_bus,to_bus,r_ohm,x_ohm\n3,5,1,1\n7,3,1,1,2\n", r"line 3: \['2'\] is beyond the last column"),
     ("feeder", 'name = "t"\nbase_kv = 10\nsubstation = 7\nv0_pu = 1\nv_pu = 1.04\n',
      r"feeder\.toml: 'v_pu' is no key of a feeder; there are name, base_kv, substation, v0_pu, about, source, licence"),
 ])  # fmt: skip
@@ -210,7 +210,7 @@ def test_a_bus_without_a_name(folder, name, text, line, field):
 
 
 def test_a_figure_written_as_nan_is_refused(folder):
-    with pytest.raises(FeederError, match="bus 5: p_kw is nan"):
+    with pytest.raises(FeederError, match="line 4: p_kw is 'nan'; give a finite number"):
         Feeder.from_csv(folder(buses="bus,p_kw,q_kvar\n3,30,3\n7,0,0\n5,nan,5\n"))
 
 

@@ -1,0 +1,42 @@
+"""The files of a feeder's folder: which kind of feeder they hold, and how a new feeder replaces them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from dcgrid_env.core.files import write_text
+from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE
+from dcgrid_env.grid.formats.three_phase_columns import FILES
+from dcgrid_env.grid.topology import FeederError
+
+
+def is_three_phase(folder: Path) -> bool:
+    """Whether a folder holds a three-phase feeder (lines.csv, loads.csv, ..) and no balanced one (branches.csv).
+
+    Raises
+    ------
+    FeederError
+        For a folder with files of both kinds.
+    """
+    found = [file.name for file in FILES.values() if (folder / file.name).exists()]
+    if found and (folder / "branches.csv").exists():
+        raise FeederError(
+            f"{folder}: branches.csv is of balanced feeders and {found[0]} of three-phase ones; keep one kind"
+        )
+    return bool(found)
+
+
+def write_files(folder: Path, tables: Mapping[str, str], head: str) -> None:
+    """Write the tables and ``feeder.toml`` of a feeder; tables of an earlier feeder in the folder are deleted.
+
+    Without ``feeder.toml`` a folder is no feeder, so it is deleted first and written last.
+    """
+    feeder_file = folder / "feeder.toml"
+    if feeder_file.exists():
+        feeder_file.unlink()
+        for name in {"branches.csv", RATINGS_FILE, *(file.name for file in FILES.values())} - set(tables):
+            (folder / name).unlink(missing_ok=True)
+    for name, text in tables.items():
+        write_text(folder / name, text)
+    write_text(feeder_file, head)
