@@ -220,7 +220,7 @@ def _firsts(buses: np.ndarray) -> list[_First]:
     snapshot = snapshot_capacity(study, buses)
     sizes = [_guess(study, found) for found in snapshot]
     critical = critical_samples(AddedSite(study, shared(_EXEMPT)), buses, sizes)
-    return [_First(int(bus), *both) for bus, *both in zip(buses, snapshot, critical, strict=True)]
+    return [_First(int(bus), *found) for bus, found in zip(buses, zip(snapshot, critical, strict=True), strict=True)]
 
 
 def _guess(study: Study, found: BusCapacity) -> int:
