@@ -55,6 +55,7 @@ def test_every_preset_has_its_test_episodes(name):
 
 
 @pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.slow
 def test_episodes_are_drawn_here_as_there(name):
     scenario = make_scenario(name, split="test")
     values = published(scenario)
@@ -108,6 +109,7 @@ def test_every_best_known_cost_has_its_actions(name):
 
 
 @pytest.mark.parametrize("name", TRIPPING)
+@pytest.mark.slow
 def test_rules_of_return_lie_in_order_and_the_best_known_episodes_can_be_driven_again(name):
     scenario, seeds = make_scenario(name, split="test"), range(20)
     rules = ("none", "return-by-hand", "staggered-return", "staggered-return-tuned")

@@ -328,6 +328,7 @@ def test_there_are_documents_with_commands_and_code():
 
 
 @pytest.mark.parametrize("name", [name for name, document in READ.items() if document.lines or document.inline])
+@pytest.mark.slow
 def test_every_command_can_be_read(name):
     for command in (*READ[name].commands(), *map(words, READ[name].inline)):
         check_read(command)

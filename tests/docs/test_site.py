@@ -154,6 +154,7 @@ def built(tmp_path):
     return build
 
 
+@pytest.mark.slow
 def test_a_build_leaves_nothing_beside_the_site(built):
     done, out = built({"output_type": "display_data", "metadata": {}, "data": {"image/png": PIXEL}})
     assert done.returncode == 0, done.stderr
@@ -164,6 +165,7 @@ def test_a_build_leaves_nothing_beside_the_site(built):
 @pytest.mark.parametrize(
     ("text", "fails"), [("dcgrid: compiling kernels, once.\n", False), ("Warning: a number is odd\n", True)]
 )
+@pytest.mark.slow
 def test_stderr_of_a_notebook_fails_the_build_unless_it_is_the_line_about_compiling(built, text, fails):
     done, out = built({"output_type": "stream", "name": "stderr", "text": text})
     assert (done.returncode != 0) is fails

@@ -55,6 +55,7 @@ def finished(tmp_path_factory):
     return main(dataclasses.replace(TINY, out=tmp_path_factory.mktemp("whole") / "run"))
 
 
+@pytest.mark.slow
 def test_a_tiny_run_improves_and_writes_what_it_found(finished):
     curve = read_curve(finished)
     assert [row["step"] for row in curve] == [2, 4, 6]

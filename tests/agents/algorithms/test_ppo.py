@@ -65,6 +65,7 @@ def test_a_run_leaves_what_it_says_and_the_best_policy_is_the_curves(tmp_path):
     assert (card["algorithm"], card["scenario"], card["seed"], card["validation_J"]) == ("ppo", "toy6", 0, best)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypatch):
     whole = ppo.main(tiny(tmp_path, "whole", steps=2400))
     learned = ppo.BatchedPpo.train
@@ -155,6 +156,7 @@ def test_leftover_work_is_charged_over_the_steps_and_a_wait_costs_the_same_under
     assert sum(raised * 0.9**k for k in range(10)) == pytest.approx(10.0 * price)
 
 
+@pytest.mark.slow
 def test_it_learns(tmp_path):
     cfg = tiny(tmp_path, "learns", scenario="ieee123", steps=120_000, gamma=0.5, num_envs=96, hidden=(16, 16))
     rows = read_curve(ppo.main(cfg))

@@ -169,6 +169,7 @@ def pushing_up(cfg):
     return model
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_the_same_curve_and_the_same_seed_gives_it(tmp_path, monkeypatch):
     whole = algorithm.main(tiny(tmp_path, "whole"))
     learned = algorithm.CounterfactualPpo.update
@@ -227,6 +228,7 @@ def test_nan_stops_the_training(tmp_path, monkeypatch):
         algorithm.main(tiny(tmp_path))
 
 
+@pytest.mark.slow
 def test_it_is_better_than_the_tuned_droop_after_4500_steps(tmp_path):
     cfg = tiny(tmp_path, scenario="ieee33", set=("horizon=30",), steps=4_500, num_envs=15, validate_every=1)
     rows = read_curve(algorithm.main(cfg))

@@ -110,6 +110,7 @@ def test_a_verifier_without_a_key_writes_no_report_that_is_listed(whole, tmp_pat
         ("joint + sensitivities", [list(range(23))] * 3),
     ],
 )
+@pytest.mark.slow
 def test_an_agent_sees_what_the_scope_sends_alone(scope, columns):
     body = """seen = np.flatnonzero(observations[0] == np.arange(23))
 return np.full((len(observations), 4), (2.0**seen).sum())"""
@@ -117,6 +118,7 @@ return np.full((len(observations), 4), (2.0**seen).sum())"""
     assert acted(body, scope).tolist() == [[site, site, *inverters]] * 2  # clock and q of the site, q of the inverters
 
 
+@pytest.mark.slow
 def test_agents_under_a_local_scope_share_no_memory():
     body = "seen.append(1)\nreturn np.full((len(observations), 4), len(seen))"
     assert (acted(body, "local") == 1.0).all()

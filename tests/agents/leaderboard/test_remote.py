@@ -104,6 +104,7 @@ def test_a_part_of_the_confinement_that_fails_is_named(call, start, message, tmp
 
 
 @confines
+@pytest.mark.slow
 def test_code_does_not_run_on_a_kernel_without_seccomp():
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(remote.import_path())}
     command = [sys.executable, "-c", WITHOUT_SECCOMP]
@@ -124,6 +125,7 @@ def test_a_process_imports_what_this_one_can(confined, tmp_path, monkeypatch):
 
 
 @confines
+@pytest.mark.slow
 def test_confined_code_cannot_read_the_folders_of_the_script_and_of_the_work(tmp_path, monkeypatch):
     for name in ("script", "work"):
         (tmp_path / name).mkdir()

@@ -85,6 +85,7 @@ def test_a_controller_acts_in_a_process_as_it_does_here(scenario, controller):
     assert there.J.tolist() == here.J.tolist()
 
 
+@pytest.mark.slow
 def test_a_local_law_acts_in_a_process_for_each_agent_as_in_one():
     preset, code = scenario_of("toy6").replace(horizon=20), b"from dcgrid_env.baselines import Droop"
     own = remote("controller.py:Droop", preset, TUNED, Scope.parse("local"), code, confined=bool(version()))

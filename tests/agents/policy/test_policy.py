@@ -340,6 +340,7 @@ def test_what_does_not_fit_a_scenario_is_refused_with_both_widths(tmp_path):
         shared().reset(toy.replace(observe="feeder"))
 
 
+@pytest.mark.slow
 def test_reading_and_running_a_policy_needs_no_torch(tmp_path):
     path = shared().save(tmp_path / "policy")
     code = (

@@ -61,6 +61,7 @@ with open_run(Path(sys.argv[1]), Training("toy6")) as run:
 """
 
 
+@pytest.mark.slow
 def test_a_killed_training_blocks_nobody_and_what_it_left_is_cleared(tmp_path):
     assert subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "run")], check=False).returncode == 9
     assert len(names(tmp_path / "run")) == 5  # with the lock, its note and the half of a checkpoint

@@ -110,6 +110,7 @@ def test_losses_limit_by_their_mean_over_the_window():
     assert losses[0] <= limit_kw < losses[1]
 
 
+@pytest.mark.slow
 def test_taps_limit_by_the_regulator_that_makes_the_most():
     scenario = make_scenario("ieee13-3ph", split="test")
     study = Study(
@@ -156,6 +157,7 @@ def imported(tmp_path, first, second):
     return on(feeder, trace=(FULL,), background={"load_sigma": 0.0}, source_voltage_pu=1.0, power_flow="sweep")
 
 
+@pytest.mark.slow
 def test_cables_of_400_a_limit_as_those_of_399_a_do(tmp_path):
     """300 kW and a site at n: sqrt(3) V I of the cables, less the load at p that the first one carries too."""
     wide = {"load": "peak", "tolerance_mw": 0.001, "max_mw": 12.0, "v_min_pu": 0.9, "v_max_pu": 1.1}
@@ -165,6 +167,7 @@ def test_cables_of_400_a_limit_as_those_of_399_a_do(tmp_path):
     assert mw[400] - mw[399] == pytest.approx(math.sqrt(3.0) * 12.47 / 1000.0, abs=0.002)
 
 
+@pytest.mark.slow
 def test_a_transformer_limits_by_the_kva_of_its_smaller_winding(tmp_path):
     wide = {"load": "peak", "tolerance_mw": 0.001, "max_mw": 3.0, "v_min_pu": 0.9, "v_max_pu": 1.1}
     found, [[mw]] = carried(imported(tmp_path, 600, 600), buses=("p",), **wide)

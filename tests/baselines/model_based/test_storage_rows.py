@@ -19,6 +19,7 @@ def solved():
     return scenario, {seed: hindsight(scenario, seed) for seed in (0, 5)}
 
 
+@pytest.mark.slow
 def test_the_environment_agrees_with_the_program(solved):
     scenario, found = solved
     for seed, best in found.items():

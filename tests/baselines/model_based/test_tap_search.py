@@ -115,6 +115,7 @@ def _short(price):
 
 
 @pytest.mark.parametrize("price", [0.0, 10.0])
+@pytest.mark.slow
 def test_hindsight_leads_the_taps_of_controls_that_act_within_steps(price):
     scenario = _short(price)
     found = hindsight(scenario, 0)

@@ -84,6 +84,7 @@ def test_a_load_without_a_solution_is_no_voltage(true):
     assert np.isnan(levers.settled(true.setting.published(5), {13: 1e6})).all()
 
 
+@pytest.mark.slow
 def test_records_are_whole_and_the_same_for_each_form(records):
     forms = records["cases"]
     assert list(forms) == ["balanced", "phases", "fixed", "acting"]

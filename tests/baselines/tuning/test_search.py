@@ -49,6 +49,7 @@ def test_one_gain_against_a_plain_search():
     assert tune("droop-q", [scenario], episodes=1) == found
 
 
+@pytest.mark.slow
 def test_one_share_for_several_scenarios_and_one_for_each_agent_of_one():
     toy, weak = (make_scenario(name, split="validation", horizon=5) for name in ("toy6", "ieee33-weak"))
     together = tune("constant-q", [toy, weak], episodes=2)
@@ -175,6 +176,7 @@ def test_equipment_has_no_share_of_reactive_power_to_search_for():
 
 
 @pytest.mark.parametrize("law", ["set-points", "static", "two-timescale"])
+@pytest.mark.slow
 def test_set_points_are_searched_with_the_rest_of_the_law(law, monkeypatch):
     monkeypatch.setattr(search, "CANDIDATES", 12)
     monkeypatch.setattr(search, "ITERATIONS", 5)

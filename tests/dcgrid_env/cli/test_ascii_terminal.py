@@ -30,6 +30,7 @@ TERMINALS = {
         *(pytest.param(n, marks=pytest.mark.slow) for n in ("run", "check", "benchmark")),
     ],
 )
+@pytest.mark.slow
 def test_a_command_on_an_ascii_terminal(tmp_path, name, terminal):
     variables = {k: v for k, v in os.environ.items() if k not in ("PYTHONIOENCODING", "PYTHONUTF8", "LC_ALL")}
     done = subprocess.run(

@@ -162,6 +162,7 @@ def _report_is_whole(text, images):
     assert "http" not in re.sub(r"base64,[^\"]*", "", text)
 
 
+@pytest.mark.slow
 def test_an_interrupted_benchmark_goes_on_and_gives_the_same(tmp_path, capsys, monkeypatch):
     whole = benchmark(tmp_path / "whole", "none,droop")
     real, calls = jobs.run, []
@@ -190,6 +191,7 @@ def test_an_interrupted_benchmark_goes_on_and_gives_the_same(tmp_path, capsys, m
     assert [r for r in whole["episodes"] if r["controller"] == "droop"][:4] == again["episodes"][4:]
 
 
+@pytest.mark.slow
 def test_a_changed_controller_is_computed_anew(tmp_path, own):
     spec = f"{own}:Still"
     before = benchmark(tmp_path / "out", spec, episodes=2)
@@ -224,6 +226,7 @@ def test_what_fails_is_reported_and_the_rest_goes_on(tmp_path, own, capsys, monk
 _of_another_training = (("datacenter", 9, [0.5, 0.2]), ("inverter", 7, [0.2]))
 
 
+@pytest.mark.slow
 def test_a_saved_policy_and_a_module_join(tmp_path, monkeypatch):
     (tmp_path / "joining").mkdir()
     (tmp_path / "joining" / "laws.py").write_text(OWN)
@@ -243,6 +246,7 @@ def test_a_saved_policy_and_a_module_join(tmp_path, monkeypatch):
     assert [r["J"] for r in again["episodes"] if r["controller"] == "trained"] != j[1]  # not what was kept of the first
 
 
+@pytest.mark.slow
 def test_two_processes_give_what_one_gives(tmp_path, own):
     controllers = f"none,droop,{own}:Still,{own}:Raises"
     one = benchmark(tmp_path / "one", controllers, episodes=4)
@@ -277,6 +281,7 @@ def make():
 """
 
 
+@pytest.mark.slow
 def test_ones_own_scenario_and_arguments_with_commas(tmp_path, own, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     own.write_text(OWN + "\nclass Share(Still):\n    def __init__(self, a, b=0): ...\n")

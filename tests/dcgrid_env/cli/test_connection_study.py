@@ -86,6 +86,7 @@ def test_sites_of_a_scenario_that_are_drawn_are_refused(tmp_path, capsys):
     assert "draws the buses of its data centres in each episode" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_load_profiles_give_a_section_of_the_year(tmp_path):
     (tmp_path / "loads").mkdir()
     samples = "".join(f"{hour},{0.5 + 0.4 * (hour % 24 == 18)}\n" for hour in range(5 * 24))

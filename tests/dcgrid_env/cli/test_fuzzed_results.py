@@ -53,6 +53,7 @@ def replayed(results, tmp_path, capsys, monkeypatch):
     return replay
 
 
+@pytest.mark.slow
 def test_damaged_results_are_refused_or_replayed_as_they_were(results, replayed):
     rng = random.Random(5)
     outcomes = [replayed(mutated_bytes({"results": results}, rng)["results"]) for _ in range(150)]

@@ -27,6 +27,7 @@ def said(capsys, *words):
 
 
 @pytest.mark.parametrize("kind", SUFFIX)
+@pytest.mark.slow
 def test_a_feeder_goes_out_and_comes_in(tmp_path, capsys, kind):
     file, out = tmp_path / "deep" / f"grid.{SUFFIX[kind]}", tmp_path / "my-feeder"
     main(["export", kind, "ieee33", "--out", str(file)])

@@ -47,6 +47,7 @@ def solved_by_opendss(path, *commands):
     return dict(zip(engine.Circuit.AllNodeNames(), engine.Circuit.AllBusVMag(), strict=True)), power
 
 
+@pytest.mark.slow
 def test_the_report_has_what_the_lost_elements_change(master, capsys, tmp_path):
     out = tmp_path / "my-feeder"
     main(["import", "opendss", str(master), "--out", str(out), "--allow", "indmach012,isource,load"])
@@ -93,6 +94,7 @@ def test_the_report_has_what_the_lost_elements_change(master, capsys, tmp_path):
     assert "ratings known for 4 of 17 elements" in terminal
 
 
+@pytest.mark.slow
 def test_elements_without_supply_are_named_once(master, capsys, tmp_path):
     master.write_text(master.read_text() + "\nNew Line.far bus1=x bus2=y\nNew Load.y bus1=y kv=4.16 kw=9\n")
     allow = "indmach012,isource,load,isolated"
@@ -106,6 +108,7 @@ def test_elements_without_supply_are_named_once(master, capsys, tmp_path):
     assert abs(row["change_v"]) < 1e-6
 
 
+@pytest.mark.slow
 def test_every_file_that_is_read_is_listed(master, capsys, tmp_path):
     (tmp_path / "more.dss").write_text("New LoadShape.s npts=2 interval=1 mult=(file=day.csv)\n")
     (tmp_path / "day.csv").write_text("1\n0.5\n")
@@ -119,6 +122,7 @@ def test_every_file_that_is_read_is_listed(master, capsys, tmp_path):
     assert "Nothing is lost, and both power flows agree." in (tmp_path / "out" / "import_report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_report_that_cannot_be_written_leaves_nothing(master, capsys, tmp_path, monkeypatch):
     def full(*_):
         raise OSError("no space left")

@@ -44,6 +44,7 @@ COMMANDS = {
         ("train", "torch"),
     ],
 )
+@pytest.mark.slow
 def test_an_interruption_that_a_library_swallows_ends_the_command(tmp_path, name, module):
     code = SWALLOWED.format(module=module, words=COMMANDS[name])
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)

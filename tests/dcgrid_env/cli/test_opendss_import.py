@@ -29,6 +29,7 @@ def said(capsys, *words):
     return err
 
 
+@pytest.mark.slow
 def test_a_feeder_is_written_and_compared(master, capsys):
     out = master.parent / "new" / "my-feeder"
     main(["import", "opendss", str(master), "--out", str(out)])
@@ -43,6 +44,7 @@ def test_a_feeder_is_written_and_compared(master, capsys):
     assert sorted(path.name for path in master.parent.iterdir()) == ["Master.dss", "new"]
 
 
+@pytest.mark.slow
 def test_what_is_lost_is_said_with_the_difference_that_it_makes(master, capsys):
     master.write_text(
         master.read_text() + "\nNew IndMach012.g bus1=680 kv=4.16 kw=300 kva=400\nNew ISource.i bus1=680 amps=0.1"
@@ -56,12 +58,14 @@ def test_what_is_lost_is_said_with_the_difference_that_it_makes(master, capsys):
     assert "lost: what it injects" in text
 
 
+@pytest.mark.slow
 def test_a_power_flow_that_opendss_does_not_find_is_said(master, capsys):
     master.write_text(master.read_text() + "\nEdit Load.671 kw=1e7 vminpu=0.002 vlowpu=0.001")
     main(["import", "opendss", str(master), "--out", str(master.parent / "out")])
     assert "voltages are not compared: no power flow solution from " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_an_existing_folder_is_taken_only_if_it_is_empty(master, capsys):
     out = master.parent / "there"
     out.mkdir()
@@ -72,6 +76,7 @@ def test_an_existing_folder_is_taken_only_if_it_is_empty(master, capsys):
     assert "out: must be a new or empty folder" in said(capsys, master, "--out", master)
 
 
+@pytest.mark.slow
 def test_errors_are_one_line_and_leave_nothing(master, capsys, monkeypatch):
     out = master.parent / "a" / "out"
     assert "there is no file" in said(capsys, master.parent / "none.dss", "--out", out)
@@ -91,6 +96,7 @@ def test_errors_are_one_line_and_leave_nothing(master, capsys, monkeypatch):
     assert [path.name for path in master.parent.iterdir()] == ["Master.dss"]
 
 
+@pytest.mark.slow
 def test_load_shapes_become_files_of_profiles(master, capsys):
     shapes = "New LoadShape.day npts=3 interval=8 mult=(0.5 1 0.75)\nBatchEdit Load..* daily=day\n"
     master.write_text(f"{master.read_text()}\n{shapes}")

@@ -21,6 +21,7 @@ def run(tmp_path, *arguments):
 
 
 @pytest.mark.parametrize("scenario", each_preset(("toy6", "ieee34-3ph", "routing", "zero-shot")))
+@pytest.mark.slow
 def test_run_writes_a_table_a_figure_and_records(scenario, tmp_path, capsys):
     results = run(tmp_path, "--scenario", scenario, "--episodes", "2", "--seed", "3", "--controllers", "none, droop")
     printed = capsys.readouterr().out
@@ -196,6 +197,7 @@ def test_a_controller_that_fails_is_one_line_and_whole_where_that_is_asked_for(w
     assert not (tmp_path / "results").exists()
 
 
+@pytest.mark.slow
 def test_a_run_too_long_to_be_kept_sums_up_and_writes_its_course(tmp_path, monkeypatch, capsys):
     parquet = pytest.importorskip("pyarrow.parquet")
     options = ("--scenario", "toy6", "--horizon", "60", "--episodes", "2", "--controllers", "none,droop")

@@ -138,6 +138,7 @@ def test_every_algorithm_is_there_with_its_configuration(name):
     assert callable(ALGORITHMS[name].module().main)
 
 
+@pytest.mark.slow
 def test_evaluate_prints_the_policy_beside_its_rivals(tmp_path, capsys):
     path = policy(dc=(-0.9, 0.3)).save(tmp_path / "run" / "policy")
     for named in (str(path), str(path.parent)):
@@ -262,6 +263,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, capsys):
     command = ["evaluate", "none", "--scenario", "own.py:make", "--episodes", "2", "--workers", "1"]
     main(command)
@@ -317,6 +319,7 @@ def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
         ("ppo", "--steps", "240", "--num-envs", "8", "--outputs", "droop", "--minibatches", "2"),
     ],
 )
+@pytest.mark.slow
 def test_training_on_ones_own_scenario(options, here, capsys):
     command = [
         "train",

@@ -53,6 +53,7 @@ def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys
     )
 
 
+@pytest.mark.slow
 def test_costs_far_above_their_bound_are_called_best_known(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = ("horizon=20", 'grid_control.regulator_settings={timer="integrating"}')
@@ -77,6 +78,7 @@ def test_best_known_costs_are_of_the_other_command(tmp_path, capsys):
     assert capsys.readouterr().err.endswith("ride-through.json contains best known costs; choose another --out\n")
 
 
+@pytest.mark.slow
 def test_two_processes_solve_what_one_does(tmp_path):
     for jobs in ("1", "2"):
         main(
@@ -96,6 +98,7 @@ def test_two_processes_solve_what_one_does(tmp_path):
     assert one == two
 
 
+@pytest.mark.slow
 def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, capsys):
     out = tmp_path / "tuned.json"
     other = {"droop-q": {"mine": {"parameters": {}}}, "droop": {"toy6": {"parameters": {}}}}

@@ -91,6 +91,7 @@ def commands(folder, *lines):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_a_package_adds_a_controller_a_scenario_and_a_feeder(site):
     folder = site("good-toy", GOOD, GOOD_POINTS)
     code = (
@@ -145,6 +146,7 @@ energy_kwh = 5.0
 """
 
 
+@pytest.mark.slow
 def test_a_scenario_file_names_another_packages_kind_of_device(site):
     points = "[dcgrid.devices]\nall = stores_toy:DEVICES\n"
     folder = site("stores-toy", BATTERY.read_text() + DEVICES, points)
@@ -202,6 +204,7 @@ BROKEN = {
 """Modules of distributions, and what is wrong with each."""
 
 
+@pytest.mark.slow
 def test_a_broken_one_is_one_line_and_stops_nobody_else(site):
     for name, (module, _) in BROKEN.items():
         site(name, module, f"[dcgrid.controllers]\nlaws = {name.replace('-', '_')}:THEIRS\n")

@@ -38,6 +38,7 @@ def test_stable_baselines3_checker(name):
     check_sb3_env(gymnasium.make(name).unwrapped)
 
 
+@pytest.mark.slow
 def test_make_without_importing_the_package_first():
     code = "import gymnasium; e = gymnasium.make('dcgrid_env:dcgrid/IEEE123-v0'); print(e.reset(seed=0)[0].shape)"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
@@ -153,6 +154,7 @@ def test_restore_refuses_what_is_none():
         env.restore(batch.save())
 
 
+@pytest.mark.slow
 def test_same_episode_in_another_process():
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply(first_rewards, (4,)) == first_rewards(4)

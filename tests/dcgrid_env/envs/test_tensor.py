@@ -234,6 +234,7 @@ def test_arrays_of_another_kind(like):
         TensorEnv("toy6", like=like)
 
 
+@pytest.mark.slow
 def test_numpy_episodes_need_no_torch():
     program = (
         "import sys, numpy as np, dcgrid_env as d\n"

@@ -302,6 +302,7 @@ def test_errors_of_use():
 
 
 @pytest.mark.parametrize("kind", ["fork", "spawn"])
+@pytest.mark.slow
 def test_async_vector_env(kind):
     if kind == "fork":
         DcgridVectorEnv(256, "ieee123").reset(seed=0)  # threads of this process must not matter to a forked child

@@ -1,12 +1,14 @@
 """DistFlow against pandapower's Newton method: 9 random loads on each named feeder, a third of them feeding back."""
 
 import numpy as np
+import pytest
 
 from dcgrid_env import distflow
 
 N_ROW = 9
 
 
+@pytest.mark.slow
 def test_distflow_agrees_with_newton_in_pandapower(feeder, random_loads, pandapower_net):
     p_kw, q_kvar, v0_pu = random_loads(feeder, N_ROW, seed=1)
     solution = distflow(feeder, p_kw, q_kvar, v0_pu)

@@ -204,6 +204,7 @@ def gradcheck(function, inputs):
 
 @both_forms
 @pytest.mark.parametrize("scale", [1.0, 8.0, 12.0, -5.0])
+@pytest.mark.slow
 def test_derivatives_of_distflow(toy6, scale):
     load = scale * toy6.p_load_kw / 1000.0, scale * toy6.q_load_kvar / 1000.0
     v_pu, _ = in_megawatts(toy6)(*recorded(*load, 1.02))
@@ -280,6 +281,7 @@ def test_gradients_stay_finite_beside_a_row_without_a_solution(feeder, scale, wa
         np.testing.assert_allclose(one.grad[[0, 1, 3]], other.grad[[0, 1, 3]], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_torch_is_not_imported_for_numpy_arrays():
     import subprocess
     import sys

@@ -166,6 +166,7 @@ def test_an_agent_s_voltage_stands_in_the_axes_of_its_phases():
         pytest.param("ieee123-3ph", {"grid_control.regulators": "agent"}, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario, overrides):
     (env, _), (fresh, _) = make(scenario, **overrides), make(scenario, **overrides)
     fresh.close()

@@ -100,6 +100,7 @@ def test_the_kept_background_changes_nothing():
 @pytest.mark.parametrize(
     "scenario", ["toy6", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ieee123", "training"))]
 )
+@pytest.mark.slow
 def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario):
     """Axes that grow and names that move, one at a time, against a picture that is drawn for the first time."""
     env, fresh = make(scenario, horizon=60), make(scenario, horizon=60)

@@ -36,6 +36,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.slow
 def test_a_preset_comes_back_the_same(preset, tmp_path):
     path = tmp_path / f"{preset}.toml"
     scenario = make_scenario(preset)

@@ -23,6 +23,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_pareto_trains_draws_and_does_nothing_twice(here, monkeypatch, capsys):
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0, 5.0))
     arguments = ["pareto", "--scenario", "toy6", "--delays", "4", *TINY, "--out", "docs"]
@@ -43,6 +44,7 @@ def test_pareto_trains_draws_and_does_nothing_twice(here, monkeypatch, capsys):
     assert (here / "results/pareto/toy6/delay-4-2-0/curve.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_ablate_scores_variants_and_transfer(here, monkeypatch, capsys):
     monkeypatch.setattr(ablate, "VARIANTS", {"all": {}, "clock only": {"act": "clock"}})
     run = "results/ablate/toy6/act-clock-2-0/policy.safetensors"
@@ -61,6 +63,7 @@ def test_ablate_scores_variants_and_transfer(here, monkeypatch, capsys):
     assert "# monotone, gain below the stability bound (safe)\ndcgrid train safe --scenario toy6 " in page
 
 
+@pytest.mark.slow
 def test_generalise_leaves_each_out(here):
     main(["generalise", "--scenarios", "toy6,ieee33", "--vary", "0", *TINY, "--out", "docs"])
     page = (here / "docs" / "generalise.md").read_text()

@@ -25,6 +25,7 @@ def test_each_random_feeder_has_a_score_of_its_own():
     assert table.rows[0][3] == "0 of 2"
 
 
+@pytest.mark.slow
 def test_each_feeder_is_scored_over_episodes_of_its_own():
     begun, done = [], []
     driven = on_each_feeder(
@@ -42,6 +43,7 @@ def test_each_feeder_is_scored_over_episodes_of_its_own():
     assert table.rows[0][4] == f"{min(on.score('droop-q') for on in driven):.2f}"
 
 
+@pytest.mark.slow
 def test_the_command_writes_its_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--controllers", "droop-q,ieee33-weak-analytic", "--scenarios", "toy6", "--episodes", "2", "--out", "docs"]
@@ -69,6 +71,7 @@ def test_settings_that_cannot_be_are_refused(words, capsys):
     assert re.match(rf"dcgrid: {words[0].removeprefix('--')}(:| is) ", capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_a_controller_that_there_is_not_is_an_error_and_one_that_refuses_says_why(capsys):
     words = ["unseen-feeders", "--scenarios", "toy6", "--episodes", "2", "--controllers"]
     with pytest.raises(SystemExit) as raised:
@@ -82,6 +85,7 @@ def test_a_controller_that_there_is_not_is_an_error_and_one_that_refuses_says_wh
     assert "controller 'routing-analytic' cannot drive toy6" in said
 
 
+@pytest.mark.slow
 def test_where_every_controller_refuses_no_feeder_is_driven_by_itself(monkeypatch, capsys):
     def solved(*_: Any, **__: Any) -> None:
         raise AssertionError("hindsight was solved for no controller")

@@ -44,6 +44,7 @@ def killed_at_first(item):
     return tries
 
 
+@pytest.mark.slow
 def test_a_unit_whose_worker_is_killed_is_tried_twice_again_and_then_named(tmp_path):
     items = [(str(tmp_path / str(deaths)), deaths) for deaths in range(4)]
     found = done(killed_at_first, items, 2)
@@ -82,6 +83,7 @@ def awkward(item):
     raise Awkward("this", item) if item else SystemExit(3)
 
 
+@pytest.mark.slow
 def test_an_error_that_cannot_travel_is_described_and_so_is_what_cannot_be_sent():
     asked = [Unit("exit", awkward, 0), Unit("awkward", awkward, 1), Unit("function", len, (lambda: 0,))]
     found = {unit.key: result for unit, result in LocalPool(2).run(asked)}
@@ -152,6 +154,7 @@ def test_an_interrupt_while_a_process_starts_comes_afterwards():
     assert pending == [signal.SIGINT]
 
 
+@pytest.mark.slow
 def test_a_process_that_lets_no_exception_through_is_killed(monkeypatch):
     monkeypatch.setattr(local_pool, "SECONDS_TO_END", 0.2)
     results = LocalPool(2).run(units(_deaf, ["quick", "deaf", "deaf"]))

@@ -34,6 +34,7 @@ def test_opendss_queue_explains_every_tap_and_ours_agree_while_it_acts_like_a_dr
     assert not apart or min(second for second, _, _ in apart) >= first_apart
 
 
+@pytest.mark.slow
 def test_preset_episodes_have_opendss_taps_at_its_seconds():
     played = [(name, played_loads(name, controller)) for name in FEEDERS for controller in PLAYED]
     asked, agreed, made = agreement((name, p, q) for name, loads in played for p, q in zip(*loads, strict=True))

@@ -113,6 +113,7 @@ def test_banks_act_on_a_feeder_without_regulators():
     assert (banks.on == 0.0).all()
 
 
+@pytest.mark.slow
 def test_time_passes_beside_a_bank_that_switches_without_end():
     """Without a delay, and with thresholds closer than what the bank does to its voltage."""
     equipment = equipment_of({"on_below_pu": 0.99, "off_above_pu": 0.991, "delay_s": 0.0})

@@ -22,6 +22,7 @@ def training():
     return rollout(make_scenario("training", horizon=6000), NoControl(), [0]).series(0)
 
 
+@pytest.mark.slow
 def test_pst_max_is_that_of_the_node_that_flickers_most(training):
     pst = short_term_flicker(training.v_pu[1:, 1:], 0.1)[0]
     worst = training.worst_flicker()

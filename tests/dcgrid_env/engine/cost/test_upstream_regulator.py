@@ -235,6 +235,7 @@ def test_checkers_accept_the_environments():
 
 @pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 @pytest.mark.parametrize("view", ["shared", "centralised"])
+@pytest.mark.slow
 def test_a_policy_trains_on_the_fields(view):
     scenario = seen_by(ieee13().replace(**JUMP)).replace(horizon=24)
     learner = Learner(Analytic(num_envs=2, window=12, hidden=(8,), view=view), [scenario])

@@ -32,6 +32,7 @@ def test_capacitors_do_not_follow_the_day():
     np.testing.assert_allclose(forecast(scenario, 0).q_load_kvar[0], wanted, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_the_sun_is_down_at_midnight_and_as_before_at_noon():
     scenario = make_scenario("mixed", **{"background.start_hour": 0}, split="test", **DAY)
     found = forecast(scenario, 0).p_inverter_kw
@@ -71,6 +72,7 @@ def test_long_episodes_draw_their_hour_and_given_ones_have_it():
     assert episode.draw(given, seeds, np.zeros_like(seeds)).begin_h.tolist() == [6.5] * 200
 
 
+@pytest.mark.slow
 def test_sites_that_follow_the_day_are_at_the_episodes_hour():
     scenario = make_scenario(
         "toy6", trace="code", workload={"window": "random"}, background={"start_hour": 20.25}, horizon=30, dt_s=60.0

@@ -532,6 +532,7 @@ def test_the_sun_of_an_episode_begins_anywhere_in_its_row():
     assert np.unique(begins).tolist() == list(range(length - 3579))
 
 
+@pytest.mark.slow
 def test_a_period_of_full_load_asks_for_the_rating_and_changes_nothing_else():
     plain = make_scenario("ieee33-weak", trace="chat", horizon=20, dt_s=0.5)
     full = plain.replace(workload={"full_load_s": (2.0, 4.0)})

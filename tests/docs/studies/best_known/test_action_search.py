@@ -39,6 +39,7 @@ def begun(scenario, seeds, name):
     return best_known(scenario, seeds, {name: make_controller(name, scenario)}, {}, 0)
 
 
+@pytest.mark.slow
 def test_an_episode_is_searched_alone_and_falls_below_where_it_began(quick):
     s = returning()
     name = "staggered-return"  # untuned, which leaves more to gain
@@ -55,6 +56,7 @@ def test_an_episode_is_searched_alone_and_falls_below_where_it_began(quick):
     assert driven == pytest.approx([found.J for found in together], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_descent_lowers_the_cost_of_smoothing():
     s = smoothing()
     (start,) = begun(s, [0], "smoothing-tuned")
@@ -71,6 +73,7 @@ def test_the_search_begins_with_whoever_costs_less():
     assert [one.start for one in found] == ["kept", RULE]
 
 
+@pytest.mark.slow
 def test_the_command_keeps_what_can_be_driven_again_and_goes_on_from_it(quick, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "results/hindsight"

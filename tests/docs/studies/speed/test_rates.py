@@ -73,6 +73,7 @@ def test_reference_solvers_are_measured_or_reported_as_missing(monkeypatch):
     assert old == Row("old", None, "cannot be imported: no such name")
 
 
+@pytest.mark.slow
 def test_tensors_step_through_the_same_window_of_many_copies(monkeypatch):
     begun, stepped = [], []
 

@@ -40,6 +40,7 @@ def loads(feeder: Feeder) -> tuple[np.ndarray, np.ndarray]:
     return p_kw, q_kvar
 
 
+@pytest.mark.slow
 def test_solves_agree_with_distflow(solver, feeder, loads):
     p_kw, q_kvar = loads
     ours = distflow(feeder, p_kw, q_kvar, 1.04, tolerance_kva=1e-8)

@@ -17,6 +17,7 @@ CLOSE_PU = {"split phase": 1e-4}
 
 
 @pytest.mark.parametrize("name", VOLTAGES)
+@pytest.mark.slow
 def test_voltages_are_gridlabds(name, model):
     text, expected = VOLTAGES[name]
     imported = read_gridlabd(model(text))

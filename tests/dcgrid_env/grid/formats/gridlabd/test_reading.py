@@ -21,6 +21,7 @@ def rows(table):
     return {name: {c: getattr(table, c)[k] for c in columns} for k, name in enumerate(table.name)}
 
 
+@pytest.mark.slow
 def test_regulators_keep_their_taps_and_settings(model):
     found = rows(read_gridlabd(model(LDC)).network.regulator)
     one = found["r1_a"]
@@ -30,17 +31,20 @@ def test_regulators_keep_their_taps_and_settings(model):
     assert (one["r_ldc_v"], one["x_ldc_v"], one["delay_s"], one["max_taps_per_move"]) == (2.0, 4.0, 45.0, 1)
 
 
+@pytest.mark.slow
 def test_a_band_in_volts_of_the_line_is_referred_to_a_potential_transformer(model):
     one = rows(read_gridlabd(model(OUTPUT)).network.regulator)["r1_a"]
     assert (one["vreg_v"], one["band_v"], one["pt_ratio"]) == (122.0, 2.0, 60.0)
 
 
+@pytest.mark.slow
 def test_a_bank_is_one_regulator(model):
     text = LDC.replace("tap_pos_B -3; tap_pos_C 16", "control_level BANK; PT_phase B; tap_pos_B 5; tap_pos_C 5")
     found = rows(read_gridlabd(model(text)).network.regulator)
     assert {(row["phases"], row["sensed_phase"], row["tap"]) for row in found.values()} == {("abc", "b", 5)}
 
 
+@pytest.mark.slow
 def test_a_regulator_of_type_b_must_be_allowed(model):
     path = model(LDC.replace("Type A", "Type B"))
     with pytest.raises(FeederError, match=r"regulator r1: of type B.*--allow regulator accepts that"):
@@ -48,6 +52,7 @@ def test_a_regulator_of_type_b_must_be_allowed(model):
     assert len(read_gridlabd(path, allow=["regulator"]).network.regulator.name) == 3
 
 
+@pytest.mark.slow
 def test_ratings_of_conductors_and_transformers(model):
     network = read_gridlabd(model(CABLES)).network
     assert rows(network.phase_line)["u1"]["rating_a"] == pytest.approx(260.0)
@@ -55,6 +60,7 @@ def test_ratings_of_conductors_and_transformers(model):
     assert transformers["t1"]["kva"] == pytest.approx(900.0)  # which its rating equals
 
 
+@pytest.mark.slow
 def test_open_switches_and_capacitors(model):
     text = CAPACITORS + (
         "object node { name n3; phases ABCN; nominal_voltage 7200; }\n"
@@ -72,6 +78,7 @@ def test_open_switches_and_capacitors(model):
     assert capacitors["cd_a"]["connection"] == "delta"
 
 
+@pytest.mark.slow
 def test_the_source_and_bases(model):
     network = read_gridlabd(model(SPLIT_PHASE)).network
     source, node = network.source, network.node
@@ -82,6 +89,7 @@ def test_the_source_and_bases(model):
     assert network.frequency_hz == 60.0
 
 
+@pytest.mark.slow
 def test_loads_that_are_alike_in_all_phases_are_one_row(model):
     text = (
         "object load { name wye; parent n1; phases ABCN; constant_power_A 9000; constant_power_B 9000; "
@@ -107,6 +115,7 @@ object load { name l; parent n2; phases AN; constant_power_A half*20000; }
 """.replace("object triplex_meter { name m; parent n1; phases AS; }\n", "")
 
 
+@pytest.mark.slow
 def test_what_is_lost_must_be_allowed(model):
     path = model(LOSSES)
     with pytest.raises(FeederError, match="--allow house,zipload,fuse,schedule,capcontrol accepts that") as lost:

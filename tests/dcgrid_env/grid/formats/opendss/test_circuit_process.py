@@ -19,6 +19,7 @@ MEMORY = "New Transformer.t windings=90 phases=90"
 REPORTED = "New ISource.i bus1=n amps=1\nNew Capacitor.c bus1=n kv=12.47 kvar=90"
 
 
+@pytest.mark.slow
 def test_tables_findings_and_voltages_are_those_of_this_process(master):
     path = master(REPORTED)
     assert repr(read_opendss(path, allow=["isource"])) == repr(read_circuit(path, allow=["isource"]))
@@ -29,6 +30,7 @@ def test_tables_findings_and_voltages_are_those_of_this_process(master):
     assert str(refused.value) == str(here.value)
 
 
+@pytest.mark.slow
 def test_a_crash_is_one_line_that_names_the_file(master):
     how = r"Master\.dss: the process that reads it (crashed with SIG|ended with exit code)"
     with pytest.raises(FeederError, match=how) as crashed:
@@ -37,6 +39,7 @@ def test_a_crash_is_one_line_that_names_the_file(master):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the operating system does not limit the address space")
+@pytest.mark.slow
 def test_memory_is_limited(master):
     path = master(MEMORY)
     with pytest.raises(FeederError, match=r"Master.dss"):

@@ -37,6 +37,7 @@ def check(seeds, folder):
 
 
 @forks
+@pytest.mark.slow
 def test_damaged_scripts_are_refused_in_one_line_or_solve_as_opendss_does(tmp_path):
     check(range(12), tmp_path)
 

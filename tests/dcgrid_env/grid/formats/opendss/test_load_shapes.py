@@ -81,6 +81,7 @@ def largest_difference(master, folder, mode, step_s, steps):
     ("mode", "step_s", "steps"),
     [("daily", 3600.0, 27), ("daily", 1800.0, 50), ("yearly", 3600.0, 80), ("duty", 1800.0, 30)],
 )
+@pytest.mark.slow
 def test_voltages_over_time_are_opendss(master, tmp_path, mode, step_s, steps):
     folder = tmp_path / "feeder"
     path = master(SHAPES + LOADS)
@@ -94,6 +95,7 @@ def test_voltages_over_time_are_opendss(master, tmp_path, mode, step_s, steps):
     assert any("status is fixed" in row.text and row.names == ("g",) for row in imported.findings)
 
 
+@pytest.mark.slow
 def test_a_shape_that_cannot_be_a_profile_is_named(master):
     imported = read_opendss(master(SHAPES + LOADS))
     rows = {row.text: row.names for row in imported.findings}
@@ -101,6 +103,7 @@ def test_a_shape_that_cannot_be_a_profile_is_named(master):
     assert "j" not in dict(imported.profiles[0].classes)
 
 
+@pytest.mark.slow
 def test_a_bundled_feeder_over_a_day(tmp_path):
     text = "\n".join(script_of(load_feeder("ieee123-3ph").network))
     path = tmp_path / "Master.dss"

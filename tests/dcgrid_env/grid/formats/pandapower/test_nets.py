@@ -69,6 +69,7 @@ def net_of_all_kinds_with_a_loop():
         (pp.networks.mv_oberrhein, {}, 5),
     ],
 )
+@pytest.mark.slow
 def test_closed_loops_are_solved_by_compensation(net_of, options, loops):
     with quiet():
         net = net_of(**options)
