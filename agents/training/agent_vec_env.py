@@ -52,7 +52,8 @@ class AgentVecEnv(JointVecEnv):
         if under_own_control(scenario, keep_set_points=True) is not scenario:
             raise ValueError(
                 f"view is {self.view!r}; {scenario.name!r} has regulators or capacitor banks among its agents, which "
-                "share no policy with the others: choose 'joint', or give under_own_control(scenario, keep_set_points=True)"
+                "share no policy with the others: choose 'joint', or give under_own_control(scenario, "
+                "keep_set_points=True)"
             )
         view = self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
         self.fields = tuple(dict.fromkeys(name for group in view.groups.values() for name in group.fields))
