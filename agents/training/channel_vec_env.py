@@ -2,8 +2,8 @@
 
 ``ChannelVecEnv`` has a row for each entry of the joint action of each environment, environment by environment, such as
 the clock and the reactive power of a data centre. A row observes what its agent observes in ``AgentVecEnv``, then a
-figure for each channel, 1 for its own and 0 for the others. Its action is that entry alone. The likelihood of an action
-is therefore that of one channel, and a difference reward is what this channel saves, without the noise of the other.
+figure for each channel, 1 for its own and 0 for the others. Its action is that entry alone. Likelihood and difference
+reward therefore belong to one channel, without the noise of the others.
 """
 
 from __future__ import annotations

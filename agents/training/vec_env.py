@@ -52,8 +52,8 @@ def sb3_vec_env(
         present one, and a clock is reduced from the one that serves all work. "droop": actions are corrections of the
         tuned droop; ``cost={"default_action": "droop"}`` then uses its gains.
     nameplate
-        Whether to observe the effect of full demand and of full reactive power on the agent's voltage, and the share
-        of the latter that corrects the voltage (not in the joint view).
+        Whether to observe the effect of full demand and of full reactive power on the agent's voltage. The share of
+        the latter that corrects the voltage is observed too. Not in the joint view.
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     **overrides

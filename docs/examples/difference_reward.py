@@ -77,9 +77,9 @@ class BestOnValidation(BaseCallback):
 
 def main(
     scenario: str = "ieee33-weak",
-    outputs: Literal["change", "droop"] = "change",
-    steps: int = 150_000,
-    num_envs: int = 8,
+    outputs: Literal["change", "droop"] = "droop",
+    steps: int = 200_000,
+    num_envs: int = 32,
     learning_rate: float = 3e-3,
     log_std: float = -1.0,
     episodes: int = 50,

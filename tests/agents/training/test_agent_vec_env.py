@@ -1,5 +1,7 @@
 """Rows of agents of several kinds, and what an episode's end charges spread over the steps."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -63,7 +65,9 @@ def test_rows_of_channels_act_as_rows_of_agents_and_are_paid_entry_by_entry():
     column = [agents.channels.index(name) for _, name in layout.names]
     for vec_env in (agents, channels):
         vec_env.seed(3)
-    of_agents, of_channels = agents.reset(), channels.reset()
+    of_agents: Any = agents.reset()
+    of_channels: Any = channels.reset()
+    done, infos = np.zeros(0, bool), []
     for _ in range(6):  # the last step begins new episodes
         assert all(channels.observation_space.contains(row) for row in of_channels)
         by_agent, by_channel = of_agents.reshape(2, 5, -1), of_channels.reshape(2, layout.n, -1)
