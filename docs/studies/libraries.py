@@ -174,7 +174,7 @@ def records_in(path: Path) -> list[dict[str, Any]]:
 class LibraryTable(Command):
     """Train an unmodified library on presets, and print the table of all trainings in a file.
 
-    Each training is added to the file, in place of one with other steps or episodes. What is done is not done again.
+    Each training is added to the file, in place of one with other steps or episodes. Finished trainings are skipped.
     The libraries need their packages (pip install stable-baselines3 sb3-contrib).
     """
 
