@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
+from runpy import run_path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,8 @@ from docs.studies.learning_tables import estimate
 from docs.studies.scored import droop_on_test, on_test
 
 DATA = Path("docs/rl-libraries.json")
+EXAMPLE = Path(__file__).parents[1] / "examples" / "difference_reward.py"
+"""Script with the validation and the costs of test episodes."""
 CORRECTED = ("ieee33-weak", "ieee123-3ph")
 """Scenarios in which actions correct the tuned droop; elsewhere they are changes of reactive power."""
 DISCOUNTS = {"difference": 0.0, "shared": 0.5}
@@ -53,8 +56,7 @@ def sb3(model_class: str, policy: str, settings: Callable[[int], dict[str, Any]]
     """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from docs.examples.difference_reward import BestOnValidation, costs
-
+    example = run_path(str(EXAMPLE))
     outputs, default = ("droop", "droop") if on.scenario in CORRECTED else ("change", "previous")
     rows: dict[str, Any] = {"view": "channel", "outputs": outputs, "nameplate": True}
     cost = {"default_action": default} if on.reward == "difference" else {}
@@ -68,9 +70,9 @@ def sb3(model_class: str, policy: str, settings: Callable[[int], dict[str, Any]]
         for n, split in ((VALIDATION_EPISODES, "validation"), (on.episodes, "test"))
     )
     steps = on.steps * made.rows_per_env
-    model.learn(steps, BestOnValidation(validation, every=steps // EVALUATIONS))
+    model.learn(steps, example["BestOnValidation"](validation, every=steps // EVALUATIONS))
     test.obs_rms = validation.obs_rms
-    return costs(model, test)
+    return example["costs"](model, test)
 
 
 class Library(NamedTuple):
