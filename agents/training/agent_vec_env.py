@@ -37,7 +37,7 @@ class AgentVecEnv(JointVecEnv):
         Whether the nameplate figures are observed.
     """
 
-    kind = "shared"
+    kind = view = "shared"
 
     def __init__(
         self,
@@ -51,8 +51,9 @@ class AgentVecEnv(JointVecEnv):
     ):
         if under_own_control(scenario, keep_set_points=True) is not scenario:
             raise ValueError(
-                f"view is 'shared'; {scenario.name!r} has regulators or capacitor banks among its agents, which share "
-                "no policy with the others: choose 'joint', or give under_own_control(scenario, keep_set_points=True)"
+                f"view is {self.view!r}; {scenario.name!r} has regulators or capacitor banks among its agents, which "
+                "share no policy with the others: choose 'joint', or give under_own_control(scenario, "
+                "keep_set_points=True)"
             )
         view = self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
         self.fields = tuple(dict.fromkeys(name for group in view.groups.values() for name in group.fields))
@@ -104,7 +105,7 @@ class AgentVecEnv(JointVecEnv):
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
         joint, _ = super()._spaces()
-        low, high = (self._rows(edge[None]).reshape(len(self._kind), -1) for edge in (joint.low, joint.high))
+        low, high = (self._of_agents(edge[None])[0] for edge in (joint.low, joint.high))
         low, high = low.min(axis=0), high.max(axis=0)
         plate = slice(len(self.fields), len(self.fields) + self._figures)
         low[plate], high[plate] = -np.inf, np.inf
@@ -113,14 +114,19 @@ class AgentVecEnv(JointVecEnv):
         return spaces.Box(low, high, dtype=np.float32), self._action_space(len(self.channels))
 
     def _rows(self, joint: np.ndarray) -> np.ndarray:
+        of_agents = self._of_agents(joint)
+        return of_agents.reshape(-1, of_agents.shape[-1])
+
+    def _of_agents(self, joint: np.ndarray) -> np.ndarray:
+        """Convert joint observations, (env, n_observation), to those of the agents, (env, agent, n)."""
         n_agent, n_kind = self._kind.shape
         rows = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
         rows[..., -n_kind:] = self._kind
         for kind, inputs in self._agent_interface.inputs(joint).items():
             members = self.members[kind]
             rows[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = inputs
-        return rows.reshape(-1, rows.shape[-1])
+        return rows
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
-        each = (actions * self.reach).reshape(-1, self.scenario.n_agents, self._n_action)
+        each = (actions * self.reach).reshape(-1, self.scenario.n_agents, len(self.channels))
         return {kind: each[:, members[:, None], self.entries(kind)] for kind, members in self.members.items()}

@@ -180,7 +180,7 @@ class JointVecEnv(VecEnv):
         self._observation, reward, terminated, truncated, _ = self.batch.step(joint)
         each = self.rows_per_env
         if each > 1 and self.scenario.cost.reward == "difference":
-            reward = self.batch.transition.reward
+            reward = self._difference_rewards
         if self.end_as_it_arises:
             due = self._end_costs()
             reward = reward - (due - self._due) + due * truncated
@@ -198,6 +198,11 @@ class JointVecEnv(VecEnv):
         observation = self._rows(self._observation)
         self.physics_s += time.perf_counter() - began_s
         return observation, paid, done, infos
+
+    @property
+    def _difference_rewards(self) -> np.ndarray:
+        """Difference rewards of the rows of the last step, (env, row of it)."""
+        return self.batch.transition.reward
 
     def _end_costs(self) -> np.ndarray:
         """Return the end-of-episode cost after the last step, (env,)."""

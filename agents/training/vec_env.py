@@ -9,8 +9,8 @@ from dcgrid_env import IDS, Scenario, make_scenario
 if TYPE_CHECKING:
     from dcgrid_env.agents.training.batched_envs import JointVecEnv
 
-SB3View = Literal["joint", "shared"]
-"""Whether a row is an environment or an agent of one."""
+SB3View = Literal["joint", "shared", "channel"]
+"""Whether a row is an environment, an agent of one, or a channel of an agent."""
 SB3Outputs = Literal["setpoint", "change", "droop"]
 """Meaning of an action: set points, changes from the action that keeps the state, or corrections of the tuned droop."""
 
@@ -44,14 +44,16 @@ def sb3_vec_env(
         last entry is 1 for a data centre or 0 for an inverter, with a further such entry for each other kind of agent.
         Actions are (clock, q) and then the other channels of the scenario's agents. Channels that an agent does not
         have are ignored, such as an inverter's clock. Each agent is paid the team's reward, or its own with
-        ``reward="difference"``.
+        ``reward="difference"``. "channel": a row is one channel of an agent, such as its clock or its reactive power,
+        in the order of the joint action. Its action has one entry. Its observation is that of the shared view and then
+        a figure for each channel, 1 for the row's own. With ``reward="difference"`` a row is paid its channel's entry.
     outputs
         "setpoint": actions are set points, as in ``gymnasium.make``. "change": reactive power is a change from the
         present one, and a clock is reduced from the one that serves all work. "droop": actions are corrections of the
         tuned droop; ``cost={"default_action": "droop"}`` then uses its gains.
     nameplate
-        Whether to observe the effect of full demand and of full reactive power on the agent's voltage, and the share
-        of the latter that corrects the voltage ("shared" only).
+        Whether to observe the effect of full demand and of full reactive power on the agent's voltage. The share of
+        the latter that corrects the voltage is observed too. Not in the joint view.
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     **overrides
@@ -65,22 +67,24 @@ def sb3_vec_env(
         For an unknown scenario; TypeError for an override that is not a field of it.
     ValueError
         For an unknown view or unknown outputs, nameplate figures in a joint view, or corrections of a droop without
-        tuned gains. Also for a shared view if regulators or capacitor banks are among the agents.
+        tuned gains. Also for another view than "joint" if regulators or capacitor banks are among the agents.
     """
     if view not in get_args(SB3View):
         raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")
     if outputs not in get_args(SB3Outputs):
         raise ValueError(f"outputs is {outputs!r}; choose one of {', '.join(get_args(SB3Outputs))}")
-    if nameplate and view != "shared":
-        raise ValueError("nameplate is True with view 'joint'; choose view 'shared', or leave nameplate out")
+    if nameplate and view == "joint":
+        raise ValueError("nameplate is True with view 'joint'; choose view 'shared' or 'channel', or leave it out")
     chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
     try:
         from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
         from dcgrid_env.agents.training.batched_envs import JointVecEnv
+        from dcgrid_env.agents.training.channel_vec_env import ChannelVecEnv
     except ImportError as error:
         raise ImportError(
             f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.6'"
         ) from error
     if view == "joint":
         return JointVecEnv(chosen, num_envs, outputs=outputs, render_mode=render_mode)
-    return AgentVecEnv(chosen, num_envs, outputs=outputs, nameplate=nameplate, render_mode=render_mode)
+    by_row = AgentVecEnv if view == "shared" else ChannelVecEnv
+    return by_row(chosen, num_envs, outputs=outputs, nameplate=nameplate, render_mode=render_mode)

@@ -110,8 +110,9 @@ class Simulation:
         j_before = now.transition.j_so_far
         transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
         if self.scenario.cost.reward == "difference":
-            saved = self._saved(now.state, state, action, outside) / difference_scale(self.scenario)
-            vector = np.where(grid.solution.converged[:, None], saved, -transition.cost_j[:, None])
+            vector = self._saved(now.state, state, action, outside) / difference_scale(self.scenario)
+            if not all_true(solved := grid.solution.converged):
+                vector = np.where(solved[:, None], vector, -transition.cost_j[:, None])
             paid = difference.sums_by_agent(self.scenario, vector)
             transition = transition._replace(reward=paid, reward_vector=vector)
         same = self.scenario, now.seeds, now.numbers, now.episode

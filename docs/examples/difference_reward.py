@@ -1,8 +1,8 @@
 """Train an unmodified PPO of Stable-Baselines3 with difference rewards, and compare it with the tuned droop.
 
-``reward="difference"`` pays each agent for the cost that its own action saves in the step. The credit assignment is
-then solved by the environment, so the discount is 0. The reward uses the feeder's model in training; the policy acts on
-local observations only.
+``reward="difference"`` pays each channel of an agent for the cost that its own action saves in the step. The credit
+assignment is then solved by the environment, so the discount is 0. The reward uses the feeder's model in training; the
+policy acts on local observations only.
 
     python docs/examples/difference_reward.py --scenario ieee33-weak
 """
@@ -22,14 +22,18 @@ from dcgrid_env.agents import sb3_vec_env
 from dcgrid_env.baselines import make_controller, rollout
 
 
-def mean_j(model: Any, envs: VecNormalize) -> float:
-    """Mean J of one episode in each environment of a batch, with the means of the policy as actions."""
+def costs(model: Any, envs: VecNormalize) -> np.ndarray:
+    """J of one episode in each environment of a batch, with the means of the policy as actions, (env,)."""
+    made: Any = envs.venv
     envs.seed(0)
-    observations, done, infos = envs.reset(), np.zeros(1, bool), []
-    while not done.all():
-        actions, _ = model.predict(observations, deterministic=True)
+    observations, done, state = envs.reset(), np.ones(envs.num_envs, bool), None
+    j = np.full(envs.num_envs, np.nan)
+    while np.isnan(j).any():
+        actions, state = model.predict(observations, state, episode_start=done, deterministic=True)
         observations, _, done, infos = envs.step(actions)
-    return float(np.mean([info["J"] for info in infos]))
+        for row in np.flatnonzero(done & np.isnan(j)):  # a collapse ends an episode early
+            j[row] = infos[row]["J"]
+    return j[:: made.rows_per_env]
 
 
 class BestOnValidation(BaseCallback):
@@ -40,30 +44,32 @@ class BestOnValidation(BaseCallback):
     envs
         Validation environments.
     every
-        Rollouts between evaluations.
+        Steps of all rows between evaluations.
     """
 
     def __init__(self, envs: VecNormalize, every: int):
         super().__init__()
-        self.envs, self.every, self.rollouts, self.best = envs, every, 0, np.inf
+        self.envs, self.every, self.due, self.best = envs, every, 0, np.inf
         self.kept: Any = None
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_start(self) -> None:
-        if self.rollouts % self.every == 0:
+        if self.num_timesteps >= self.due:
+            self.due += self.every
             self.evaluate()
-        self.rollouts += 1
 
     def _on_training_end(self) -> None:
         self.evaluate()
+        self.model.policy.load_state_dict(self.kept[0])
+        self.envs.obs_rms = self.kept[1]
 
     def evaluate(self) -> None:
         """Evaluate the policy as it is now."""
         trained: Any = self.model.get_env()
         self.envs.obs_rms = trained.obs_rms.copy()
-        j = mean_j(self.model, self.envs)
+        j = costs(self.model, self.envs).mean()
         if j < self.best:
             state = {name: values.clone() for name, values in self.model.policy.state_dict().items()}
             self.best, self.kept = j, (state, self.envs.obs_rms)
@@ -72,7 +78,7 @@ class BestOnValidation(BaseCallback):
 def main(
     scenario: str = "ieee33-weak",
     outputs: Literal["change", "droop"] = "droop",
-    steps: int = 450_000,
+    steps: int = 200_000,
     num_envs: int = 32,
     learning_rate: float = 3e-3,
     log_std: float = -1.0,
@@ -104,25 +110,22 @@ def main(
         File for the policy; VecNormalize is saved next to it.
     """
     torch.set_num_threads(1)  # more threads slow down networks of this size
-    common: dict[str, Any] = {"view": "shared", "outputs": outputs, "nameplate": True}
+    common: dict[str, Any] = {"view": "channel", "outputs": outputs, "nameplate": True}
     default = "droop" if outputs == "droop" else "previous"  # what an action of 0 does
     made = sb3_vec_env(scenario, num_envs, reward="difference", cost={"default_action": default}, **common)
     envs = VecNormalize(made, gamma=0.0)
     envs.seed(seed * num_envs)
     horizon = made.scenario.horizon
-    rows = horizon * made.num_envs
-    ppo: dict[str, Any] = {"gamma": 0.0, "gae_lambda": 0.0, "n_steps": horizon, "batch_size": -(-rows // 8)}
-    ppo |= {"n_epochs": 3, "learning_rate": lambda left: learning_rate * left}
+    ppo: dict[str, Any] = {"gamma": 0.0, "gae_lambda": 0.0, "n_steps": horizon, "n_epochs": 3}
+    ppo |= {"batch_size": -(-horizon * made.num_envs // 8), "learning_rate": lambda left: learning_rate * left}
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", policy_kwargs={"log_std_init": log_std}, **ppo)
     held_out = VecNormalize(sb3_vec_env(scenario, 32, split="validation", **common), training=False, norm_reward=False)
-    best = BestOnValidation(held_out, every=max(1, steps // (num_envs * horizon * 15)))
-    model.learn(steps * made.rows_per_env, best)
-    state, moments = best.kept
-    model.policy.load_state_dict(state)
-    envs.obs_rms = moments
+    steps *= made.rows_per_env
+    best = BestOnValidation(held_out, every=steps // 15)
+    model.learn(steps, best)
     tested = VecNormalize(sb3_vec_env(scenario, episodes, split="test", **common), training=False, norm_reward=False)
-    tested.obs_rms = moments
-    after = mean_j(model, tested)
+    envs.obs_rms = tested.obs_rms = held_out.obs_rms
+    after = float(costs(model, tested).mean())
     test = dcgrid_env.make_scenario(scenario, split="test")
     droop = float(rollout(test, make_controller("droop-tuned", test), range(episodes)).costs().mean())
     print(f"mean J on validation {best.best:.4f}, of {episodes} test episodes {after:.4f}, tuned droop {droop:.4f}")

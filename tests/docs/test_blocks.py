@@ -87,6 +87,7 @@ ELSEWHERE = {
     "python -m docs.studies unit-overhead": "tests/docs/studies/speed/test_unit_overhead.py",
     "python -m docs.studies benchmark-data": "tests/docs/studies/test_benchmark_data.py",
     "python -m docs.studies pareto": "tests/docs/studies",
+    "python -m docs.studies libraries": "tests/docs/studies/test_libraries.py",
     "python -m docs.studies ablate": "tests/docs/studies",
     "python -m docs.studies generalise": "tests/docs/studies",
     "python -m docs.studies unseen-feeders": "tests/docs/studies",

@@ -42,7 +42,7 @@ COMPILED = ("l1",)
 
 
 class Sensitivities(NamedTuple):
-    """Constants of ``saved_costs`` for a scenario."""
+    """Sensitivities of a scenario's feeder."""
 
     by_p: np.ndarray
     """dV/dp of the charged nodes by the power injected at each node, p.u. per kW, (n_node, n_charged)."""
@@ -214,22 +214,16 @@ def differences(
         Exogenous inputs of the step.
     """
     params, of, saved = parameters(scenario, default), changes(scenario), np.zeros(default.shape)
-    p_kw = after.p_kw[:, of.agent]
-    drawn = p_kw.copy()
+    drawn_kw = np.zeros((len(default), len(of.agent)))
     for run in runs(scenario):
         given = [setpoints[:, column] for column in action_layout(scenario).columns[run.device]]
         given[run.channel] = given[run.channel].copy()
         given[run.channel][:, run.slots] = default[:, run.entries]
-        state, drawn[:, run.changes] = device_step(scenario, params, before, run.device, tuple(given), exogenous)
-        prices = (_prices(scenario, run.device, params, s) for s in (state, after.devices[run.device]))
-        more = np.subtract(*prices)
+        state, drawn_kw[:, run.changes] = device_step(scenario, params, before, run.device, tuple(given), exogenous)
+        more = _more_charged(scenario, run.device, params, state, after.devices[run.device])
         saved[:, run.entries] = more.sum(-1, keepdims=True) if run.is_coupled else more
-    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
-    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], drawn, asked)
-    if exogenous.available is not None:
-        available = exogenous.available[:, of.agent]
-        drawn, q_kvar = drawn * available, q_kvar * available
-    return saved + saved_costs(scenario, after, exogenous.nodes, drawn - p_kw, q_kvar - after.q_kvar[:, of.agent])
+    add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, saved)
+    return saved
 
 
 def sums_by_agent(scenario: Scenario, of_entries: np.ndarray) -> np.ndarray:
@@ -244,73 +238,123 @@ def _owners(scenario: Scenario) -> np.ndarray:
     return np.array([[owner == agent for agent in scenario.agents] for owner, _ in layout.names], np.float64)
 
 
-def _prices(scenario: Scenario, i: int, params: Any, state: Any) -> np.ndarray:
-    """Return what the team is charged for each slot of a device, now and at the end at once, (row, slot)."""
-    device = scenario.devices[i]
-    total: Any = np.zeros((1, device.count))
-    for position, amount, scale, charges in terms(scenario).shares:
-        if position == i:
-            price = sum(weight for weight, _, _ in charges) / scale
-            total = total + price * device.amount(amount, params.devices[i], state)
+def _more_charged(scenario: Scenario, i: int, params: Any, state: Any, now: Any) -> Any:
+    """Return what ``state`` charges the team for each slot of a device beyond what ``now`` does, (row, slot).
+
+    What is charged at the end of the episode counts at once.
+    """
+    total: Any = np.zeros((1, scenario.devices[i].count))
+    for amount, price in _prices(scenario)[i]:
+        of_slots, of_now = (scenario.devices[i].amount(amount, params.devices[i], each) for each in (state, now))
+        total = total + price * (of_slots - of_now)
     return total
 
 
-def saved_costs(
-    scenario: Scenario, state: State, nodes: np.ndarray, p_change: np.ndarray, q_change: np.ndarray
-) -> np.ndarray:
-    """Return the increase of voltage, violation and effort costs due to the changes of each entry, (row, n_action).
+@cached_on_owner
+def _prices(scenario: Scenario) -> tuple[tuple[tuple[str, float], ...], ...]:
+    """Return the charged amounts of each device with their prices."""
+    shares = terms(scenario).shares
+    return tuple(
+        tuple(
+            (amount, sum(weight for weight, _, _ in charged) / scale)
+            for position, amount, scale, charged in shares
+            if position == i
+        )
+        for i in range(len(scenario.devices))
+    )
+
+
+class Charges(NamedTuple):
+    """Constants of the costs that are compared."""
+
+    targets_pu: np.ndarray
+    """Voltage that each charged node should have, p.u., (n_charged,)."""
+    voltage: float
+    violation: float
+    """Weight of a node's deviation beyond ``uncharged_pu`` and ``band_pu``, 1/p.u."""
+    effort: np.ndarray
+    """Weight of each agent's reactive power, 1/kvar, (n_agent,)."""
+
+
+@cached_on_owner
+def charges(scenario: Scenario) -> Charges:
+    """Return the constants of a scenario's costs."""
+    t, weights = terms(scenario), scenario.cost.weights
+    effort = (weights.effort / t.n_converters) * inverse(parameters(scenario, np.empty(0)).converter_kva)
+    targets = np.ascontiguousarray(voltage_targets(scenario)[t.judged])
+    return Charges(targets, weights.voltage / t.n_judged, weights.violation / t.n_judged, effort)
+
+
+def add_saved_costs(
+    scenario: Scenario,
+    state: State,
+    setpoints: np.ndarray,
+    default: np.ndarray,
+    drawn_kw: np.ndarray,
+    exogenous: Exogenous,
+    saved: np.ndarray,
+) -> None:
+    """Add the voltage, violation and effort costs that each entry saves to ``saved``, (row, n_action).
 
     Parameters
     ----------
     scenario, state
-        The scenario and the state from which the powers change.
-    nodes
-        Nodes of the agents, see ``Exogenous.nodes``.
-    p_change, q_change
-        Changes of draws, kW, and of reactive injections, kvar, (row, n_change) each, in the order of ``changes``.
+        The scenario and the state after the step.
+    setpoints, default
+        See ``differences``.
+    drawn_kw
+        Draws with the default, kW, (row, n_change), in the order of ``changes``; any for a reactive set point.
+    exogenous
+        Exogenous inputs of the step.
+    saved
+        Array to add to.
     """
-    of, t, cost = sensitivities(scenario), terms(scenario), scenario.cost
-    w_voltage, w_violation = cost.weights.voltage / t.n_judged, cost.weights.violation / t.n_judged
-    changed = changes(scenario)
-    effort = (cost.weights.effort / t.n_converters) * inverse(parameters(scenario, p_change).converter_kva)
-    if cost.voltage not in COMPILED:
-        return _saved_costs_arrays(scenario, state, nodes, p_change, q_change, (w_voltage, w_violation), effort)
+    if scenario.cost.voltage not in COMPILED:
+        saved += _saved_costs_arrays(scenario, state, setpoints, default, drawn_kw, exogenous)
+        return
     from dcgrid_env.core.threads import over_rows  # brings the compiler with it, so not on import
-    from dcgrid_env.engine.cost.difference_kernel import saved_costs_rows
+    from dcgrid_env.engine.cost.difference_kernel import add_saved_costs_rows
 
-    v_pu = np.ascontiguousarray(state.v_pu, np.float64)
-    out = np.empty((len(v_pu), len(changed.first) - 1))
-    targets = np.ascontiguousarray(voltage_targets(scenario)[t.judged])
+    by, charged, of = sensitivities(scenario), charges(scenario), changes(scenario)
+    cost, params = scenario.cost, parameters(scenario, default)
+    available = np.empty((0, 0)) if exogenous.available is None else np.ascontiguousarray(exogenous.available)
     given = (
-        v_pu, nodes, of.by_p, of.by_q, of.is_squared, targets, float(cost.uncharged_pu), float(cost.band_pu),
-        w_voltage, w_violation, effort, changed.agent, changed.first, np.ascontiguousarray(state.q_kvar), p_change,
-        q_change, out,
+        np.ascontiguousarray(state.v_pu), exogenous.nodes, by.by_p, by.by_q, by.is_squared, charged.targets_pu,
+        float(cost.uncharged_pu), float(cost.band_pu), charged.voltage, charged.violation, charged.effort, *of,
+        params.converter_kva, params.q_scale_kvar, setpoints, default, np.ascontiguousarray(state.p_kw),
+        np.ascontiguousarray(state.q_kvar), drawn_kw, available, saved,
     )  # fmt: skip
-    over_rows(lambda begin, end: saved_costs_rows(begin, end, *given), len(v_pu))
-    return out
+    over_rows(lambda begin, end: add_saved_costs_rows(begin, end, *given), len(saved))
 
 
 def _saved_costs_arrays(
     scenario: Scenario,
     state: State,
-    nodes: np.ndarray,
-    p_change: np.ndarray,
-    q_change: np.ndarray,
-    weights: tuple[float, float],
-    effort: np.ndarray,
+    setpoints: np.ndarray,
+    default: np.ndarray,
+    drawn_kw: np.ndarray,
+    exogenous: Exogenous,
 ) -> np.ndarray:
-    """``saved_costs`` as array operations, for every form of the voltage cost."""
-    of, judged, cost, changed = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
-    local = (nodes - np.arange(len(nodes))[:, None, None] * state.v_pu.shape[1])[:, changed.agent]
-    moved = q_change[..., None] * of.by_q[local].mean(2) - p_change[..., None] * of.by_p[local].mean(2)
-    q_kvar = state.q_kvar[:, changed.agent]
-    more = (np.abs(q_kvar + q_change) - np.abs(q_kvar)) * effort[changed.agent]
-    moved, more = (np.add.reduceat(values, changed.first[:-1], axis=1) for values in (moved, more))
+    """What ``add_saved_costs`` adds, as array operations and for every form of the voltage cost."""
+    by, judged, cost, of = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
+    charged, params = charges(scenario), parameters(scenario, default)
+    p_now, q_now = state.p_kw[:, of.agent], state.q_kvar[:, of.agent]
+    p_kw = np.where(of.is_reactive, p_now, drawn_kw)
+    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
+    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], p_kw, asked)
+    if exogenous.available is not None:
+        available = exogenous.available[:, of.agent]
+        p_kw, q_kvar = p_kw * available, q_kvar * available
+    nodes = exogenous.nodes - np.arange(len(default))[:, None, None] * state.v_pu.shape[1]
+    local = nodes[:, of.agent]
+    moved = (q_kvar - q_now)[..., None] * by.by_q[local].mean(2) - (p_kw - p_now)[..., None] * by.by_p[local].mean(2)
+    more = (np.abs(q_kvar) - np.abs(q_now)) * charged.effort[of.agent]
+    moved, more = (np.add.reduceat(values, of.first[:-1], axis=1) for values in (moved, more))
     v = state.v_pu[:, None, judged]
 
-    def charged(v_pu: np.ndarray) -> np.ndarray:
+    def costs(v_pu: np.ndarray) -> np.ndarray:
         deviation = voltage_cost(cost.voltage, voltage_deviation(scenario, v_pu, judged), cost.band_pu)
         beyond = np.maximum(np.abs(v_pu - 1.0) - cost.band_pu, 0.0)
-        return weights[0] * deviation.sum(-1) + weights[1] * beyond.sum(-1)
+        return charged.voltage * deviation.sum(-1) + charged.violation * beyond.sum(-1)
 
-    return charged(v + (moved / v if of.is_squared else moved)) - charged(v) + more
+    return costs(v + (moved / v if by.is_squared else moved)) - costs(v) + more

@@ -1,4 +1,4 @@
-"""Compiled form of ``difference.saved_costs`` for a voltage cost of the form l1."""
+"""Compiled form of ``difference.add_saved_costs`` for a voltage cost of the form l1."""
 
 from __future__ import annotations
 
@@ -23,12 +23,24 @@ def _cost_with(v_pu, per_v, by, change, targets, uncharged_pu, band_pu, w_voltag
     return w_voltage * off + w_violation * beyond
 
 
+@compiled(inner=True)
+def _dispatched(s_rated_kva, q_max_kvar, p_kw, asked_kvar):
+    """Reactive injection of one converter, kvar; see ``devices.converter``."""
+    left = s_rated_kva * s_rated_kva - p_kw * p_kw
+    limit = min(np.sqrt(left if left > 0.0 else 0.0), q_max_kvar)
+    return min(max(asked_kvar, -limit), limit)
+
+
 @compiled(nogil=True)
-def saved_costs_rows(
+def add_saved_costs_rows(
     begin, end, v_pu, nodes, by_p, by_q, is_squared, targets, uncharged_pu, band_pu, w_voltage, w_violation,
-    effort, agent, first_change, q_kvar, p_change, q_change, out,
+    effort, agent, first_change, is_reactive, reactive_entry, has_reactive, s_rated_kva, q_max_kvar, setpoints,
+    default, p_kw, q_kvar, drawn_kw, available, saved,
 ):  # fmt: skip
-    """Fill ``out`` (row, n_action) for the rows from ``begin`` up to ``end``; see ``difference.saved_costs``."""
+    """Add to ``saved`` (row, n_action) for the rows from ``begin`` up to ``end``; see ``difference.add_saved_costs``.
+
+    ``available`` has no rows if all devices are.
+    """
     n_node, n_seen = v_pu.shape[1], by_p.shape[1]
     first, parts = n_node - n_seen, nodes.shape[2]
     moved, per_v = np.empty(n_seen), np.ones(n_seen)
@@ -38,29 +50,33 @@ def saved_costs_rows(
             for j in range(n_seen):
                 per_v[j] = 1.0 / v[j]
         now = _cost_with(v, per_v, v, 0.0, targets, uncharged_pu, band_pu, w_voltage, w_violation)
-        for entry in range(out.shape[1]):
-            change, end_change = first_change[entry], first_change[entry + 1]
-            if end_change == change + 1 and parts == 1 and p_change[row, change] == 0.0:
-                q, i = q_change[row, change], agent[change]
-                saved = 0.0
-                if q != 0.0:
-                    by = by_q[nodes[row, i, 0] - row * n_node]
-                    moved_cost = _cost_with(v, per_v, by, q, targets, uncharged_pu, band_pu, w_voltage, w_violation)
-                    saved = moved_cost - now + effort[i] * (abs(q_kvar[row, i] + q) - abs(q_kvar[row, i]))
-                out[row, entry] = saved
-                continue
-            moved[:] = 0.0
-            more = 0.0
-            for change in range(first_change[entry], end_change):
-                i, p, q = agent[change], p_change[row, change] / parts, q_change[row, change] / parts
+        for entry in range(saved.shape[1]):
+            more, is_moved = 0.0, False
+            is_one = first_change[entry + 1] == first_change[entry] + 1 and parts == 1
+            for change in range(first_change[entry], first_change[entry + 1]):
+                i, p_now, asked = agent[change], p_kw[row, agent[change]], 0.0
+                p = p_now if is_reactive[change] else drawn_kw[row, change]
+                if has_reactive[change]:
+                    given = default if is_reactive[change] else setpoints
+                    asked = given[row, reactive_entry[change]]
+                q = _dispatched(s_rated_kva[i], q_max_kvar[i], p, asked)
+                if len(available):
+                    p, q = p * available[row, i], q * available[row, i]
+                more += effort[i] * (abs(q) - abs(q_kvar[row, i]))
+                p, q = (p - p_now) / parts, (q - q_kvar[row, i]) / parts
                 if p == 0.0 and q == 0.0:
                     continue
-                q_now = q_kvar[row, i]
-                more += effort[i] * (abs(q_now + q_change[row, change]) - abs(q_now))
+                if is_one and p == 0.0:
+                    by = by_q[nodes[row, i, 0] - row * n_node]
+                    more += _cost_with(v, per_v, by, q, targets, uncharged_pu, band_pu, w_voltage, w_violation) - now
+                    continue
+                if not is_moved:
+                    moved[:], is_moved = 0.0, True
                 for part in range(parts):
                     node = nodes[row, i, part] - row * n_node
                     for j in range(n_seen):
                         moved[j] += by_q[node, j] * q - by_p[node, j] * p
-            moved_cost = _cost_with(v, per_v, moved, 1.0, targets, uncharged_pu, band_pu, w_voltage, w_violation)
-            out[row, entry] = moved_cost - now + more
+            if is_moved:
+                more += _cost_with(v, per_v, moved, 1.0, targets, uncharged_pu, band_pu, w_voltage, w_violation) - now
+            saved[row, entry] += more
     return 0

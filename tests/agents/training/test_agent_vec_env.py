@@ -1,12 +1,15 @@
 """Rows of agents of several kinds, and what an episode's end charges spread over the steps."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridVectorEnv, end_costs, field_names
+from dcgrid_env import DcgridVectorEnv, action_layout, end_costs, field_names
 from dcgrid_env.agents import sb3_vec_env
 from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from dcgrid_env.agents.training.channel_vec_env import ChannelVecEnv
 from helpers.riding import ride_through_34
 from helpers.storages import toy6_storage
 
@@ -52,6 +55,35 @@ def test_rows_are_paid_their_difference_rewards_and_an_environment_their_sum():
     assert len(set(paid.tolist())) == 10
     summed = joint.step(np.full((2, 6), 0.5, np.float32))[1]
     np.testing.assert_allclose(summed, paid.reshape(2, 5).sum(1), rtol=1e-5)
+
+
+def test_rows_of_channels_act_as_rows_of_agents_and_are_paid_entry_by_entry():
+    scenario = toy6_storage(6).replace(reward="difference")
+    agents, channels = AgentVecEnv(scenario, 2, outputs="change"), ChannelVecEnv(scenario, 2, outputs="change")
+    layout, rng = action_layout(scenario), np.random.default_rng(0)
+    owner = [scenario.agents.index(agent) for agent, _ in layout.names]
+    column = [agents.channels.index(name) for _, name in layout.names]
+    for vec_env in (agents, channels):
+        vec_env.seed(3)
+    of_agents: Any = agents.reset()
+    of_channels: Any = channels.reset()
+    done, infos = np.zeros(0, bool), []
+    for _ in range(6):  # the last step begins new episodes
+        assert all(channels.observation_space.contains(row) for row in of_channels)
+        by_agent, by_channel = of_agents.reshape(2, 5, -1), of_channels.reshape(2, layout.n, -1)
+        np.testing.assert_array_equal(by_channel[..., :-3], by_agent[:, owner])
+        np.testing.assert_array_equal(by_channel[..., -3:], np.broadcast_to(np.eye(3)[column], (2, layout.n, 3)))
+        action = rng.uniform(-1.0, 1.0, (2, layout.n)).astype(np.float32)
+        joined = np.zeros((2, 5, 3), np.float32)
+        joined[:, owner, column] = action
+        of_agents = agents.step(joined.reshape(10, 3))[0]
+        of_channels, paid, done, infos = channels.step(action.reshape(-1, 1))
+        vector = channels.batch.transition.reward_vector
+        assert vector is not None
+        np.testing.assert_array_equal(paid, vector.ravel().astype(np.float32))
+    assert done.all()
+    assert {info["J"] for info in infos[: layout.n]} == {infos[0]["J"]}
+    assert channels.action_space.shape == (1,)
 
 
 def test_corrections_of_a_droop_are_compared_with_that_droop():

@@ -20,7 +20,7 @@ from dcgrid_env import DcgridVectorEnv, ScenarioError, make_scenario
 from dcgrid_env.agents import sb3_vec_env
 from dcgrid_env.baselines import rollout
 
-VIEWS = pytest.mark.parametrize("view", ["joint", "shared"])
+VIEWS = pytest.mark.parametrize("view", ["joint", "shared", "channel"])
 NOISE = NormalActionNoise(np.zeros(2), 0.2 * np.ones(2))
 SMALL = {"device": "cpu", "gamma": 0.5, "seed": 0}
 

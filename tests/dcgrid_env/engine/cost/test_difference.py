@@ -34,9 +34,12 @@ def vector_of(transition: Transition) -> np.ndarray:
 def priced(simulation: Simulation) -> np.ndarray:
     """The team's cost of the last step with work that is left at the end of the episode charged at once, (row,)."""
     scenario, transition = simulation.scenario, simulation.transition
-    kinds = enumerate(scenario.devices)
-    params = difference.parameters(scenario, transition.cost_j)
-    waiting = [difference._prices(scenario, i, params, transition.state.devices[i]).sum(-1) for i, _ in kinds]
+    params, kinds = difference.parameters(scenario, transition.cost_j), scenario.devices
+    waiting = [
+        price * kinds[i].amount(amount, params.devices[i], transition.state.devices[i]).sum(-1)
+        for i, prices in enumerate(difference._prices(scenario))
+        for amount, price in prices
+    ]
     grid = [getattr(transition.costs, name) for name in ("voltage", "violation", "effort")]
     return np.sum(grid, axis=0) + np.sum(np.broadcast_arrays(*waiting), axis=0)
 

@@ -1,0 +1,230 @@
+"""Train unmodified reinforcement-learning libraries on presets, and score them on the test episodes."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from pkgutil import resolve_name
+from runpy import run_path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dcgrid_env import scenario_hash
+from dcgrid_env.agents import sb3_vec_env
+from dcgrid_env.baselines.evaluation import hindsight_costs
+from dcgrid_env.baselines.score import Estimate, mean_over_seeds, score, score_error
+from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.names import scenario_names, split_names
+from dcgrid_env.cli.settings import at_least, check_file
+from dcgrid_env.core.files import write_json
+from dcgrid_env.core.versions import versions
+from docs.studies.learning_tables import estimate
+from docs.studies.scored import droop_on_test, on_test
+
+DATA = Path("docs/rl-libraries.json")
+EXAMPLE = Path(__file__).parents[1] / "examples" / "difference_reward.py"
+"""Script with the validation and the costs of test episodes."""
+CORRECTED = ("ieee33-weak", "ieee123-3ph")
+"""Scenarios in which actions correct the tuned droop; elsewhere they are changes of reactive power."""
+DISCOUNTS = {"difference": 0.0, "shared": 0.5}
+"""Discount for each reward. A difference reward charges later costs at once."""
+VALIDATION_EPISODES, EVALUATIONS = 32, 15
+MOST_EPISODES = 32
+"""Test episodes whose hindsight is published for every preset."""
+
+
+class Setting(NamedTuple):
+    """What to train on."""
+
+    scenario: str
+    reward: str
+    seed: int
+    steps: int
+    """Steps of all environments of the batch together."""
+    num_envs: int
+    episodes: int
+    """Number of test episodes."""
+
+
+def sb3(model_class: str, policy: str, settings: Callable[[int], dict[str, Any]], on: Setting) -> np.ndarray:
+    """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    example = run_path(str(EXAMPLE))
+    outputs, default = ("droop", "droop") if on.scenario in CORRECTED else ("change", "previous")
+    rows: dict[str, Any] = {"view": "channel", "outputs": outputs, "nameplate": True}
+    cost = {"default_action": default} if on.reward == "difference" else {}
+    made = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward, cost=cost, **rows)
+    envs = VecNormalize(made, gamma=DISCOUNTS[on.reward])
+    envs.seed(on.seed * on.num_envs)
+    chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(made.num_envs)
+    model = resolve_name(model_class)(policy, envs, **chosen)
+    validation, test = (
+        VecNormalize(sb3_vec_env(on.scenario, n, split=split, **rows), training=False, norm_reward=False)
+        for n, split in ((VALIDATION_EPISODES, "validation"), (on.episodes, "test"))
+    )
+    steps = on.steps * made.rows_per_env
+    model.learn(steps, example["BestOnValidation"](validation, every=steps // EVALUATIONS))
+    test.obs_rms = validation.obs_rms
+    return example["costs"](model, test)
+
+
+class Library(NamedTuple):
+    """A library's algorithm with its settings."""
+
+    package: str
+    """Distribution whose version is stored."""
+    train: Callable[[Setting], np.ndarray]
+    """Function that trains and returns J of each test episode."""
+    steps: int
+    """Default of ``Setting.steps``."""
+    num_envs: int
+
+    @property
+    def glue_lines(self) -> int:
+        """Lines of code of the function that connects the library, without its docstring."""
+        function: Any = self.train
+        lines = inspect.getsource(function.func).splitlines()
+        return sum(1 for line in lines if line.strip() and not line.strip().startswith('"""')) - 1
+
+
+def on_policy(n_rows: int) -> dict[str, Any]:
+    """Return settings of PPO for a batch of rows: an episode in each, eight minibatches, a falling learning rate."""
+    return {
+        "n_steps": 120, "batch_size": 15 * n_rows, "n_epochs": 3, "gae_lambda": 0.0,
+        "learning_rate": lambda left: 3e-3 * left, "policy_kwargs": {"log_std_init": -1.0},
+    }  # fmt: skip
+
+
+def off_policy(n_rows: int) -> dict[str, Any]:
+    """Return settings of algorithms with a replay buffer: a gradient step for each step of the batch."""
+    return {"learning_rate": 1e-3, "batch_size": 1024, "buffer_size": 500 * n_rows, "learning_starts": 120 * n_rows}
+
+
+LIBRARIES = {
+    "sb3-ppo": Library("stable-baselines3", partial(sb3, "stable_baselines3:PPO", "MlpPolicy", on_policy), 200_000, 32),
+    "sb3-sac": Library("stable-baselines3", partial(sb3, "stable_baselines3:SAC", "MlpPolicy", off_policy), 30_000, 16),
+    "sb3-td3": Library("stable-baselines3", partial(sb3, "stable_baselines3:TD3", "MlpPolicy", off_policy), 30_000, 16),
+    "sb3-contrib-tqc": Library("sb3-contrib", partial(sb3, "sb3_contrib:TQC", "MlpPolicy", off_policy), 30_000, 16),
+    "sb3-contrib-recurrent-ppo": Library(
+        "sb3-contrib", partial(sb3, "sb3_contrib:RecurrentPPO", "MlpLstmPolicy", on_policy), 20_000, 16
+    ),
+}
+
+
+def trained(name: str, on: Setting) -> dict[str, Any]:
+    """Train a library and return the record of it, as JSON has it."""
+    import torch
+
+    torch.set_num_threads(1)
+    library, began_s = LIBRARIES[name], time.process_time()
+    j = library.train(on)
+    return {
+        "library": name,
+        "version": versions((library.package,))[library.package],
+        "glue_lines": library.glue_lines,
+        **on._asdict(),
+        "scenario_hash": scenario_hash(on_test(on.scenario)),
+        "cpu_s": round(time.process_time() - began_s, 1),
+        "J": [round(cost, 6) for cost in j.tolist()],
+    }
+
+
+def score_of(records: Sequence[dict[str, Any]]) -> Estimate:
+    """Score of the trainings of one library on one scenario, with its interval over episodes and, if many, seeds."""
+    scenario, episodes = records[0]["scenario"], records[0]["episodes"]
+    droop, best = droop_on_test(scenario, episodes).J, hindsight_costs(on_test(scenario), range(episodes))
+    scores = [score(record["J"], droop, best).score for record in records]
+    if len(scores) == 1:
+        return scores[0]
+    mean_j = np.mean([record["J"] for record in records], axis=0)
+    return mean_over_seeds([each.value for each in scores], score_error(mean_j, droop, best), episodes)
+
+
+def table(records: Sequence[dict[str, Any]]) -> str:
+    """Return a row for each library, scenario and reward, as Markdown."""
+    heads = ["library", "version", "glue lines", "scenario", "reward", "steps", "seeds", "CPU, s", "score"]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for record in records:
+        groups.setdefault((record["library"], record["scenario"], record["reward"]), []).append(record)
+    for (library, scenario, reward), group in groups.items():
+        first, cpu_s = group[0], float(np.mean([record["cpu_s"] for record in group]))
+        cells = [library, first["version"], first["glue_lines"], f"`{scenario}`", reward, f"{first['steps']:,}"]
+        cells += [len(group), f"{cpu_s:.0f}", estimate(score_of(group), 2)]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def records_in(path: Path) -> list[dict[str, Any]]:
+    """Return the records of a file of this study; none if it does not exist. ValueError for another file."""
+    if not path.exists():
+        return []
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))["trainings"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"out: {path} has no trainings of this study ({error}); choose another --out") from None
+
+
+@dataclass(frozen=True)
+class LibraryTable(Command):
+    """Train an unmodified library on presets, and print the table of all trainings in a file.
+
+    Each training is added to the file, in place of one with other steps or episodes. Finished trainings are skipped.
+    The libraries need their packages (pip install stable-baselines3 sb3-contrib).
+    """
+
+    library: str = ""
+    """Library to train, a key of LIBRARIES; none by default, which prints the table of the file."""
+    scenarios: str = "ieee33-weak,khodr141,das69,mixed,ieee123-3ph"
+    """Names of scenarios (dcgrid list), separated by commas."""
+    rewards: str = "difference"
+    """Rewards, separated by commas: difference, shared."""
+    seeds: int = 5
+    """Number of training seeds: 0, 1, .."""
+    steps: int | None = None
+    """Steps of all environments together, for each training; the library's by default."""
+    episodes: int = MOST_EPISODES
+    """Test episodes: seeds 0, 1, .."""
+    out: Path = DATA
+    """File of the trainings."""
+
+    def run(self) -> None:
+        """Train and print. ValueError for an invalid setting."""
+        at_least(self, seeds=1, episodes=2)
+        if self.steps is not None:
+            at_least(self, steps=1)
+        check_file("out", self.out)
+        rewards = split_names(self.rewards)
+        if unknown := [reward for reward in rewards if reward not in DISCOUNTS]:
+            raise ValueError(f"rewards: {unknown[0]!r} is unknown; choose from {', '.join(DISCOUNTS)}")
+        if self.library and self.library not in LIBRARIES:
+            raise ValueError(f"library: {self.library!r} is unknown; choose one of {', '.join(LIBRARIES)}")
+        for on in self._settings(rewards) if self.library else ():
+            records = records_in(self.out)
+            kept = [one for one in records if not _is_same(one, self.library, on, "scenario", "reward", "seed")]
+            if not any(_is_same(one, self.library, on, *on._fields) for one in records):
+                write_json(self.out, {"trainings": [*kept, trained(self.library, on)]})
+        print(table(records_in(self.out)))
+
+    def _settings(self, rewards: Sequence[str]) -> list[Setting]:
+        """Return what to train on, seed after seed."""
+        library = LIBRARIES[self.library]
+        sizes = (self.steps or library.steps, library.num_envs, self.episodes)
+        return [
+            Setting(scenario, reward, seed, *sizes)
+            for seed in range(self.seeds)
+            for scenario in scenario_names(self.scenarios)
+            for reward in rewards
+        ]
+
+
+def _is_same(record: dict[str, Any], library: str, on: Setting, *fields: str) -> bool:
+    """Return whether a record is of this library and has these fields of a setting."""
+    return record["library"] == library and all(record[field] == getattr(on, field) for field in fields)

@@ -1,0 +1,91 @@
+"""The table of libraries: its trainings, its file, and the page that shows it."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from docs.studies import libraries
+from docs.studies.commands import main
+from docs.studies.libraries import DATA, Library, Setting, records_in, sb3, score_of, table
+from docs.studies.scored import droop_on_test
+from helpers.places import ROOT
+
+
+def by_droop(on: Setting) -> np.ndarray:
+    """The costs of the tuned droop, a little lower with each seed."""
+    return droop_on_test(on.scenario, on.episodes).J - 0.01 * on.seed
+
+
+@pytest.fixture
+def droop_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(libraries.LIBRARIES, "droop", Library("numpy", partial(by_droop), 40, 2))
+
+
+def run(out: Path, *words: str) -> None:
+    """Run the command on toy6 with few episodes."""
+    main(["libraries", "--scenarios", "toy6", "--episodes", "4", "--out", str(out), *words])
+
+
+@pytest.mark.usefixtures("droop_library")
+def test_trainings_are_added_to_the_file_once_and_replaced_by_other_steps(tmp_path, capsys):
+    out = tmp_path / "made" / "libraries.json"
+    run(out, "--library", "droop", "--seeds", "2")
+    run(out, "--library", "droop", "--rewards", "shared", "--seeds", "1", "--steps", "80")
+    before = out.read_text()
+    run(out, "--library", "droop", "--seeds", "2")
+    assert out.read_text() == before
+    run(out, "--library", "droop", "--seeds", "1", "--rewards", "shared", "--steps", "120")
+    records = records_in(out)
+    assert [(r["reward"], r["seed"], r["steps"]) for r in records] == [
+        ("difference", 0, 40),
+        ("difference", 1, 40),
+        ("shared", 0, 120),
+    ]
+    assert {r["glue_lines"] for r in records} == {1}
+    row = capsys.readouterr().out.splitlines()[-2].split(" | ")
+    assert row[3:7] == ["`toy6`", "difference", "40", "2"]
+    assert score_of(records[:1]).value == pytest.approx(0.0, abs=1e-5)
+    assert score_of(records[:2]).value == pytest.approx(0.5 * score_of(records[1:2]).value, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--library", "nope"), "library: 'nope' is unknown; choose one of sb3-ppo"),
+        (("--library", "sb3-ppo", "--rewards", "local"), "rewards: 'local' is unknown; choose from difference, shared"),
+        (("--seeds", "0"), "seeds: must be at least 1, got 0"),
+        (("--library", "sb3-ppo", "--steps", "0"), "steps: must be at least 1, got 0"),
+    ],
+)
+def test_invalid_settings_are_refused(words, message, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        run(tmp_path / "libraries.json", *words)
+    assert message in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_another_file_is_refused(tmp_path):
+    other = tmp_path / "other.json"
+    other.write_text("{}")
+    with pytest.raises(ValueError, match=r"out: .*other.json has no trainings of this study .* choose another --out"):
+        records_in(other)
+
+
+@pytest.mark.parametrize("scenario", ["toy6", "ieee33-weak"])
+@pytest.mark.parametrize("name", ["sb3-ppo", "sb3-sac"])
+@pytest.mark.slow
+def test_a_library_trains_and_is_tested(name, scenario):
+    library = libraries.LIBRARIES[name]
+    j = library.train(Setting(scenario, "difference", 0, 480, 2, 2))
+    assert np.isfinite(j).all()
+    assert j.shape == (2,)
+    assert library.glue_lines == libraries.LIBRARIES["sb3-td3"].glue_lines > 10
+    assert library.train.func is sb3  # pyright: ignore[reportFunctionMemberAccess]
+
+
+def test_the_page_shows_the_table_of_the_file():
+    records = records_in(ROOT / DATA)
+    assert json.loads((ROOT / DATA).read_text())["trainings"] == records
+    assert table(records) in (ROOT / "docs" / "rl-libraries.md").read_text()
