@@ -23,7 +23,7 @@ from dcgrid_env.cli.settings import at_least, check_file
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import versions
 from docs.studies.learning_tables import estimate
-from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Setting, batches
+from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Setting, batches, example
 from docs.studies.scored import droop_on_test, on_test
 
 DATA = Path("docs/rl-libraries.json")
@@ -33,15 +33,13 @@ MOST_EPISODES = 32
 
 def sb3(model_class: str, policy: str, settings: Callable[[int], dict[str, Any]], on: Setting) -> np.ndarray:
     """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
-    from docs.examples.difference_reward import BestOnValidation, costs
-
-    of = batches(on)
+    script, of = example("difference_reward"), batches(on)
     chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(of.train.num_envs)
     model = resolve_name(model_class)(policy, of.train, **chosen)
     steps = on.steps * of.train.num_envs // on.num_envs
-    model.learn(steps, BestOnValidation(of.validation, every=steps // EVALUATIONS))
+    model.learn(steps, script.BestOnValidation(of.validation, every=steps // EVALUATIONS))
     of.test.obs_rms = of.validation.obs_rms
-    return costs(model, of.test)
+    return script.costs(model, of.test)
 
 
 def loop(name: str, on: Setting) -> np.ndarray:

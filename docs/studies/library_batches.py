@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from runpy import run_path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dcgrid_env.agents import sb3_vec_env
@@ -14,6 +17,11 @@ CORRECTED = ("ieee33-weak", "ieee123-3ph")
 DISCOUNTS = {"difference": 0.0, "shared": 0.5}
 """Discount for each reward. A difference reward charges later costs at once."""
 VALIDATION_EPISODES, EVALUATIONS = 32, 15
+
+
+def example(name: str) -> SimpleNamespace:
+    """Return the contents of a script of docs/examples, which is no package."""
+    return SimpleNamespace(**run_path(str(Path(__file__).parents[1] / "examples" / f"{name}.py")))
 
 
 class Setting(NamedTuple):

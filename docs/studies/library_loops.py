@@ -10,9 +10,9 @@ import torch
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
-from docs.examples.cleanrl_ppo import Agent
-from docs.examples.difference_reward import costs
-from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Batches, Setting, batches
+from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Batches, Setting, batches, example
+
+costs = example("difference_reward").costs
 
 HORIZON, EPOCHS, MINIBATCHES = 120, 3, 8
 """Steps between updates, passes over them, and minibatches of a pass."""
@@ -72,7 +72,7 @@ def cleanrl_ppo(on: Setting) -> np.ndarray:
     torch.manual_seed(on.seed)
     of = batches(on)
     envs, n_row = of.train, of.train.num_envs
-    agent = Agent(*of.sizes)
+    agent = example("cleanrl_ppo").Agent(*of.sizes)
     nn.init.constant_(agent.log_std, LOG_STD)
     optimizer = torch.optim.Adam(agent.parameters(), lr=LEARNING_RATE, eps=1e-5)
     best = BestMean(agent.actor, of, on)
