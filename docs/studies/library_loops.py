@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Batches, Setting, batches, example
@@ -60,7 +59,7 @@ class BestMean:
         return costs(self, self.of.test)
 
 
-def tensor(values: np.ndarray) -> torch.Tensor:
+def tensor(values: Any) -> torch.Tensor:
     """Return a copy in float32."""
     return torch.tensor(values, dtype=torch.float32)
 
@@ -106,18 +105,18 @@ def cleanrl_ppo(on: Setting) -> np.ndarray:
 
 def torchrl_ppo(on: Setting) -> np.ndarray:
     """Train with the PPO loss and the advantages of TorchRL."""
-    from tensordict import TensorDict
-    from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
-    from torchrl.envs import ExplorationType, set_exploration_type
-    from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
-    from torchrl.objectives import ClipPPOLoss
-    from torchrl.objectives.value import GAE
+    from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
+    from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule  # pyright: ignore[reportMissingImports]
+    from torchrl.envs import ExplorationType, set_exploration_type  # pyright: ignore[reportMissingImports]
+    from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator  # pyright: ignore[reportMissingImports]
+    from torchrl.objectives import ClipPPOLoss  # pyright: ignore[reportMissingImports]
+    from torchrl.objectives.value import GAE  # pyright: ignore[reportMissingImports]
 
     torch.manual_seed(on.seed)
     of = batches(on)
     envs, (n_observation, n_action) = of.train, of.sizes
     layers: dict[str, Any] = {"num_cells": [64, 64], "activation_class": nn.Tanh}
-    mean = MLP(n_observation, n_action, **layers)
+    mean: Any = MLP(n_observation, n_action, **layers)
     nn.init.normal_(mean[-1].weight, std=0.01)
     nn.init.zeros_(mean[-1].bias)
     scale = AddStateIndependentNormalScale(n_action, scale_mapping="exp")
@@ -156,18 +155,18 @@ def torchrl_ppo(on: Setting) -> np.ndarray:
 
 def skrl_ppo(on: Setting) -> np.ndarray:
     """Train the PPO agent of skrl."""
-    from skrl.agents.torch.ppo import PPO, PPO_CFG
-    from skrl.memories.torch import RandomMemory
-    from skrl.utils.model_instantiators.torch import deterministic_model, gaussian_model
+    from skrl.agents.torch.ppo import PPO, PPO_CFG  # pyright: ignore[reportMissingImports]
+    from skrl.memories.torch import RandomMemory  # pyright: ignore[reportMissingImports]
+    from skrl.utils.model_instantiators.torch import deterministic_model, gaussian_model  # pyright: ignore[reportMissingImports]
 
     torch.manual_seed(on.seed)
     of = batches(on)
-    envs: VecNormalize = of.train
+    envs: Any = of.train
     spaces: dict[str, Any] = {"observation_space": envs.observation_space, "action_space": envs.action_space}
     network = [{"name": "net", "input": "OBSERVATIONS", "layers": [64, 64], "activations": "tanh"}]
     common = {**spaces, "device": "cpu", "network": network}
-    policy = gaussian_model(**common, output="ACTIONS", initial_log_std=LOG_STD)
-    critic = deterministic_model(**common, output="ONE")
+    policy: Any = gaussian_model(**common, output="ACTIONS", initial_log_std=LOG_STD)
+    critic: Any = deterministic_model(**common, output="ONE")
     best = BestMean(_SkrlMean(policy), of, on)
     settings = PPO_CFG(
         rollouts=HORIZON, learning_epochs=EPOCHS, mini_batches=MINIBATCHES, discount_factor=DISCOUNTS[on.reward],
@@ -177,7 +176,7 @@ def skrl_ppo(on: Setting) -> np.ndarray:
     )  # fmt: skip
     settings.experiment.write_interval = settings.experiment.checkpoint_interval = 0
     memory = RandomMemory(memory_size=HORIZON, num_envs=envs.num_envs, device="cpu")
-    agent = PPO(models={"policy": policy, "value": critic}, memory=memory, cfg=settings, device="cpu", **spaces)
+    agent: Any = PPO(models={"policy": policy, "value": critic}, memory=memory, cfg=settings, device="cpu", **spaces)
     agent.init(trainer_cfg=None)
     agent.enable_training_mode(True)
     observation, steps = tensor(envs.reset()), best.updates * HORIZON
