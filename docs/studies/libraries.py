@@ -133,7 +133,8 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for record in records:
         groups.setdefault((record["library"], record["scenario"], record["reward"]), []).append(record)
-    for (library, scenario, reward), group in groups.items():
+    order = list(LIBRARIES)
+    for (library, scenario, reward), group in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
         first, cpu_s = group[0], float(np.mean([record["cpu_s"] for record in group]))
         cells = [
             library,
