@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
-from runpy import run_path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env import scenario_hash
-from dcgrid_env.agents import sb3_vec_env
 from dcgrid_env.baselines.evaluation import hindsight_costs
 from dcgrid_env.baselines.score import Estimate, mean_over_seeds, score, score_error
 from dcgrid_env.cli.command import Command
@@ -25,54 +23,30 @@ from dcgrid_env.cli.settings import at_least, check_file
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import versions
 from docs.studies.learning_tables import estimate
+from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Setting, batches, example
 from docs.studies.scored import droop_on_test, on_test
 
 DATA = Path("docs/rl-libraries.json")
-EXAMPLE = Path(__file__).parents[1] / "examples" / "difference_reward.py"
-"""Script with the validation and the costs of test episodes."""
-CORRECTED = ("ieee33-weak", "ieee123-3ph")
-"""Scenarios in which actions correct the tuned droop; elsewhere they are changes of reactive power."""
-DISCOUNTS = {"difference": 0.0, "shared": 0.5}
-"""Discount for each reward. A difference reward charges later costs at once."""
-VALIDATION_EPISODES, EVALUATIONS = 32, 15
 MOST_EPISODES = 32
 """Test episodes whose hindsight is published for every preset."""
 
 
-class Setting(NamedTuple):
-    """What to train on."""
-
-    scenario: str
-    reward: str
-    seed: int
-    steps: int
-    """Steps of all environments of the batch together."""
-    num_envs: int
-    episodes: int
-    """Number of test episodes."""
-
-
 def sb3(model_class: str, policy: str, settings: Callable[[int], dict[str, Any]], on: Setting) -> np.ndarray:
     """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
-    from stable_baselines3.common.vec_env import VecNormalize
+    script, of = example("difference_reward"), batches(on)
+    chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(of.train.num_envs)
+    model = resolve_name(model_class)(policy, of.train, **chosen)
+    steps = on.steps * of.train.num_envs // on.num_envs
+    model.learn(steps, script.BestOnValidation(of.validation, every=steps // EVALUATIONS))
+    of.test.obs_rms = of.validation.obs_rms
+    return script.costs(model, of.test)
 
-    example = run_path(str(EXAMPLE))
-    outputs, default = ("droop", "droop") if on.scenario in CORRECTED else ("change", "previous")
-    rows: dict[str, Any] = {"view": "channel", "outputs": outputs, "nameplate": True}
-    cost = {"default_action": default} if on.reward == "difference" else {}
-    made = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward, cost=cost, **rows)
-    envs = VecNormalize(made, gamma=DISCOUNTS[on.reward])
-    envs.seed(on.seed * on.num_envs)
-    chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(made.num_envs)
-    model = resolve_name(model_class)(policy, envs, **chosen)
-    validation, test = (
-        VecNormalize(sb3_vec_env(on.scenario, n, split=split, **rows), training=False, norm_reward=False)
-        for n, split in ((VALIDATION_EPISODES, "validation"), (on.episodes, "test"))
-    )
-    steps = on.steps * made.rows_per_env
-    model.learn(steps, example["BestOnValidation"](validation, every=steps // EVALUATIONS))
-    test.obs_rms = validation.obs_rms
-    return example["costs"](model, test)
+
+def loop(name: str, on: Setting) -> np.ndarray:
+    """Train by a function of ``library_loops``, and return J of the test episodes, (episode,)."""
+    from docs.studies import library_loops
+
+    return getattr(library_loops, name)(on)
 
 
 class Library(NamedTuple):
@@ -88,10 +62,13 @@ class Library(NamedTuple):
 
     @property
     def glue_lines(self) -> int:
-        """Lines of code of the function that connects the library, without its docstring."""
-        function: Any = self.train
-        lines = inspect.getsource(function.func).splitlines()
-        return sum(1 for line in lines if line.strip() and not line.strip().startswith('"""')) - 1
+        """Lines of code that connect the library: those of its function and of ``batches``, without docstrings."""
+        from docs.studies import library_loops
+
+        train: Any = self.train
+        function = getattr(library_loops, train.args[0]) if train.func is loop else train.func
+        lines = [line for each in (function, batches) for line in inspect.getsource(each).splitlines()]
+        return sum(1 for line in lines if line.strip() and not line.strip().startswith('"""'))
 
 
 def on_policy(n_rows: int) -> dict[str, Any]:
@@ -115,6 +92,9 @@ LIBRARIES = {
     "sb3-contrib-recurrent-ppo": Library(
         "sb3-contrib", partial(sb3, "sb3_contrib:RecurrentPPO", "MlpLstmPolicy", on_policy), 20_000, 16
     ),
+    "torchrl-ppo": Library("torchrl", partial(loop, "torchrl_ppo"), 100_000, 32),
+    "skrl-ppo": Library("skrl", partial(loop, "skrl_ppo"), 100_000, 32),
+    "cleanrl-ppo": Library("torch", partial(loop, "cleanrl_ppo"), 100_000, 32),
 }
 
 
@@ -128,7 +108,6 @@ def trained(name: str, on: Setting) -> dict[str, Any]:
     return {
         "library": name,
         "version": versions((library.package,))[library.package],
-        "glue_lines": library.glue_lines,
         **on._asdict(),
         "scenario_hash": scenario_hash(on_test(on.scenario)),
         "cpu_s": round(time.process_time() - began_s, 1),
@@ -154,9 +133,17 @@ def table(records: Sequence[dict[str, Any]]) -> str:
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for record in records:
         groups.setdefault((record["library"], record["scenario"], record["reward"]), []).append(record)
-    for (library, scenario, reward), group in groups.items():
+    order = list(LIBRARIES)
+    for (library, scenario, reward), group in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
         first, cpu_s = group[0], float(np.mean([record["cpu_s"] for record in group]))
-        cells = [library, first["version"], first["glue_lines"], f"`{scenario}`", reward, f"{first['steps']:,}"]
+        cells = [
+            library,
+            first["version"],
+            LIBRARIES[library].glue_lines,
+            f"`{scenario}`",
+            reward,
+            f"{first['steps']:,}",
+        ]
         cells += [len(group), f"{cpu_s:.0f}", estimate(score_of(group), 2)]
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(lines)

@@ -9,7 +9,7 @@ import pytest
 
 from docs.studies import libraries
 from docs.studies.commands import main
-from docs.studies.libraries import DATA, Library, Setting, records_in, sb3, score_of, table
+from docs.studies.libraries import DATA, Library, Setting, records_in, score_of, table
 from docs.studies.scored import droop_on_test
 from helpers.places import ROOT
 
@@ -44,7 +44,6 @@ def test_trainings_are_added_to_the_file_once_and_replaced_by_other_steps(tmp_pa
         ("difference", 1, 40),
         ("shared", 0, 120),
     ]
-    assert {r["glue_lines"] for r in records} == {1}
     row = capsys.readouterr().out.splitlines()[-2].split(" | ")
     assert row[3:7] == ["`toy6`", "difference", "40", "2"]
     assert score_of(records[:1]).value == pytest.approx(0.0, abs=1e-5)
@@ -73,16 +72,30 @@ def test_another_file_is_refused(tmp_path):
         records_in(other)
 
 
-@pytest.mark.parametrize("scenario", ["toy6", "ieee33-weak"])
-@pytest.mark.parametrize("name", ["sb3-ppo", "sb3-sac"])
+@pytest.mark.parametrize(
+    ("name", "scenario"),
+    [
+        ("sb3-ppo", "toy6"),
+        ("sb3-sac", "ieee33-weak"),
+        ("cleanrl-ppo", "ieee33-weak"),
+        ("skrl-ppo", "toy6"),
+        ("torchrl-ppo", "ieee33-weak"),
+    ],
+)
 @pytest.mark.slow
 def test_a_library_trains_and_is_tested(name, scenario):
     library = libraries.LIBRARIES[name]
+    pytest.importorskip(library.package.replace("-", "_"))
     j = library.train(Setting(scenario, "difference", 0, 480, 2, 2))
     assert np.isfinite(j).all()
     assert j.shape == (2,)
-    assert library.glue_lines == libraries.LIBRARIES["sb3-td3"].glue_lines > 10
-    assert library.train.func is sb3  # pyright: ignore[reportFunctionMemberAccess]
+    assert library.glue_lines > 20
+
+
+def test_a_library_that_cannot_train_on_a_reward_is_one_line():
+    on = Setting("toy6", "shared", 0, 480, 2, 2)
+    with pytest.raises(ValueError, match="reward: cleanrl-ppo is written for a discount of 0, not for 'shared'; use"):
+        libraries.LIBRARIES["cleanrl-ppo"].train(on)
 
 
 def test_the_page_shows_the_table_of_the_file():
