@@ -33,8 +33,8 @@ def reconfigured(feeder: Feeder, opened: Iterable[Open], closed: Iterable[Closed
     Raises
     ------
     FeederError
-        For an unknown bus or branch, a branch that is named twice, a feeder with transformers of other ratios, and for
-        a result that has an island, or a loop that the power flow refuses.
+        For an unknown bus or branch, a branch that is named twice, or a feeder with transformers of other ratios. Also
+        for a result that has an island or loops that the power flow refuses.
     """
     if feeder.voltage_ratio is not None:
         raise FeederError(
@@ -61,8 +61,9 @@ def reconfigured(feeder: Feeder, opened: Iterable[Open], closed: Iterable[Closed
         if k not in without
     ]
     rows += [(_known(feeder, a), _known(feeder, b), r_ohm, x_ohm, float("nan")) for a, b, r_ohm, x_ohm in closed]
-    *columns, ratings = (list(column) for column in zip(*rows, strict=True))
-    return Feeder.from_network(replace(network, line=LineTable(*columns, ratings if len(line.rating_a) else ())))
+    from_bus, to_bus, r_ohm, x_ohm, ratings = zip(*rows, strict=True)
+    lines = LineTable(from_bus, to_bus, r_ohm, x_ohm, ratings if len(line.rating_a) else ())
+    return Feeder.from_network(replace(network, line=lines))
 
 
 def _known(feeder: Feeder, bus: BusId) -> str:

@@ -27,7 +27,8 @@ def test_there_and_back_is_the_same_feeder():
     back = reconfigured(away, [("22", "12")], [("6", "7", feeder.r_ohm[k], feeder.x_ohm[k])])
     positions = [back.index(bus) for bus in feeder.bus_ids]
     load = (feeder.p_load_kw[None], feeder.q_load_kvar[None])
-    v = distflow(back, *(values[:, np.argsort(positions)] for values in load), 1.0).v_pu[:, positions]
+    p_kw, q_kvar = (values[:, np.argsort(positions)] for values in load)
+    v = distflow(back, p_kw, q_kvar, 1.0).v_pu[:, positions]
     np.testing.assert_allclose(v, distflow(feeder, *load, 1.0).v_pu, atol=1e-9)
 
 
