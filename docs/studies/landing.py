@@ -37,7 +37,7 @@ def chart(path: str) -> None:
         ax.axhline(level, color="#888888", linewidth=0.9, linestyle="--")
         ax.annotate(text, (1.0, level), xycoords=("axes fraction", "data"), xytext=(3, 0), textcoords="offset points",
                     va="center", fontsize=8.5, color="#555555")  # fmt: skip
-    ax.set_xticks(range(len(PRESETS)), PRESETS, fontsize=9)
+    ax.set_xticks(range(len(PRESETS)), [preset.replace("-", "-\n", 1) for preset in PRESETS], fontsize=9)
     ax.set_ylabel("score (95 % interval)", fontsize=10.5)
     ax.set_ylim(-0.25, 1.12)
     ax.grid(axis="y", alpha=0.25, linewidth=0.6)
