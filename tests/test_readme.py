@@ -104,7 +104,8 @@ def test_overrides_of_the_text_work_on_the_presets_they_are_for():
 def test_every_id_and_scenario_is_named():
     for name, scenario in dcgrid_env.IDS.items():
         assert f"| `{scenario}` | `{name.removeprefix('dcgrid/').rpartition('-v')[0]}` |" in SCENARIOS
-        assert name.endswith("-v1" if "ThreePhase" in name or "RideThrough" in name else "-v0")
+        second = ("ThreePhase", "RideThrough", "WrongModel", "LateMeasurements")
+        assert name.endswith("-v1" if any(word in name for word in second) else "-v0")
 
 
 def test_agents_are_those_of_the_cards():

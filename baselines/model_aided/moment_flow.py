@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dcgrid_env import Control, acting_relays, nodes_by_bus, solver_for
+from dcgrid_env import Control, Feeder, acting_relays, nodes_by_bus, solver_for
 from dcgrid_env.baselines.model_aided.knowledge import Site
 
 
@@ -35,6 +35,9 @@ class MomentFlow:
         np.add.at(seen, (rows, nodes), 1.0 / nodes.shape[1])
         self.seen = seen[:, self.feeder.load_slice]
         """Share of each voltage in what an agent sees, (n_agent, k)."""
+        is_balanced = isinstance(s.feeder, Feeder)
+        self._position = s.model_position if is_balanced else np.arange(self.feeder.n_node)
+        self._order = np.argsort(self._position) if is_balanced else np.arange(self.feeder.n_leg)
         self._relays = acting_relays(s)
         self._first_tap = np.zeros((len(self.points.p_load_kw), 0))
         if self._relays is not None:
@@ -54,6 +57,7 @@ class MomentFlow:
         s, points = self.scenario, self.points
         p = points.p_load_kw[rows] + points.p_agent_kw[rows] @ self.shares
         q = points.q_load_kvar[rows] - q_kvar @ self.shares
+        p, q = p[:, self._order], q[:, self._order]
         of = np.arange(len(points.p_load_kw))[rows] % len(self.feeders)
         first_tap = self._first_tap[rows]
         v, solved = np.empty((len(p), self.seen.shape[1])), np.empty(len(p), bool)
@@ -65,7 +69,8 @@ class MomentFlow:
                 tap = self._relays.settled(*load, tap) if (self._relays.steps > 1).all() else tap
                 control = Control(feeder.tap_ratio(tap))
             solution = solver_for(feeder, s.power_flow)(*load, control)
-            v[of_feeder], solved[of_feeder] = np.asarray(solution.v_pu)[:, feeder.load_slice], solution.converged
+            v_pu = np.asarray(solution.v_pu)[:, self._position]
+            v[of_feeder], solved[of_feeder] = v_pu[:, feeder.load_slice], solution.converged
         if not solved.any():
             raise ValueError(
                 f"model-aided: the power flow of scenario {s.name!r} has no solution at any of its moments; give the "

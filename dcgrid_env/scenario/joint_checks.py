@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from dcgrid_env.core.checked import FieldError, refuse
-from dcgrid_env.grid import AnyFeeder, Feeder, ThreePhaseFeeder
+from dcgrid_env.grid import AnyFeeder, Feeder, FeederError, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.scenario.costs.grid_terms import TERMS
@@ -28,6 +28,22 @@ def check_feeder_kind(scenario: Any) -> None:
         if balanced and weight and term.needs == "three phases":
             remedy = f"set it to 0: the balanced feeder {feeder.name!r} has no such term"
             raise FieldError("Scenario", f"cost.weights.{term.name}", weight, remedy)
+
+
+def check_model(scenario: Any) -> None:
+    """Raise FieldError for switches of the model that the feeder does not have, or that leave an island."""
+    sensing = scenario.sensing
+    name = "sensing.model_open" if sensing.model_open else "sensing.model_closed"
+    value = sensing.model_open or sensing.model_closed
+    if not value:
+        return
+    if not isinstance(scenario.feeder, Feeder):
+        remedy = "its branches are not those of one balanced feeder; leave it out"
+        raise FieldError("Scenario", name, value, f"feeder {scenario.feeder.name!r}: {remedy}")
+    try:
+        _ = scenario.model
+    except FeederError as error:
+        raise FieldError("Scenario", name, value, f"the model is no feeder: {error}") from None
 
 
 def check_ratings(scenario: Any) -> None:

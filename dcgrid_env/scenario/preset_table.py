@@ -86,6 +86,18 @@ TABLE = (
         balanced.robust,
     ),
     Preset(
+        "wrong-model",
+        "dcgrid/WrongModel-v1",
+        "sync in bursts of code completion; the model has other switches closed and wrong R and X",
+        balanced.wrong_model,
+    ),
+    Preset(
+        "late-measurements",
+        "dcgrid/LateMeasurements-v1",
+        "mixed with voltages that are 5 s old and noisy, a wrong model, neighbours in view and no preview",
+        balanced.late_measurements,
+    ),
+    Preset(
         "scale-32",
         "dcgrid/Scale32-v0",
         "khodr141 with 32 data centres of 500 kW at random and 8 inverters",

@@ -19,6 +19,7 @@ from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
+from dcgrid_env.grid.reconfigured import reconfigured
 from dcgrid_env.scenario.assembly import GROUPS, PARTS, assembled
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
@@ -32,6 +33,7 @@ from dcgrid_env.scenario.grid_request import GridRequest, check_grid_request
 from dcgrid_env.scenario.joint_checks import (
     check_feeder_kind,
     check_groups,
+    check_model,
     check_ramp_limit,
     check_ratings,
     check_regulator_sensing,
@@ -104,6 +106,7 @@ class Scenario(PickledByFields):
     def _check(self) -> None:
         check_feeder_kind(self)
         check_random_feeders(self)
+        check_model(self)
         with located(self.name, "grid_control"):
             check_grid_control(self.grid_control, self.feeder, self.background)
         with located(self.name, "cost"):
@@ -262,13 +265,21 @@ class Scenario(PickledByFields):
     def model(self) -> Any:
         """Balanced feeder as agents and controllers model it; the power flow uses ``feeder``.
 
-        A three-phase feeder is unchanged: the shares then apply to its derivatives, see ``believed_sensitivity``.
+        A three-phase feeder is unchanged: the shares then apply to its derivatives, see ``believed_sensitivity``. If
+        the model has other switches closed, its buses are in another order, see ``model_position``.
         """
-        r_share, x_share = self.sensing.r_model_share, self.sensing.x_model_share
-        exact = r_share == 1.0 and x_share == 1.0
-        if exact or not isinstance(self.feeder, Feeder):
-            return self.feeder
-        return self.feeder.scaled(r_share, x_share)
+        sensing, feeder = self.sensing, self.feeder
+        if not isinstance(feeder, Feeder):
+            return feeder
+        if sensing.model_open or sensing.model_closed:
+            feeder = reconfigured(feeder, sensing.model_open, sensing.model_closed)
+        exact = sensing.r_model_share == 1.0 and sensing.x_model_share == 1.0
+        return feeder if exact else feeder.scaled(sensing.r_model_share, sensing.x_model_share)
+
+    @cached_property
+    def model_position(self) -> np.ndarray:
+        """Position in ``model.bus_ids`` of each bus of a balanced ``feeder``, (n_bus,)."""
+        return read_only(np.array([self.model.index(bus) for bus in self.feeder.bus_ids]))
 
     @cached_property
     def q_scale_kvar(self) -> np.ndarray:

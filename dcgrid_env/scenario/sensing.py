@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from dcgrid_env.core.checked import check_fields, choice, count, number, settle
+from dcgrid_env.core.checked import check_fields, choice, count, finite, number, refuse, settle
 
 ObservationScope = Literal["local", "neighbours", "feeder"]
 
@@ -32,7 +32,41 @@ class Sensing:
     """Resistance of every branch in the model of agents and controllers, as a share of the true one."""
     x_model_share: float = number(0.0, 10.0, default=1.0)
     """Reactance of every branch in the model of agents and controllers, as a share of the true one."""
+    model_open: tuple[tuple[str, str], ...] = ()
+    """Closed branches that the model of agents and controllers takes for open, each by its two buses; only for a
+    balanced feeder. The shares of R and X apply afterwards."""
+    model_closed: tuple[tuple[str, str, float, float], ...] = ()
+    """Open ties that the model of agents and controllers takes for closed, each by its two buses, resistance and
+    reactance, ohm; only for a balanced feeder."""
 
     def __post_init__(self) -> None:
-        settle(self)
+        settle(self, model_open=_branches, model_closed=_branches)
         check_fields(self)
+        if not _are_branches(self.model_open, 0):
+            raise refuse(self, "model_open", "give a list of branches, each as two buses: [['6', '7']]")
+        if not _are_branches(self.model_closed, 2):
+            remedy = "give a list of ties, each as two buses, r and x in ohm of at least 0: [['12', '22', 2.0, 2.0]]"
+            raise refuse(self, "model_closed", remedy)
+
+
+def _branches(value: object) -> object:
+    """Return plain rows as tuples with text for buses; other values unchanged, for the checks to refuse."""
+    if not isinstance(value, list | tuple):
+        return value
+    return tuple(tuple(map(_entry, enumerate(row))) if isinstance(row, list | tuple) else row for row in value)
+
+
+def _entry(numbered: tuple[int, object]) -> object:
+    place, entry = numbered
+    return str(entry) if place < 2 and isinstance(entry, int) and not isinstance(entry, bool) else entry
+
+
+def _are_branches(rows: object, n_ohm: int) -> bool:
+    """Return whether these are rows of two buses and some impedances."""
+    return isinstance(rows, tuple) and all(
+        isinstance(row, tuple)
+        and len(row) == 2 + n_ohm
+        and all(isinstance(bus, str) for bus in row[:2])
+        and all(finite(ohm, 0.0) for ohm in row[2:])
+        for row in rows
+    )

@@ -82,12 +82,21 @@ FAMILIES = (
                 "An inverter or a capacitor is lost during the episode, and a data centre disconnects and "
                 "reconnects. The remaining agents have to compensate."
             ),
+            "wrong-model": (
+                "The given model of the feeder has four switches in other positions than the feeder, wrong resistances "
+                "and wrong reactances, and nobody meters the other loads. Controllers that plan with this model act "
+                "on the wrong buses; a policy can learn the true effect of its actions."
+            ),
+            "late-measurements": (
+                "Voltages are noisy and five seconds old, solar power changes with passing clouds, and the model is "
+                "wrong. Agents observe their neighbours' voltages and have to infer what the present ones are."
+            ),
             "robust": (
                 "Measurements are noisy and late, the demand of the next step is unknown, and the given "
                 "sensitivities are wrong. Use it to test controllers that rely on a model."
             ),
         },
-        ("traces", "scenarios", "flicker-and-ramps"),
+        ("tasks", "traces", "scenarios", "flicker-and-ramps"),
     ),
     Family(
         "Three phases",

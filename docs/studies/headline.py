@@ -1,7 +1,7 @@
 """Print the README's table of results from the benchmark's data files and the policies' cards.
 
 `python -m docs.studies.headline` prints that; with the word `results` it prints the table of docs/results.md, from the
-data files alone.
+data files alone, and with the word `tasks` the table of docs/tasks.md.
 """
 
 import sys
@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "extensions"))
-from headroom import controllers, hindsight, saved  # pyright: ignore[reportMissingImports]
+from headroom import best_policy, controllers, hindsight, saved  # pyright: ignore[reportMissingImports]
 
 from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card
-from dcgrid_env.agents.policy.policy import FOLDER
+from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 from dcgrid_env.baselines.score import REFERENCE
 
-SHOWN = ("ieee123", "ieee33-weak", "bursty", "mixed", "ieee34-3ph", "routing")
+SHOWN = ("ieee33-weak", "bursty", "mixed", "wrong-model", "late-measurements", "ieee34-3ph", "routing")
+TASKS = ("wrong-model", "late-measurements", "routing", "smoothing", "ride-through", "ieee123-3ph-day")
 BY_MODEL = {"model-aided": "model-aided", "mpc-one-step": "one-step MPC"}
 BY_HAND = ("constant-q-tuned", "placement-tuned", "model-aided", "feedback", "mpc-one-step", "mpc")
 LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic", "cem": "CEM"}
@@ -67,6 +68,24 @@ def results() -> str:
     return "\n".join(lines)
 
 
+def tasks() -> str:
+    """The table of docs/tasks.md, as Markdown: mean J of controllers on the tasks in which learning wins."""
+    heads = ["task", "droop-tuned", *BY_MODEL, "best without training", "best policy", "best J possible", "headroom, %"]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for preset in TASKS:
+        figures, (is_best_known, best) = controllers(preset), hindsight(preset)
+        droop = figures[REFERENCE].means["J"]
+        cells = [f"`{preset}`", f"{droop:.4f}"]
+        cells += [f"{figures[name].means['J']:.4f}" if name in figures else "–" for name in BY_MODEL]
+        untrained = min((name for name in figures if name not in SHIPPED), key=lambda name: figures[name].means["J"])
+        cells.append(f"{figures[untrained].means['J']:.4f} (`{untrained}`)")
+        policy, scored = best_policy(preset)
+        cells.append(f"{scored.J:.4f} (`{policy}`)")
+        cells += [f"{best:.4f}" + " (best known)" * is_best_known, saved(best, droop)]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def table() -> str:
     """The table, as Markdown."""
     heads = ["scenario", "tuned droop: J", "headroom", *BY_MODEL.values(), *LEARNED.values()]
@@ -81,4 +100,4 @@ def table() -> str:
 
 
 if __name__ == "__main__":
-    print(results() if sys.argv[1:] == ["results"] else table())
+    print({"results": results, "tasks": tasks}.get("".join(sys.argv[1:]), table)())

@@ -21,10 +21,10 @@ SHOWN = {"none": "no control", "droop": "droop law", "analytic": "trained policy
 
 def chart(path: str) -> None:
     """Write the chart of scores with their intervals, from the cards of bundled policies and the benchmark."""
-    figure = Figure(figsize=(7.2, 4.2), dpi=110, layout="constrained")
+    figure = Figure(figsize=(8.6, 4.2), dpi=110, layout="constrained")
     ax = figure.subplots()
     methods = BY_MODEL | LEARNED
-    colours = ("#666666", "#1A1A1A", "#D55E00", "#0072B2", "#009E73")
+    colours = ("#666666", "#1A1A1A", "#D55E00", "#0072B2", "#009E73", "#CC79A7")
     for i, ((name, label), colour) in enumerate(zip(methods.items(), colours, strict=True)):
         scored = {preset: interval(preset, name) for preset in PRESETS}
         found = [(place, score) for place, score in enumerate(scored.values()) if score is not None]
@@ -37,12 +37,12 @@ def chart(path: str) -> None:
         ax.axhline(level, color="#888888", linewidth=0.9, linestyle="--")
         ax.annotate(text, (1.0, level), xycoords=("axes fraction", "data"), xytext=(3, 0), textcoords="offset points",
                     va="center", fontsize=8.5, color="#555555")  # fmt: skip
-    ax.set_xticks(range(len(PRESETS)), PRESETS, fontsize=9.5)
+    ax.set_xticks(range(len(PRESETS)), [preset.replace("-", "-\n", 1) for preset in PRESETS], fontsize=9)
     ax.set_ylabel("score (95 % interval)", fontsize=10.5)
     ax.set_ylim(-0.25, 1.12)
     ax.grid(axis="y", alpha=0.25, linewidth=0.6)
     ax.spines[["top", "right"]].set_visible(False)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 1.13), ncols=5, frameon=False, fontsize=9, columnspacing=1.0,
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, 1.13), ncols=6, frameon=False, fontsize=9, columnspacing=1.0,
               handletextpad=0.2)  # fmt: skip
     figure.savefig(path)
 

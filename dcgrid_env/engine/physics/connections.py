@@ -67,7 +67,7 @@ def own_distance(scenario: Scenario) -> np.ndarray:
     large three-phase feeder they are 0 at buses where the agent cannot be placed.
     """
     if isinstance(scenario.feeder, Feeder):
-        distances = np.stack(own_sensitivity(scenario.model), axis=-1)
+        distances = np.stack(own_sensitivity(scenario.model), axis=-1)[scenario.model_position]
         return np.broadcast_to(distances, (scenario.n_agents, *distances.shape))
     nodes = nodes_by_bus(scenario)
     if scenario.feeder.n_node > DENSE_MOST:
@@ -117,7 +117,8 @@ def believed_sensitivity(scenario: Scenario) -> Sensitivity:
     the one by reactive power. P.u. per MW and per Mvar, (n_node, n_node).
     """
     if isinstance(scenario.feeder, Feeder):
-        return sensitivity(scenario.model)
+        in_order = np.ix_(scenario.model_position, scenario.model_position)
+        return Sensitivity(*(matrix[in_order] for matrix in sensitivity(scenario.model)))
     by_p, by_q = true_sensitivity(scenario)
     return Sensitivity(scenario.sensing.r_model_share * by_p, scenario.sensing.x_model_share * by_q)
 
@@ -150,7 +151,8 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
         P.u. per MW and per Mvar, (row, n_agent, n_node).
     """
     if isinstance(scenario.feeder, Feeder):
-        return _by_buses(scenario.model, buses)
+        position = scenario.model_position
+        return Sensitivity(*(rows[..., position] for rows in _by_buses(scenario.model, position[buses])))
     believed = believed_sensitivity(scenario)
     nodes = agent_nodes(scenario, buses)
     return Sensitivity(*(np.moveaxis(matrix[:, nodes].mean(-1), 0, -1) for matrix in believed))
@@ -213,7 +215,7 @@ def between_agents(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
     """
     if not _is_large(scenario.feeder):
         return between_buses(scenario)[buses[:, :, None], buses[:, None, :]]
-    feeder = scenario.model
+    feeder, buses = scenario.model, scenario.model_position[buses]
     ratio = 1.0 if feeder.voltage_ratio is None else feeder.voltage_ratio
     of_buses = [(values / ratio)[buses] for values in own_sensitivity(feeder)]
     by_agent = (_at_agents(rows / ratio, buses) for rows in _by_buses(feeder, buses))

@@ -54,6 +54,8 @@ TABLE = {
     "mixed": ("ieee33", 1.05, 4, 600.0, 1.02, ENDS, I33, 1500.0, "mixed", 0.05, 120),
     "fault": ("ieee123", 1.04375, 5, 280.0, 1.1, None, I123, 150.0, "inference", 0.05, 120),
     "robust": ("ieee33", 1.05, 4, 600.0, 1.02, ENDS, I33, 500.0, "inference", 0.05, 120),
+    "wrong-model": ("ieee33", 1.05, 4, 1000.0, 1.02, ENDS, I33, 300.0, "code", 0.2, 120),
+    "late-measurements": ("ieee33", 1.05, 4, 600.0, 1.02, ENDS, I33, 1500.0, "mixed", 0.05, 120),
     "scale-32": (
         "khodr141", 1.05, 32, 500.0, 1.02, None, (10, 32, 40, 52, 60, 75, 100, 120), 600.0, "inference", 0.05, 60,
     ),
@@ -178,6 +180,27 @@ BEYOND = {
         "sensing.r_model_share": 0.8,
         "sensing.x_model_share": 1.2,
     },
+    "wrong-model": {
+        "workload.site_correlation": 1.0,
+        "sensing.r_model_share": 0.8,
+        "sensing.x_model_share": 1.2,
+        "sensing.model_open": (("7", "8"), ("9", "10"), ("14", "15"), ("32", "33")),
+        "sensing.model_closed": (
+            ("8", "21", 2.0, 2.0),
+            ("9", "15", 2.0, 2.0),
+            ("12", "22", 2.0, 2.0),
+            ("18", "33", 0.5, 0.5),
+        ),
+    },
+    "late-measurements": {
+        "inverters.injection": "pv",
+        "sensing.noise_pu": 0.005,
+        "sensing.delay_steps": 5,
+        "sensing.observe": "neighbours",
+        "sensing.preview": False,
+        "sensing.r_model_share": 0.8,
+        "sensing.x_model_share": 1.2,
+    },
 }
 COMMON = {
     "background.capacitors": True, "datacenters.idle_share": 0.23, "datacenters.f_min_mhz": 210.0,
@@ -191,7 +214,7 @@ COMMON = {
     "cost.voltage": "l1", "cost.reference": "nominal", "cost.reward": "shared",
     "grid_control.regulator_settings.timer": "integrating", OFFSETS: 0.0,
     "sensing.observe": "local", "sensing.preview": True, "sensing.r_model_share": 1.0,
-    "sensing.x_model_share": 1.0,
+    "sensing.x_model_share": 1.0, "sensing.model_open": (), "sensing.model_closed": (),
 }  # fmt: skip
 
 
