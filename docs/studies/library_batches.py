@@ -20,7 +20,7 @@ VALIDATION_EPISODES, EVALUATIONS = 32, 15
 
 
 def example(name: str) -> SimpleNamespace:
-    """Return the contents of a script of docs/examples, which is no package."""
+    """Run a script of docs/examples and return its contents."""
     return SimpleNamespace(**run_path(str(Path(__file__).parents[1] / "examples" / f"{name}.py")))
 
 

@@ -30,7 +30,7 @@ def is_three_phase(folder: Path) -> bool:
 def write_files(folder: Path, tables: Mapping[str, str], head: str) -> None:
     """Write the tables and ``feeder.toml`` of a feeder; tables of an earlier feeder in the folder are deleted.
 
-    Without ``feeder.toml`` a folder is no feeder, so it is deleted first and written last.
+    ``feeder.toml`` makes a folder a feeder, so it is deleted first and written last.
     """
     feeder_file = folder / "feeder.toml"
     if feeder_file.exists():
