@@ -36,7 +36,7 @@ class JointEpisode:
     truncations: np.ndarray
     """(T,), bool; the horizon is reached."""
     infos: Mapping[str, np.ndarray]
-    """Every figure of ``info``, (T + 1,) each, float64; ``reward_vector`` of a difference reward is (T + 1, n_action)."""
+    """Every figure of ``info``, (T + 1,) each, float64. Difference rewards add ``reward_vector``, (T + 1, n_action)."""
     buses: Mapping[str, str]
     """Bus of each agent."""
 

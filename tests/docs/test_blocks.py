@@ -127,6 +127,8 @@ ELSEWHERE = {
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "python docs/examples/cleanrl_ppo.py": "tests/docs/test_examples.py",
     "python docs/examples/offline_awr.py": "tests/docs/test_examples.py",
+    "python docs/examples/offline_d3rlpy.py": "tests/docs/test_frameworks.py",
+    "python docs/examples/constrained_ppo.py": "tests/docs/test_examples.py",
     "python docs/examples/torchrl_pettingzoo.py": "tests/docs/test_frameworks.py",
     "python docs/examples/rllib_multi_agent.py": "tests/docs/test_frameworks.py",
     "python docs/examples/rllib_native_batch.py": "tests/docs/test_frameworks.py",
