@@ -31,7 +31,7 @@ import tyro
 from d3rlpy.algos import BCConfig, CQLConfig, IQLConfig, TD3PlusBCConfig
 from d3rlpy.dataset import MDPDataset
 from d3rlpy.models import VectorEncoderFactory
-from d3rlpy.preprocessing import StandardObservationScaler, StandardRewardScaler
+from d3rlpy.preprocessing import ClipRewardScaler, StandardObservationScaler, StandardRewardScaler
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents import Network, Policy, evaluate, find_controller
@@ -85,14 +85,17 @@ BALANCE = {"cql": "conservative_weight", "iql": "weight_temp", "td3-bc": "alpha"
 """The setting of each algorithm that balances the learned values against the actions in the data."""
 
 
-def learner(algorithm: Algorithm, gamma: float, batch: int, width: int, rate: float, balance: float | None) -> Any:
-    """Return an algorithm of d3rlpy with two hidden layers; other settings are its defaults."""
-    encoder = VectorEncoderFactory([width, width])
-    common: dict[str, Any] = {"batch_size": batch, "observation_scaler": StandardObservationScaler()}
+def learner(algorithm: Algorithm, reward: Reward, rate: float, balance: float | None, **common: Any) -> Any:
+    """Return an algorithm of d3rlpy with its default settings except for these.
+
+    Difference rewards are clipped to [-1, 1], because a few steps with violations have far larger ones than the others.
+    """
+    encoder = common.pop("encoder")
+    common["observation_scaler"] = StandardObservationScaler()
     if algorithm == "bc":
         return BCConfig(learning_rate=rate, encoder_factory=encoder, **common).create()
     kinds: dict[str, Any] = {"cql": CQLConfig, "iql": IQLConfig, "td3-bc": TD3PlusBCConfig}
-    common |= {"gamma": gamma, "reward_scaler": StandardRewardScaler()}
+    common["reward_scaler"] = ClipRewardScaler(-1.0, 1.0) if reward == "difference" else StandardRewardScaler()
     common |= {"actor_learning_rate": rate, "critic_learning_rate": rate}
     common |= {"actor_encoder_factory": encoder, "critic_encoder_factory": encoder}
     if algorithm == "iql":
@@ -164,10 +167,11 @@ def main(
     d3rlpy.seed(seed)
     data = Data(dataset, reward)
     gamma = (0.0 if reward == "difference" else 0.9) if gamma is None else gamma
+    quiet: dict[str, Any] = {"logger_adapter": d3rlpy.logging.NoopAdapterFactory(), "show_progress": False}
+    common: dict[str, Any] = {"batch_size": batch, "gamma": gamma, "encoder": VectorEncoderFactory([width, width])}
     networks = {}
     for kind in data.agents:
-        model = learner(algorithm, gamma, batch, width, learning_rate, balance)
-        quiet: dict[str, Any] = {"logger_adapter": d3rlpy.logging.NoopAdapterFactory(), "show_progress": False}
+        model = learner(algorithm, reward, learning_rate, balance, **common)
         model.fit(data.of_kind(kind), n_steps=steps, n_steps_per_epoch=steps, **quiet)
         networks[kind] = exported(model)
     spent_s = time.process_time() - began_cpu

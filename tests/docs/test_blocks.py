@@ -69,7 +69,7 @@ SHORTER = {
     "dcgrid capacity": {"--samples": "2", "--window-s": "24", "--buses": "18", "--workers": "1"},
     "dcgrid capacity --feeder ieee123-3ph": {"--samples": "2", "--window-s": "24", "--workers": "1"},
     "python -m docs.studies random-feeders": {"--draws": "2", "--n-bus": "20"},
-    "dcgrid dataset": {"--episodes": "2"},
+    "dcgrid dataset": {"--episodes": "3"},
     "dcgrid list": {},
     "python -m docs.studies.picture": {},
     "python -m docs.studies.agents": {},
