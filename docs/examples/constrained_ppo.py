@@ -8,8 +8,8 @@ VecEnv change the reward, and PPO does not know about the constraint:
   is (return - multiplier * cost) / (1 + multiplier). After each rollout the multiplier increases if the mean cost of an
   episode is above the budget and decreases if it is below. The constraint holds on average over episodes.
 - Saute (A. Sootla et al., "Saute RL: almost surely safe reinforcement learning using state augmentation", ICML 2022):
-  the remaining share of the budget is observed, and once it is negative each step has a fixed penalty as its reward.
-  The constraint is for every episode.
+  the remaining share of the budget is observed. Once it is negative, each step has a fixed penalty as its reward. The
+  constraint is for every episode.
 
     python docs/examples/constrained_ppo.py --method lagrangian --budget 0.02
 """
@@ -253,7 +253,7 @@ def main(
     tested = VecNormalize(testing, training=False, norm_reward=False)
     tested.obs_rms = envs.obs_rms
     tested.seed(0)
-    observations, done = tested.reset(), np.zeros(1, bool)
+    done, observations = np.zeros(1, bool), tested.reset()
     while not done.all():
         actions, _ = model.predict(observations, deterministic=True)
         observations, _, done, _ = tested.step(actions)

@@ -98,6 +98,7 @@ def test_constrained_returns_are_those_without_a_weight_of_the_violation():
     wrapped.multiplier = 3.0
     wrapped.reset()
     without.reset()
+    j = []
     for action in actions:
         paid, infos = wrapped.step(action)[1::2]
         free = without.step(action)[1]
@@ -122,7 +123,7 @@ def test_saute_observes_what_is_left_of_the_budget_and_pays_a_penalty_without():
     budget = float(costs[:2].sum(axis=0).max()) / 4 + 1e-9  # spent in the third step
     rows, _ = constrained_rows()
     saute = constrained.Saute(rows, budget, penalty=7.0)
-    observation = saute.reset()
+    observation, left, infos = saute.reset(), np.zeros(0), []
     assert observation.shape[1:] == saute.observation_space.shape
     assert (observation[:, -1] == 1.0).all()
     for t, action in enumerate(actions):
