@@ -64,7 +64,7 @@ class Constrained(VecEnvWrapper):
         paid = np.repeat(self.paid(free, cost), each).astype(np.float32)
         for row, info in enumerate(infos):
             info["cost"] = float(cost[row // each])
-        arrived = {row: infos[row]["terminal_observation"] for row in np.flatnonzero(done)}
+        arrived = {row: infos[row]["terminal_observation"] for row in np.flatnonzero(done).tolist()}
         for row, last in arrived.items():
             infos[row]["terminal_observation"] = self.observed(last, row)
         over = done[::each]
@@ -72,7 +72,7 @@ class Constrained(VecEnvWrapper):
         self.sums[over] = 0.0
         return self.observed(observation), paid, done, infos
 
-    def observed(self, observation: np.ndarray, row: int | None = None) -> np.ndarray:
+    def observed(self, observation: Any, row: int | None = None) -> np.ndarray:
         """Return what the policy observes in all rows, or in one."""
         return observation
 
@@ -116,7 +116,7 @@ class Saute(Constrained):
         """Remaining share of each environment's budget, at least -1, (env,)."""
         return np.maximum(1.0 - self.sums[:, 1] / (self.horizon * self.budget), -1.0)
 
-    def observed(self, observation: np.ndarray, row: int | None = None) -> np.ndarray:
+    def observed(self, observation: Any, row: int | None = None) -> np.ndarray:
         """Return the observation with the remaining share."""
         if row is not None:
             return np.append(observation, self.left[row // self.rows.rows_per_env]).astype(np.float32)
@@ -169,7 +169,8 @@ class Result(NamedTuple):
 
 def result(episodes: np.ndarray, budget: float) -> Result:
     """Return the means of returns and costs, (episode, 2)."""
-    return Result(*episodes.mean(axis=0).tolist(), float((episodes[:, 1] > budget).mean()))
+    free, cost = episodes.mean(axis=0).tolist()
+    return Result(free, cost, float((episodes[:, 1] > budget).mean()))
 
 
 def of_controller(name: str, scenario: str, episodes: int, budget: float) -> Result:
@@ -253,7 +254,8 @@ def main(
     tested = VecNormalize(testing, training=False, norm_reward=False)
     tested.obs_rms = envs.obs_rms
     tested.seed(0)
-    done, observations = np.zeros(1, bool), tested.reset()
+    observations: Any = tested.reset()
+    done = np.zeros(1, bool)
     while not done.all():
         actions, _ = model.predict(observations, deterministic=True)
         observations, _, done, _ = tested.step(actions)
