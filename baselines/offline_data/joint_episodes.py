@@ -27,14 +27,16 @@ class JointEpisode:
     """(T + 1, n_observation), float32."""
     actions: np.ndarray
     """(T, n_action), float32, in [-1, 1]."""
+    controller: str
+    """Name of the controller."""
     rewards: np.ndarray
-    """The team's reward, (T,), float64."""
+    """The team's reward, or the sum over the agents of a difference reward, (T,), float64."""
     terminations: np.ndarray
     """(T,), bool; the power flow has no solution."""
     truncations: np.ndarray
     """(T,), bool; the horizon is reached."""
     infos: Mapping[str, np.ndarray]
-    """Every figure of ``info``, (T + 1,) each, float64."""
+    """Every figure of ``info``, (T + 1,) each, float64. Difference rewards add ``reward_vector``, (T + 1, n_action)."""
     buses: Mapping[str, str]
     """Bus of each agent."""
 
@@ -69,7 +71,7 @@ def joint_episodes(
     on_step
         Called after each step.
     name
-        What errors call the controller.
+        Name of the controller, also in errors. Default: that of its class.
 
     Raises
     ------
@@ -79,9 +81,10 @@ def joint_episodes(
         See ``rollout``.
     """
     needed = as_driven(scenario, controller).sensing.observe
+    name = type(controller).__name__ if name is None else name
     if needed != scenario.sensing.observe:
         raise ValueError(
-            f"controller {name or type(controller).__name__!r} observes {needed!r}, and the episodes would hold "
+            f"controller {name!r} observes {needed!r}, and the episodes would hold "
             f"{scenario.sensing.observe!r}; set the scenario's field observe to {needed!r}"
         )
     episodes: dict[int, JointEpisode] = {}
@@ -98,7 +101,7 @@ def _driven(
     driver: Behaviour,
     seeds: Sequence[int],
     on_step: Callable[[], None] | None,
-    name: str | None,
+    name: str,
 ) -> Iterator[JointEpisode]:
     """Run the environments until the last of them has ended, and give the episode of each."""
     steps = transitions(scenario, driver, seeds, name)
@@ -111,14 +114,18 @@ def _driven(
         if on_step is not None:
             on_step()
     steps.close()
-    observed, rewards = np.stack([t.observation for t in passed]), np.stack([t.reward for t in passed])
+    observed = np.stack([t.observation for t in passed])
+    rewards = np.stack([t.reward if t.reward.ndim == 1 else t.reward.sum(-1) for t in passed])
     terminated, truncated = np.stack([t.terminated for t in passed]), np.stack([t.truncated for t in passed])
     figures = [info_arrays(scenario, transition) for transition in passed]
     infos = {key: np.stack([row[key] for row in figures]) for key in figures[0]}
+    if scenario.cost.reward == "difference":
+        infos["reward_vector"] = np.stack([t.reward_vector for t in passed])
     actions, bus_ids = np.stack(driver.actions), scenario.feeder.bus_ids
     for env_index, (seed, n) in enumerate(zip(seeds, lengths.tolist(), strict=True)):
         yield JointEpisode(
             seed=seed,
+            controller=name,
             observations=observed[: n + 1, env_index].copy(),
             actions=actions[:n, env_index].copy(),
             rewards=rewards[1 : n + 1, env_index].copy(),

@@ -6,6 +6,7 @@ docs/decisions/0020-offline-data.md.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
 import re
@@ -127,7 +128,7 @@ class DatasetWriter:
         spec = env_spec(scenario)
         env = gymnasium.make(spec)
         data = folder / "data"
-        self._scenario, self._folder = scenario, folder
+        self._scenario, self._folder, self._digest = scenario, folder, hashlib.sha256()
         self._storage = storage.MinariStorage.new(data, env.observation_space, env.action_space, spec, "hdf5")
         env.close()
         self._storage.update_metadata(
@@ -149,6 +150,9 @@ class DatasetWriter:
         # HDF5 ends the process where it cannot write.
         require_space(self._folder, BYTES_OF_EPISODE * len(episodes) + 2 * _bytes_of(episodes), self._size)
         self._storage.update_episodes(map(self._as_buffer, episodes))
+        for episode in episodes:
+            for array in (np.int64(episode.seed), episode.observations, episode.actions, episode.rewards):
+                self._digest.update(array.tobytes())
         about = [self._about(episode) for episode in episodes]
         self._storage.update_episode_metadata(about, range(first, first + len(episodes)))
 
@@ -171,11 +175,15 @@ class DatasetWriter:
     def _about(self, episode: JointEpisode) -> dict[str, Any]:
         """Minari's metadata of an episode, which is stored in addition to its steps."""
         buses = {f"buses/{agent}": bus for agent, bus in episode.buses.items()}
-        return {"J": episode.J, "episode_hash": episode_hash(self._scenario, episode.seed), **buses}
+        about = {"J": episode.J, "controller": episode.controller}
+        return about | {"episode_hash": episode_hash(self._scenario, episode.seed), **buses}
 
     def describe(self, card: Mapping[str, Any]) -> None:
-        """Write the card. ValueError for a NaN in it."""
-        write_json(self._folder / CARD, card)
+        """Write the card with ``sha256``, the digest of seeds, observations, actions and rewards.
+
+        ValueError for a NaN in it.
+        """
+        write_json(self._folder / CARD, {**card, "sha256": self._digest.hexdigest()})
 
 
 def _bytes_of(episodes: Sequence[JointEpisode]) -> int:

@@ -43,10 +43,10 @@ class Dataset(OverWorkers):
     controller: str = DROOP
     """Controller of the episodes: a controller or policy (dcgrid list), your class (file.py:Class), a training run's
     folder, a policy file (.safetensors), random (uniform actions) or hindsight (the perfect-foresight plan of each
-    episode)."""
+    episode). Several, separated by commas, control the episodes in turn."""
     noise: float = 0.0
     """Standard deviation of Gaussian noise on the actions, which range from -1 to 1. For example, 0.2 adds actions that
-    the controller would not choose."""
+    the controller would not choose. Random actions have no noise."""
     episodes: int = 100
     """Number of episodes, with seeds SEED, SEED + 1, ..."""
     seed: int = 0
@@ -62,6 +62,11 @@ class Dataset(OverWorkers):
     """Name of the data set, whose id is dcgrid/SCENARIO/NAME-v0. Default: built from controller, noise and split."""
     out: Path | None = None
     """Root folder of Minari data sets. Default: $MINARI_DATASETS_PATH if set, otherwise results/datasets."""
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Names of the controllers, in the order of their episodes."""
+        return tuple(self.controller.split(","))
 
     def run(self) -> None:
         """Run and write; raise ValueError before writing if a setting is invalid."""
@@ -87,7 +92,7 @@ class Dataset(OverWorkers):
         mean, droop = f"mean J {card['J']['mean']:.4f}", card["J_droop_tuned"]
         beside = "" if droop is None else f" (tuned droop on the same episodes: {droop:.4f})"
         say(console, f"{name}: {self.episodes} episodes of the {self.split} split, {mean}{beside}")
-        for line in tuned_from([self.controller], scenario, self.tuned):
+        for line in tuned_from(self.controllers, scenario, self.tuned):
             console.print(line)
         say(console, f"wrote {root / name}, with its card {CARD}")
         say(console, f"to load it: set MINARI_DATASETS_PATH={root.absolute()}, then call minari.load_dataset({name!r})")
@@ -105,8 +110,17 @@ def _check(cfg: Dataset) -> None:
         )
     if not cfg.noise <= 2.0:
         raise ValueError(f"noise: must be at most 2, the width of the action range, got {cfg.noise}")
-    if cfg.controller == RANDOM and cfg.noise:
+    if set(cfg.controllers) == {RANDOM} and cfg.noise:
         raise ValueError(f"noise: must be 0 with random actions, got {cfg.noise}; remove --noise")
+    if "" in cfg.controllers or len(set(cfg.controllers)) < len(cfg.controllers):
+        raise ValueError(
+            f"controller: must be different names separated by commas, got {cfg.controller!r}; name each one once"
+        )
+    if cfg.episodes < len(cfg.controllers):
+        raise ValueError(
+            f"episodes: must be at least the number of controllers, {len(cfg.controllers)}, got {cfg.episodes}; "
+            "raise --episodes or name fewer controllers"
+        )
     require_tuned(cfg.tuned)
     require_minari()
 
@@ -116,7 +130,7 @@ def _name(cfg: Dataset) -> str:
     from dcgrid_env.baselines.file_names import file_name
 
     noise = f"-noise-{cfg.noise:g}".replace(".", "_") if cfg.noise else ""
-    return file_name(cfg.controller) + noise + ("" if cfg.split == SPLITS[0] else f"-{cfg.split}")
+    return "-and-".join(map(file_name, cfg.controllers)) + noise + ("" if cfg.split == SPLITS[0] else f"-{cfg.split}")
 
 
 def _behaviour(cfg: Dataset) -> str:
@@ -124,17 +138,26 @@ def _behaviour(cfg: Dataset) -> str:
 
 
 def _episodes(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, place: Place) -> Iterator[list[JointEpisode]]:
-    """Run the episodes in batches."""
+    """Run the episodes in batches, each episode under the controller whose turn it is."""
     from dcgrid_env.baselines.offline_data.joint_episodes import joint_episodes
     from dcgrid_env.baselines.offline_data.minari_writer import batches
 
-    chosen: dict[str, Any] = {"noise": cfg.noise, "behaviour_seed": cfg.behaviour_seed, "name": cfg.controller}
+    names = cfg.controllers
     for seeds in batches(range(cfg.seed, cfg.seed + cfg.episodes), scenario.horizon):
-        yield joint_episodes(scenario, _controller(cfg, spec, scenario, seeds, place), seeds, **chosen)
+        found: dict[int, JointEpisode] = {}
+        for turn, name in enumerate(names):
+            if members := [seed for seed in seeds if (seed - cfg.seed) % len(names) == turn]:
+                controller = _controller(cfg, name, spec, scenario, members, place)
+                noise = 0.0 if name == RANDOM else cfg.noise
+                chosen: dict[str, Any] = {"noise": noise, "behaviour_seed": cfg.behaviour_seed, "name": name}
+                found |= zip(members, joint_episodes(scenario, controller, members, **chosen), strict=True)
+        yield [found[seed] for seed in seeds]
 
 
-def _controller(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, seeds: Sequence[int], place: Place) -> Controller:
-    """Return the controller for the episodes of these seeds."""
+def _controller(
+    cfg: Dataset, name: str, spec: ScenarioSpec, scenario: Scenario, seeds: Sequence[int], place: Place
+) -> Controller:
+    """Return the controller of this name for the episodes of these seeds."""
     import numpy as np
 
     from dcgrid_env.agents import find_controller
@@ -142,10 +165,10 @@ def _controller(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, seeds: Seq
     from dcgrid_env.baselines.offline_data.behaviour import Planned, RandomActions
     from dcgrid_env.core.work.unit import Unit
 
-    if cfg.controller == RANDOM:
+    if name == RANDOM:
         return RandomActions(seeds, cfg.behaviour_seed)
-    if cfg.controller != HINDSIGHT:
-        return find_controller(cfg.controller, scenario, cfg.tuned)
+    if name != HINDSIGHT:
+        return find_controller(name, scenario, cfg.tuned)
     plans: dict[int, np.ndarray] = {}
     units = [Unit(f"plan of seed {seed}", partial(_planned, spec, cfg.split), seed) for seed in seeds]
     for unit, plan in place.results(units, carried(place, [spec.where]), how_to_go_on=""):
@@ -203,7 +226,7 @@ def _score(cfg: Dataset, scenario: Scenario) -> dict[str, Any]:
         return {"score": None, "score_why": "with noise it was scored nowhere"}
     if known is not None:
         return {"score": known, "score_why": "by definition"}
-    scored = None if cfg.controller == RANDOM else _scored(cfg, scenario)
+    scored = None if len(cfg.controllers) > 1 or cfg.controller == RANDOM else _scored(cfg, scenario)
     if scored is None:
         return {"score": None, "score_why": "no card says it"}
     return {

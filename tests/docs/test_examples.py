@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dcgrid_env import make_scenario
-from dcgrid_env.agents import Card, Policy, find_controller
+from dcgrid_env.agents import Card, Policy, find_controller, sb3_vec_env
 from dcgrid_env.baselines import rollout
 from dcgrid_env.cli.main import main as dcgrid
 from helpers.places import ROOT
@@ -79,6 +79,83 @@ def test_unmodified_sb3_beats_the_droop_with_difference_rewards(tmp_path, capsys
     assert printed_figures(capsys)[1:] == pytest.approx([after, droop], abs=0.00006)
     assert after < droop - 0.03
     assert {path.name for path in (tmp_path / "made").iterdir()} == {"model.zip", "model.pkl"}
+
+
+def constrained_rows(**fields):
+    """Rows with violations in every episode, and actions of an episode of 4 steps."""
+    common = {"view": "shared", "horizon": 4, "source_voltage_pu": 0.95}
+    rows = sb3_vec_env("ieee33-weak", 2, **common, **fields)
+    rows.end_as_it_arises = True
+    rows.seed(0)
+    return rows, np.random.default_rng(0).uniform(-0.3, 0.3, (4, rows.num_envs, 2)).astype(np.float32)
+
+
+def test_constrained_returns_are_those_without_a_weight_of_the_violation():
+    constrained = example("constrained_ppo")
+    rows, actions = constrained_rows()
+    without, _ = constrained_rows(weights={"violation": 0.0})
+    wrapped = constrained.Lagrangian(rows)
+    wrapped.multiplier = 3.0
+    wrapped.reset()
+    without.reset()
+    j = []
+    for action in actions:
+        paid, infos = wrapped.step(action)[1::2]
+        free = without.step(action)[1]
+        cost = np.array([info["cost"] for info in infos])
+        assert cost.min() > 0.0
+        np.testing.assert_allclose(paid, (free - 3.0 * cost) / 4.0, rtol=1e-4)
+        j = [info.get("J") for info in infos[:: rows.rows_per_env]]
+    returns, costs = np.array(wrapped.ended).T
+    np.testing.assert_allclose(costs - returns, j, rtol=1e-6)
+    update = constrained.MultiplierUpdate(wrapped, budget=costs.mean() / 1.5, rate=0.2)
+    update._on_rollout_end()  # 50 % above the budget
+    assert wrapped.multiplier == pytest.approx(3.0 * np.exp(0.2 * 0.5))
+    assert wrapped.ended == []
+
+
+def test_saute_observes_what_is_left_of_the_budget_and_pays_a_penalty_without():
+    constrained = example("constrained_ppo")
+    rows, actions = constrained_rows()
+    plain = constrained.Constrained(rows)
+    plain.reset()
+    costs = np.array([[info["cost"] for info in plain.step(action)[3]] for action in actions])
+    budget = float(costs[:2].sum(axis=0).max()) / 4 + 1e-9  # spent in the third step
+    rows, _ = constrained_rows()
+    saute = constrained.Saute(rows, budget, penalty=7.0)
+    observation, left, infos = saute.reset(), np.zeros(0), []
+    assert observation.shape[1:] == saute.observation_space.shape
+    assert (observation[:, -1] == 1.0).all()
+    for t, action in enumerate(actions):
+        observation, paid, done, infos = saute.step(action)
+        left = np.maximum(1.0 - costs[: t + 1].sum(axis=0) / (4 * budget), -1.0)
+        if not done.all():
+            np.testing.assert_allclose(observation[:, -1], left, atol=1e-5)
+        assert ((paid == -7.0) == (left < 0.0)).all()
+    np.testing.assert_allclose([info["terminal_observation"][-1] for info in infos], left, atol=1e-5)
+    assert (observation[:, -1] == 1.0).all()  # of the next episode
+    assert (left < 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_thread")
+@pytest.mark.parametrize("method", ["lagrangian", "saute", "none"])
+def test_constrained_ppo(method, tmp_path, capsys):
+    constrained = example("constrained_ppo")
+    small = {"steps": 240, "num_envs": 2, "episodes": 2, "save": tmp_path / "made" / "model.zip"}
+    found = constrained.main(method=method, **small)
+    printed = capsys.readouterr().out.splitlines()
+    assert (
+        printed[-1]
+        == f"{method}: return {found.free:.3f}, cost {found.cost:.4f}, {found.over:.2f} of episodes over budget"
+    )
+    assert {path.name for path in (tmp_path / "made").iterdir()} == {"model.zip", "model.pkl"}
+    test = make_scenario("ieee33-weak", split="test")
+    droop = rollout(test, find_controller("droop-tuned", test), range(2)).costs().mean()
+    free, cost = map(float, re.findall(r"-?\d+\.\d{3,}", printed[0]))
+    assert cost - free == pytest.approx(droop, abs=1e-3)
+    with pytest.raises(ValueError, match="budget: must be positive"):
+        constrained.main(budget=0.0)
 
 
 @pytest.mark.usefixtures("one_thread")

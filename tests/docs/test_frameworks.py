@@ -357,3 +357,40 @@ assert abs(found - slope[i, j]) < 1e-4 * abs(found), (found, slope[i, j])
 print("checked")
 """
     assert run("-c", code, EXAMPLES, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    importlib.util.find_spec("d3rlpy") is None, reason="d3rlpy not installed; see docs/examples/README.md"
+)
+def test_d3rlpy_example_and_its_policies_without_torch(tmp_path):
+    code = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import numpy as np
+import offline_d3rlpy as example
+from dcgrid_env.agents import Policy
+from dcgrid_env.cli.main import main as dcgrid
+
+dcgrid("dataset --controller droop,random --noise 0.1 --episodes 4 --set reward=difference horizon=12".split())
+name = "dcgrid/ieee33-weak/droop-and-random-noise-0_1-v0"
+models = []
+exported = example.exported
+example.exported = lambda model: models.append(model) or exported(model)
+small = {"steps": 3, "batch": 8, "episodes": 2}
+data = example.Data(name, "difference")
+for algorithm in ("bc", "cql", "iql", "td3-bc"):
+    example.main(name, algorithm, "team", **small)
+    example.main(name, algorithm, save=example.Path("made"), **small)
+    policy = Policy.load("made.safetensors")
+    for kind, model in zip(data.agents, models[-2:], strict=True):
+        seen = data.of_kind(kind).episodes[0].observations
+        np.testing.assert_allclose(policy.networks[kind](seen), model.predict(seen), atol=1e-5)
+dcgrid("dataset --controller droop --episodes 1 --set horizon=12 --name plain".split())
+try:
+    example.main("dcgrid/ieee33-weak/plain-v0", **small)
+except ValueError as error:
+    print(error)
+"""
+    printed = run("-c", code, EXAMPLES, home=tmp_path)
+    assert "has no difference rewards; write it with --set reward=difference" in printed.splitlines()[-1]

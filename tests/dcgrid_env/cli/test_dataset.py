@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 from types import SimpleNamespace
 
 import minari
@@ -12,6 +13,7 @@ from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.cli import dataset
 from dcgrid_env.cli.main import main
+from helpers.places import ROOT
 
 SHORT = ("--set", "horizon=4", "--episodes", "3")
 
@@ -82,6 +84,36 @@ def test_what_acts_has_its_score_from_its_card_or_by_definition(here):
         assert card["score_why"]
 
 
+def test_several_controllers_take_turns_and_the_digest_is_that_of_the_content(here):
+    words = ["dataset", "--set", "horizon=4", "--episodes", "5", "--noise", "0.1"]
+    main([*words, "--controller", "droop,none,random"])
+    main([*words, "--controller", "droop,none,random", "--name", "again"])
+    main([*words, "--controller", "droop", "--name", "alone"])
+    main([*words, "--controller", "random", "--noise", "0", "--name", "random"])
+    folder = here / "results/datasets/dcgrid/ieee33-weak"
+    sets = {path.name: minari.MinariDataset(path / "data") for path in folder.iterdir()}
+    mixed, alone, random = (sets[f"{name}-v0"] for name in ("droop-and-none-and-random-noise-0_1", "alone", "random"))
+    about = list(mixed.storage.get_episode_metadata(range(5)))
+    assert [one["controller"] for one in about] == ["droop", "none", "random", "droop", "none"]
+    for i, same in ((0, alone), (2, random), (3, alone)):  # random actions have no noise
+        np.testing.assert_array_equal(mixed[i].actions, same[i].actions)
+    digest = {name: json.loads((folder / name / "card.json").read_text())["sha256"] for name in sets}
+    assert digest.pop("again-v0") == digest["droop-and-none-and-random-noise-0_1-v0"]
+    assert len(set(digest.values())) == 3
+
+
+@pytest.mark.slow
+def test_the_data_sets_of_three_qualities_have_the_documented_costs(here):
+    text = (ROOT / "docs" / "offline-data.md").read_text()
+    documented = dict(re.findall(r"^\| `ieee33-weak` \| `(\w+)` \|.*\| ([0-9.]+) \|$", text, re.MULTILINE))
+    commands = re.findall(r"dcgrid (dataset --controller .*--name (\w+))$", text, re.MULTILINE)
+    assert sorted(documented) == sorted(name for _, name in commands) == ["expert", "mixed", "random"]
+    for command, name in commands:
+        main(command.split())
+        card = json.loads((here / f"results/datasets/dcgrid/ieee33-weak/{name}-v0/card.json").read_text())
+        assert card["J"]["mean"] == pytest.approx(float(documented[name]), abs=5.1e-4)
+
+
 def test_hindsight_acts_as_it_planned(here, monkeypatch):
     plans = [np.full((4, 10), 0.25 * seed) for seed in range(3)]
     found = "dcgrid_env.baselines.model_based.hindsight.hindsight"
@@ -96,6 +128,12 @@ def test_what_cannot_be_is_one_line_and_writes_nothing(here, capsys, monkeypatch
     assert "noise: must be at most 2, the width of the action range, got 3.0" in refused(capsys, "--noise", "3")
     assert "noise: must be 0 with random actions, got 0.1" in refused(
         capsys, "--controller", "random", "--noise", "0.1"
+    )
+    assert "episodes: must be at least the number of controllers, 2, got 1" in refused(
+        capsys, "--controller", "droop,none", "--episodes", "1"
+    )
+    assert "controller: must be different names separated by commas, got 'droop,'" in refused(
+        capsys, "--controller", "droop,"
     )
     assert "episodes: must be at least 1, got 0" in refused(capsys, "--episodes", "0")
     assert "name is 'a b'" in refused(capsys, "--name", "a b")
