@@ -28,7 +28,7 @@ COMMANDS = Group(
             "fit-paper": _entry("Search for the values that the paper does not state.", "fit_paper:FitPaper"),
             "generalise": _entry("Train on all scenarios but one and score on that one.", "generalise:Generalise"),
             "gradient-cosine": _entry("Compare two estimates of PPO's gradient.", "gradient_cosine:GradientCosine"),
-            "libraries": _entry("Train reinforcement-learning libraries on presets.", "libraries:LibraryTable"),
+            "libraries": _entry("Train unmodified libraries and print their table.", "libraries:LibraryTable"),
             "pareto": _entry("Draw voltage against delay of policies with delay limits.", "pareto:Pareto"),
             "random-feeders": _entry("Compare random feeders with published ones.", "random_feeders:RandomFeederTable"),
             "sags": _entry("Compare controllers during a recorded sequence of sags.", "sag_study:Sags"),

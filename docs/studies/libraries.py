@@ -161,7 +161,7 @@ def records_in(path: Path) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class LibraryTable(Command):
-    """Train an unmodified library on presets, and print the table of all trainings in a file.
+    """Train unmodified libraries and print their table.
 
     Each training is added to the file, in place of one with other steps or episodes. Finished trainings are skipped.
     The libraries need their packages (pip install stable-baselines3 sb3-contrib).

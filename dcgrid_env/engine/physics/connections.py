@@ -67,7 +67,7 @@ def own_distance(scenario: Scenario) -> np.ndarray:
     large three-phase feeder they are 0 at buses where the agent cannot be placed.
     """
     if isinstance(scenario.feeder, Feeder):
-        distances = np.stack(own_sensitivity(scenario.model), axis=-1)[scenario.model_position]
+        distances = _in_order(scenario, np.stack(own_sensitivity(scenario.model), axis=-1), 0)
         return np.broadcast_to(distances, (scenario.n_agents, *distances.shape))
     nodes = nodes_by_bus(scenario)
     if scenario.feeder.n_node > DENSE_MOST:
@@ -117,8 +117,7 @@ def believed_sensitivity(scenario: Scenario) -> Sensitivity:
     the one by reactive power. P.u. per MW and per Mvar, (n_node, n_node).
     """
     if isinstance(scenario.feeder, Feeder):
-        in_order = np.ix_(scenario.model_position, scenario.model_position)
-        return Sensitivity(*(matrix[in_order] for matrix in sensitivity(scenario.model)))
+        return Sensitivity(*(_in_order(scenario, matrix, 0, 1) for matrix in sensitivity(scenario.model)))
     by_p, by_q = true_sensitivity(scenario)
     return Sensitivity(scenario.sensing.r_model_share * by_p, scenario.sensing.x_model_share * by_q)
 
@@ -133,6 +132,15 @@ def true_sensitivity(scenario: Scenario) -> Sensitivity:
     return Sensitivity(
         *linearise(feeder, feeder.p_load_kw, feeder.q_load_kvar, scenario.source_voltage_pu, control)[:2]
     )
+
+
+def _in_order(scenario: Scenario, values: np.ndarray, *axes: int) -> np.ndarray:
+    """Return values of the model's buses along some axes in the order of the feeder's buses."""
+    if scenario.model.bus_ids == scenario.feeder.bus_ids:
+        return values
+    for axis in axes:
+        values = np.take(values, scenario.model_position, axis)
+    return values
 
 
 def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
@@ -151,8 +159,8 @@ def sensitivity_to_agents(scenario: Scenario, buses: np.ndarray) -> Sensitivity:
         P.u. per MW and per Mvar, (row, n_agent, n_node).
     """
     if isinstance(scenario.feeder, Feeder):
-        position = scenario.model_position
-        return Sensitivity(*(rows[..., position] for rows in _by_buses(scenario.model, position[buses])))
+        by_agent = _by_buses(scenario.model, scenario.model_position[buses])
+        return Sensitivity(*(_in_order(scenario, rows, -1) for rows in by_agent))
     believed = believed_sensitivity(scenario)
     nodes = agent_nodes(scenario, buses)
     return Sensitivity(*(np.moveaxis(matrix[:, nodes].mean(-1), 0, -1) for matrix in believed))
