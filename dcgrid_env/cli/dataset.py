@@ -112,10 +112,10 @@ def _check(cfg: Dataset) -> None:
         raise ValueError(f"noise: must be at most 2, the width of the action range, got {cfg.noise}")
     if set(cfg.controllers) == {RANDOM} and cfg.noise:
         raise ValueError(f"noise: must be 0 with random actions, got {cfg.noise}; remove --noise")
-    if "" in cfg.controllers or len(set(cfg.controllers)) < len(cfg.controllers):
-        raise ValueError(
-            f"controller: must be different names separated by commas, got {cfg.controller!r}; name each one once"
-        )
+    if "" in cfg.controllers:
+        raise ValueError(f"controller: a name is empty in {cfg.controller!r}; remove the comma, or name a controller")
+    if len(set(cfg.controllers)) < len(cfg.controllers):
+        raise ValueError(f"controller: {cfg.controller!r} has a name twice; name each one once")
     if cfg.episodes < len(cfg.controllers):
         raise ValueError(
             f"episodes: must be at least the number of controllers, {len(cfg.controllers)}, got {cfg.episodes}; "

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Literal
+
+import numpy as np
 
 from dcgrid_env.core.checked import check_fields, choice, count, finite, number, refuse, settle
 
 ObservationScope = Literal["local", "neighbours", "feeder"]
+LARGEST_TIE_OHM = 1e4
+"""Largest resistance and reactance of a tie, ohm; a longer line than any distribution feeder has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,20 +50,27 @@ class Sensing:
         if not _are_branches(self.model_open, 0):
             raise refuse(self, "model_open", "give a list of branches, each as two buses: [['6', '7']]")
         if not _are_branches(self.model_closed, 2):
-            remedy = "give a list of ties, each as two buses, r and x in ohm of at least 0: [['12', '22', 2.0, 2.0]]"
+            remedy = (
+                f"give a list of ties, each as two buses, r and x of 0 to {LARGEST_TIE_OHM:g} ohm: "
+                "[['12', '22', 2.0, 2.0]]"
+            )
             raise refuse(self, "model_closed", remedy)
 
 
 def _branches(value: object) -> object:
     """Return plain rows as tuples with text for buses; other values unchanged, for the checks to refuse."""
-    if not isinstance(value, list | tuple):
+    if not isinstance(value, list | tuple | np.ndarray):
         return value
-    return tuple(tuple(map(_entry, enumerate(row))) if isinstance(row, list | tuple) else row for row in value)
+    return tuple(
+        tuple(map(_entry, enumerate(row))) if isinstance(row, list | tuple | np.ndarray) else row for row in value
+    )
 
 
 def _entry(numbered: tuple[int, object]) -> object:
     place, entry = numbered
-    return str(entry) if place < 2 and isinstance(entry, int) and not isinstance(entry, bool) else entry
+    if place < 2 and isinstance(entry, Integral | str) and not isinstance(entry, bool):
+        return str(entry)
+    return float(entry) if isinstance(entry, Real) and not isinstance(entry, bool) else entry
 
 
 def _are_branches(rows: object, n_ohm: int) -> bool:
@@ -67,6 +79,6 @@ def _are_branches(rows: object, n_ohm: int) -> bool:
         isinstance(row, tuple)
         and len(row) == 2 + n_ohm
         and all(isinstance(bus, str) for bus in row[:2])
-        and all(finite(ohm, 0.0) for ohm in row[2:])
+        and all(finite(ohm, 0.0, LARGEST_TIE_OHM) for ohm in row[2:])
         for row in rows
     )

@@ -33,8 +33,8 @@ def write_files(folder: Path, tables: Mapping[str, str], head: str) -> None:
     ``feeder.toml`` makes a folder a feeder, so it is deleted first and written last.
     """
     feeder_file = folder / "feeder.toml"
-    if feeder_file.exists():
-        feeder_file.unlink()
+    if feeder_file.exists() or (folder / "buses.csv").exists():  # the latter alone after an interrupted writing
+        feeder_file.unlink(missing_ok=True)
         for name in {"branches.csv", RATINGS_FILE, *(file.name for file in FILES.values())} - set(tables):
             (folder / name).unlink(missing_ok=True)
     for name, text in tables.items():

@@ -132,7 +132,7 @@ def test_what_cannot_be_is_one_line_and_writes_nothing(here, capsys, monkeypatch
     assert "episodes: must be at least the number of controllers, 2, got 1" in refused(
         capsys, "--controller", "droop,none", "--episodes", "1"
     )
-    assert "controller: must be different names separated by commas, got 'droop,'" in refused(
+    assert "controller: a name is empty in 'droop,'; remove the comma, or name a controller" in refused(
         capsys, "--controller", "droop,"
     )
     assert "episodes: must be at least 1, got 0" in refused(capsys, "--episodes", "0")

@@ -111,3 +111,10 @@ def test_a_feeder_replaces_the_tables_of_another_in_its_folder(tmp_path):
     assert len(again.to_network().rating) == 0
     assert again.bus_ids == feeder.bus_ids
     assert (again.r_ohm == feeder.r_ohm).all()
+
+
+def test_tables_that_an_interrupted_writing_has_left_are_replaced(tmp_path):
+    load_feeder("ieee13-3ph").to_csv(tmp_path)
+    (tmp_path / "feeder.toml").unlink()
+    load_feeder("ieee33").to_csv(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["branches.csv", "buses.csv", "feeder.toml"]

@@ -69,9 +69,15 @@ def test_the_grid_itself_has_its_own_switches():
     assert scenario_hash(switched(model_open=(), model_closed=())) == scenario_hash(true)
 
 
+def plain_arrays():
+    """The switches of ``switched`` as NumPy values."""
+    return {"model_open": np.array([[6, 7]]), "model_closed": [[np.int64(12), "22", np.float64(2.0), np.int64(2)]]}
+
+
 def test_plain_forms_and_files(tmp_path):
     plain = make_scenario("ieee33", sensing={"model_open": [[6, 7]], "model_closed": [[12, "22", 2.0, 2]]})
     assert plain.sensing == switched().sensing
+    assert make_scenario("ieee33", sensing=plain_arrays()).sensing == plain.sensing
     plain.to_toml(tmp_path / "wrong.toml", make_scenario("ieee33"))
     assert make_scenario(tmp_path / "wrong.toml").sensing == plain.sensing
 
@@ -80,7 +86,8 @@ def test_plain_forms_and_files(tmp_path):
     ("scenario", "sensing", "message"),
     [
         ("ieee33", {"model_open": [["6"]]}, r"sensing.model_open is \(\('6',\),\); give a list of branches"),
-        ("ieee33", {"model_closed": [["12", "22", -1.0, 2.0]]}, "sensing.model_closed is .*of at least 0"),
+        ("ieee33", {"model_closed": [["12", "22", -1.0, 2.0]]}, "sensing.model_closed is .*of 0 to 10000 ohm"),
+        ("ieee33", {"model_closed": [["12", "22", 1e308, 2.0]]}, "sensing.model_closed is .*of 0 to 10000 ohm"),
         ("ieee33", {"model_open": [["6", "9"]]}, "sensing.model_open is .*no branch 6-9 to open"),
         ("ieee33", {"model_open": [["6", "7"]]}, "sensing.model_open is .*the model is no feeder"),
         ("ieee33", {"model_closed": [["12", "99", 2.0, 2.0]]}, "sensing.model_closed is .*no bus '99'"),
