@@ -92,9 +92,9 @@ LIBRARIES = {
     "sb3-contrib-recurrent-ppo": Library(
         "sb3-contrib", partial(sb3, "sb3_contrib:RecurrentPPO", "MlpLstmPolicy", on_policy), 20_000, 16
     ),
-    "torchrl-ppo": Library("torchrl", partial(loop, "torchrl_ppo"), 200_000, 32),
-    "skrl-ppo": Library("skrl", partial(loop, "skrl_ppo"), 200_000, 32),
-    "cleanrl-ppo": Library("torch", partial(loop, "cleanrl_ppo"), 200_000, 32),
+    "torchrl-ppo": Library("torchrl", partial(loop, "torchrl_ppo"), 100_000, 32),
+    "skrl-ppo": Library("skrl", partial(loop, "skrl_ppo"), 100_000, 32),
+    "cleanrl-ppo": Library("torch", partial(loop, "cleanrl_ppo"), 100_000, 32),
 }
 
 
