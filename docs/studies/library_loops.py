@@ -171,7 +171,7 @@ def skrl_ppo(on: Setting) -> np.ndarray:
     settings = PPO_CFG(
         rollouts=HORIZON, learning_epochs=EPOCHS, mini_batches=MINIBATCHES, discount_factor=DISCOUNTS[on.reward],
         gae_lambda=0.0, learning_rate=LEARNING_RATE, learning_rate_scheduler=torch.optim.lr_scheduler.LinearLR,
-        learning_rate_scheduler_kwargs={"start_factor": 1.0, "end_factor": 0.01, "total_iters": best.updates},
+        learning_rate_scheduler_kwargs={"start_factor": 1.0, "end_factor": 0.01, "total_iters": EPOCHS * best.updates},
         grad_norm_clip=GRADIENT_NORM, value_clip=0.0, value_loss_scale=0.5,
     )  # fmt: skip
     settings.experiment.write_interval = settings.experiment.checkpoint_interval = 0
