@@ -5,7 +5,7 @@ import pytest
 
 from dcgrid_env import ThreePhaseFeeder, load_feeder, profile_coverage, scenario_on
 from dcgrid_env.cli.main import main
-from dcgrid_env.grid.formats import three_phase_folder
+from dcgrid_env.grid.formats import feeder_folder
 from helpers.opendss_text import script_of
 
 dss = pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
@@ -91,7 +91,7 @@ def test_errors_are_one_line_and_leave_nothing(master, capsys, monkeypatch):
     def full(*_):
         raise OSError("no space left")
 
-    monkeypatch.setattr(three_phase_folder, "write_text", full)
+    monkeypatch.setattr(feeder_folder, "write_text", full)
     assert "no space left" in said(capsys, master, "--out", out)
     assert [path.name for path in master.parent.iterdir()] == ["Master.dss"]
 
