@@ -62,9 +62,11 @@ def room_of(dotted):
 
 def module_of(dotted):
     """Return the module that a dotted name is or belongs to."""
-    while dotted not in MODULES:
-        dotted = dotted.rpartition(".")[0]
-    return dotted
+    module = dotted
+    while module not in MODULES:
+        assert module, f"{dotted} is in no known module"
+        module = module.rpartition(".")[0]
+    return module
 
 
 def own_imports(path):
