@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,20 +84,19 @@ class Capacities:
     """Notes on the controllers."""
 
 
-class _First(NamedTuple):
-    """What a search at a bus begins from."""
+class _Asked(NamedTuple):
+    """A bus, and the size and the samples to try first there."""
 
     bus: int
-    snapshot: BusCapacity
+    guess: int
     critical: tuple[int, ...]
-    """Samples to try first."""
 
 
 @dataclass(frozen=True)
 class _Task:
     controller: str
     tuned: Path | None
-    firsts: tuple[_First, ...]
+    asked: tuple[_Asked, ...]
 
 
 def hosting_capacity(
@@ -145,35 +144,35 @@ def hosting_capacity(
         raise ValueError("controllers is empty; name at least one")
     notes = tuple(note for name in names if (note := study_controller(name, study.scenario, tuned)[1]))
     buses = study.candidates()
-    exempt = overloaded_nodes(AddedSite(study))
-    parts = _shared_out(buses, _PARTS * place.workers if place.workers > 1 else 1)
-    values = {_STUDY: study, _EXEMPT: exempt}
-    bus_ids = study.scenario.feeder.bus_ids
-
-    def units(what: str, work: Callable[[Any], Any], item: Callable[[np.ndarray], Any]) -> list[Unit[Any, Any]]:
-        return [Unit(f"{what} at buses {bus_ids[part[0]]} to {bus_ids[part[-1]]}", work, item(part)) for part in parts]
-
-    firsts: dict[int, _First] = {}
-    for _, result in place.results(units(SNAPSHOT, _firsts, lambda part: part), values, how_to_go_on=""):
-        firsts |= {first.bus: first for first in result}
-
-    def task(name: str) -> Callable[[np.ndarray], _Task]:
-        return lambda part: _Task(name, tuned, tuple(firsts[int(bus)] for bus in part))
-
+    snapshot = snapshot_capacity(study, buses)
+    guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
+    site = AddedSite(study)
+    site.exempt = overloaded_nodes(site)
+    critical = critical_samples(site, buses, guesses)
+    parts = _shared_out(len(buses), _PARTS * place.workers if place.workers > 1 else 1)
+    tasks = [
+        _Task(name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
+        for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
+        for part in parts
+    ]
     found: dict[tuple[str, str], BusCapacity] = {}
-    slow_first = sorted(names, key=lambda name: not name.startswith(_SLOW))
-    searches = [unit for name in slow_first for unit in units(name, _search, task(name))]
-    for unit, result in place.results(searches, values | carried(place, (), names, tuned), how_to_go_on=""):
-        found |= {(unit.item.controller, capacity.bus): capacity for capacity in result}
+    bus_ids = study.scenario.feeder.bus_ids
+    units = [
+        Unit(f"{task.controller} at buses {bus_ids[task.asked[0].bus]} to {bus_ids[task.asked[-1].bus]}", _work, task)
+        for task in tasks
+    ]
+    values = {_STUDY: study, _EXEMPT: site.exempt} | carried(place, (), names, tuned)
+    for unit, result in place.results(units, values, how_to_go_on=""):
+        task = unit.item
+        found |= {(task.controller, capacity.bus): capacity for capacity in result}
         if on_buses is not None:
-            on_buses(unit.item.controller, len(result))
+            on_buses(task.controller, len(result))
     ids = tuple(bus_ids[bus] for bus in buses)
     by_controller = {name: tuple(found[name, bus] for bus in ids) for name in names}
     feeder = study.scenario.feeder
-    fed = np.unique(np.asarray(feeder.node_bus)[exempt[: feeder.n_node]])
+    fed = np.unique(np.asarray(feeder.node_bus)[site.exempt[: feeder.n_node]])
     overloaded = tuple(feeder.branch_names[bus - 1] for bus in fed)
-    snapshot = tuple(firsts[int(bus)].snapshot for bus in buses)
-    return Capacities(study, ids, names, by_controller, snapshot, overloaded, notes)
+    return Capacities(study, ids, names, by_controller, tuple(snapshot), overloaded, notes)
 
 
 def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
@@ -211,31 +210,19 @@ def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -
     return found
 
 
-def _shared_out(buses: np.ndarray, parts: int) -> list[np.ndarray]:
-    return [part for part in np.array_split(buses, min(parts, len(buses))) if len(part)]
+def _shared_out(n: int, parts: int) -> list[np.ndarray]:
+    return [part for part in np.array_split(np.arange(n), min(parts, n)) if len(part)]
 
 
-def _firsts(buses: np.ndarray) -> list[_First]:
-    study = shared(_STUDY)
-    snapshot = snapshot_capacity(study, buses)
-    sizes = [_guess(study, found) for found in snapshot]
-    critical = critical_samples(AddedSite(study, shared(_EXEMPT)), buses, sizes)
-    return [_First(int(bus), *found) for bus, found in zip(buses, zip(snapshot, critical, strict=True), strict=True)]
-
-
-def _guess(study: Study, found: BusCapacity) -> int:
-    """Return the size to try first, in steps, given the capacity in one power flow."""
-    return max(1, round(found.capacity_mw / study.step_mw))
-
-
-def _search(task: _Task) -> list[BusCapacity]:
+def _work(task: _Task) -> list[BusCapacity]:
     study = shared(_STUDY)
     controller, _ = study_controller(task.controller, study.scenario, task.tuned)
+    buses, guesses, critical = zip(*task.asked, strict=True)
     return search_buses(
         AddedSite(study, shared(_EXEMPT)),
         controller,
         task.controller,
-        np.array([first.bus for first in task.firsts]),
-        np.array([_guess(study, first.snapshot) for first in task.firsts]),
-        [np.array(first.critical) for first in task.firsts],
+        np.array(buses),
+        np.array(guesses),
+        [np.array(samples) for samples in critical],
     )
