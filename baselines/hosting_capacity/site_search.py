@@ -28,6 +28,8 @@ from dcgrid_env.grid import AnyFeeder
 
 _FEW = 0.05
 """Share of the windows in which ``most_windows_mw`` may break limits."""
+_DIGITS = 4
+"""Decimals of interpolated sizes in MW; the power flow's tolerance shows in the ninth."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class BusCapacity:
     """Size that stays within the limits in 95 % of the windows, MW."""
     half_windows_mw: float
     """Size that stays within the limits in half of the windows, MW. Both are interpolated between the margins of each
-    window at no site and at the capacity, and at most the largest size that was tried."""
+    window at no site and at the capacity, rounded to 0.1 kW, and at most the largest size that was tried."""
     smaller_fails_mw: tuple[float, ...]
     """Smaller sizes of the coarse scan that break limits, MW; if there are any, not every size below the capacity is
     feasible."""
@@ -169,8 +171,8 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
         unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
         outside_pct=100.0 * float(trial.outside.sum()) / counted,
         margin=trial.margin,
-        most_windows_mw=float(np.quantile(of_windows, _FEW)),
-        half_windows_mw=float(np.median(of_windows)),
+        most_windows_mw=round(float(np.quantile(of_windows, _FEW)), _DIGITS),
+        half_windows_mw=round(float(np.median(of_windows)), _DIGITS),
         smaller_fails_mw=tuple(map(site.mw, search.smaller_fails)),
         larger_carries_mw=tuple(map(site.mw, search.larger_carries)),
     )
