@@ -7,6 +7,16 @@ import numpy as np
 from dcgrid_env.core.compiled import compiled
 
 
+@compiled(inner=True)
+def dispatch_one(s_rated_kva, q_max_kvar, p_kw, asked_kvar):
+    """Return the reactive injection of one converter and its limit, kvar."""
+    left = s_rated_kva * s_rated_kva - p_kw * p_kw
+    most = np.sqrt(0.0 if left < 0.0 else left)
+    most = q_max_kvar if q_max_kvar < most else most
+    asked = -most if asked_kvar < -most else asked_kvar
+    return (most if asked > most else asked), most
+
+
 @compiled
 def dispatch_rows(s_rated_kva, q_max_kvar, p_kw, q_setpoint_kvar):
     """Return the reactive injection and its limit, kvar, (row, n_device).
@@ -18,11 +28,7 @@ def dispatch_rows(s_rated_kva, q_max_kvar, p_kw, q_setpoint_kvar):
     q_kvar = np.empty_like(p_kw)
     for row in range(p_kw.shape[0]):
         for i in range(p_kw.shape[1]):
-            left = s_rated_kva[i] * s_rated_kva[i] - p_kw[row, i] * p_kw[row, i]
-            most = np.sqrt(0.0 if left < 0.0 else left)
-            most = q_max_kvar[i] if q_max_kvar[i] < most else most
-            asked = q_setpoint_kvar[row, i]
-            asked = -most if asked < -most else asked
-            limit[row, i] = most
-            q_kvar[row, i] = most if asked > most else asked
+            q_kvar[row, i], limit[row, i] = dispatch_one(
+                s_rated_kva[i], q_max_kvar[i], p_kw[row, i], q_setpoint_kvar[row, i]
+            )
     return q_kvar, limit

@@ -169,7 +169,7 @@ def wrong_model() -> Scenario:
 def late_measurements() -> Scenario:
     """Make the preset ``late-measurements``.
 
-    The meters have class 0.5 and report every few seconds, as SCADA does; docs/tasks.md gives the sources.
+    Voltages have the error of meters of class 0.5 and are 5 s old; docs/tasks.md gives the reasons.
     """
     return mixed().replace(
         name="late-measurements",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
+from dcgrid_env.devices.converter_kernel import dispatch_one
 
 SUMS = {"reassoc", "nsz", "contract"}
 """Liberties that the compiler may take in sums over nodes, which it then vectorises."""
@@ -21,14 +22,6 @@ def _cost_with(v_pu, per_v, by, change, targets, uncharged_pu, band_pu, w_voltag
         off += from_target if from_target > 0.0 else 0.0
         beyond += from_one if from_one > 0.0 else 0.0
     return w_voltage * off + w_violation * beyond
-
-
-@compiled(inner=True)
-def _dispatched(s_rated_kva, q_max_kvar, p_kw, asked_kvar):
-    """Reactive injection of one converter, kvar; see ``devices.converter``."""
-    left = s_rated_kva * s_rated_kva - p_kw * p_kw
-    limit = min(np.sqrt(left if left > 0.0 else 0.0), q_max_kvar)
-    return min(max(asked_kvar, -limit), limit)
 
 
 @compiled(nogil=True)
@@ -59,7 +52,7 @@ def add_saved_costs_rows(
                 if has_reactive[change]:
                     given = default if is_reactive[change] else setpoints
                     asked = given[row, reactive_entry[change]]
-                q = _dispatched(s_rated_kva[i], q_max_kvar[i], p, asked)
+                q, _ = dispatch_one(s_rated_kva[i], q_max_kvar[i], p, asked)
                 if len(available):
                     p, q = p * available[row, i], q * available[row, i]
                 more += effort[i] * (abs(q) - abs(q_kvar[row, i]))
