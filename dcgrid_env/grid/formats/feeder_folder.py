@@ -31,12 +31,24 @@ def write_files(folder: Path, tables: Mapping[str, str], head: str) -> None:
     """Write the tables and ``feeder.toml`` of a feeder; tables of an earlier feeder in the folder are deleted.
 
     ``feeder.toml`` makes a folder a feeder, so it is deleted first and written last.
+
+    Raises
+    ------
+    FeederError
+        If the folder has no ``feeder.toml`` but another table, of another program or of an interrupted writing, that
+        would be read with the new feeder. Nothing is written then.
     """
     feeder_file = folder / "feeder.toml"
-    if feeder_file.exists() or (folder / "buses.csv").exists():  # the latter alone after an interrupted writing
-        feeder_file.unlink(missing_ok=True)
-        for name in {"branches.csv", RATINGS_FILE, *(file.name for file in FILES.values())} - set(tables):
-            (folder / name).unlink(missing_ok=True)
+    others = {"branches.csv", RATINGS_FILE, *(file.name for file in FILES.values())} - set(tables)
+    stale = [folder / name for name in sorted(others) if (folder / name).exists()]
+    if stale and not feeder_file.exists():
+        raise FeederError(
+            f"{folder} has {stale[0].name} and no feeder.toml, and the table would be read with the new feeder; give "
+            "an empty folder, or delete the table"
+        )
+    feeder_file.unlink(missing_ok=True)
+    for path in stale:
+        path.unlink()
     for name, text in tables.items():
         write_text(folder / name, text)
     write_text(feeder_file, head)

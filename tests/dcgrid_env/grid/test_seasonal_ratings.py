@@ -113,8 +113,12 @@ def test_a_feeder_replaces_the_tables_of_another_in_its_folder(tmp_path):
     assert (again.r_ohm == feeder.r_ohm).all()
 
 
-def test_tables_that_an_interrupted_writing_has_left_are_replaced(tmp_path):
+def test_tables_without_a_feeder_are_kept_and_named(tmp_path):
     load_feeder("ieee13-3ph").to_csv(tmp_path)
     (tmp_path / "feeder.toml").unlink()
-    load_feeder("ieee33").to_csv(tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["branches.csv", "buses.csv", "feeder.toml"]
+    before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    with pytest.raises(
+        FeederError, match=r"has capacitors\.csv and no feeder\.toml, .*; give an empty folder, or delete"
+    ):
+        load_feeder("ieee33").to_csv(tmp_path)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
