@@ -83,7 +83,7 @@ from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "FEEDERS",

@@ -1,5 +1,6 @@
 """The package list and the folders agree."""
 
+import re
 import subprocess
 import tomllib
 from fnmatch import fnmatch
@@ -7,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+import yaml
 
 import dcgrid_env
 from helpers.places import ROOT
@@ -41,10 +43,30 @@ def test_every_file_of_data_is_installed():
     assert len(data) > 50
 
 
-def test_versions_agree():
-    assert dcgrid_env.__version__ == PROJECT["project"]["version"] == version("dcgrid-env")
+def test_version_and_date_of_the_release_are_the_same_everywhere():
+    assert dcgrid_env.__version__ == version("dcgrid-env")
+    released = re.search(r"^## ([\d.]+) - ([\d-]+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    cited = dict(re.findall(r"^(version|date-released): (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE))
+    assert released is not None
+    assert released.groups() == (cited["version"], cited["date-released"])
+    assert f"version = {{{released[1]}}}" in (ROOT / "README.md").read_text()
+    assert dcgrid_env.__version__ == released[1]
 
 
+def test_the_recipe_has_the_requirements_of_the_project():
+    recipe = yaml.safe_load((ROOT / "docs" / "conda-recipe.yaml").read_text())
+    renamed = {"matplotlib": "matplotlib-base", "docstring-parser": "docstring_parser"}
+    needed = [re.fullmatch(r"([\w-]+)(>=.+)", each) for each in PROJECT["project"]["dependencies"]]
+    expected = [f"{renamed.get(each[1], each[1])} {each[2]}" for each in needed if each]
+    assert recipe["requirements"]["run"] == ["python >=${{ python_min }}", *expected]
+    assert f">={recipe['context']['python_min']}" == PROJECT["project"]["requires-python"]
+    assert recipe["context"]["version"] == dcgrid_env.__version__
+    assert recipe["build"]["python"]["entry_points"] == [
+        f"{name} = {target}" for name, target in PROJECT["project"]["scripts"].items()
+    ]
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a clone: a source archive has no links")
 def test_the_type_checker_follows_the_mapping():
     for name in ("baselines", "agents", "traces"):
         link = ROOT / "tests" / "typings" / "dcgrid_env" / name
