@@ -26,6 +26,8 @@ NOT_ASKED = "#E6E6E6"
 _WIDE_RANGE = 8.0
 """Ratio of the largest to the least size from which the scale is logarithmic."""
 _PANEL_IN = (6.4, 4.8)
+_SMALLER_FROM = 500
+"""Number of buses from which the dots of buses that are not candidates become smaller."""
 _MOST_LABELS = 40
 """Number of candidates up to which the size of each is written at its bus."""
 
@@ -63,10 +65,14 @@ class CapacityMap(FeederMap):
         colours = colormaps[CMAP](self._norm(np.where(mw > 0.0, mw, 1.0)))
         colours[mw <= 0.0] = _rgba(NONE_COLOUR)
         colours[np.isnan(mw)] = _rgba(NOT_ASKED)
-        look = {"edgecolors": INK, "linewidths": 0.6, "zorder": 4}
-        self.dots = ax.scatter(xy[1:, 0], xy[1:, 1], s=1.6 * self._bus_area, c=colours[1:], **look)
+        look = {"edgecolors": INK, "zorder": 4}
+        is_asked = ~np.isnan(mw)
+        order = 1 + np.argsort(is_asked[1:], kind="stable")  # candidates above the others
+        areas = self._bus_area * np.where(is_asked, 1.6, min(1.0, _SMALLER_FROM / len(mw)))
+        widths = np.where(is_asked, 0.6, 0.3)[order]
+        self.dots = ax.scatter(*xy[order].T, s=areas[order], c=colours[order], linewidths=widths, **look)
         self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=[INK], **look)
-        asked = np.flatnonzero(~np.isnan(mw))
+        asked = np.flatnonzero(is_asked)
         for bus in asked if len(asked) <= _MOST_LABELS else ():
             text = f"{mw[bus]:.3g}"
             ax.annotate(

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.colors import LogNorm, Normalize, to_hex
 
 from dcgrid_env import load_feeder
+from dcgrid_env.rendering.bus_positions import positions
 from dcgrid_env.rendering.capacity_map import NONE_COLOUR, NOT_ASKED, capacity_figure
 
 FEEDER = load_feeder("ieee33")
@@ -45,6 +46,9 @@ def test_buses_without_a_size_are_told_apart():
     figure = capacity_figure(FEEDER, {"none": mw}, "ieee33")
     (dots,) = [c for c in panels(figure)[0].collections if len(c.get_facecolor()) == FEEDER.n_bus - 1]
     colours = [to_hex(colour).upper() for colour in np.asarray(dots.get_facecolor())]
-    assert (colours[4], colours[6]) == (NONE_COLOUR, NOT_ASKED)
+    assert colours[0] == NOT_ASKED, "below the candidates"
+    (without,) = np.flatnonzero([colour == NONE_COLOUR for colour in colours])
+    assert np.asarray(dots.get_offsets())[without] == pytest.approx(positions(FEEDER)[5])
+    assert NOT_ASKED not in colours[1:]
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["carries no site", "no candidate"]
