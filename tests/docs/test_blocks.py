@@ -135,6 +135,7 @@ ELSEWHERE = {
     "python docs/examples/rllib_native_batch.py": "tests/docs/test_frameworks.py",
     "python docs/examples/torchrl_tensor_env.py": "tests/docs/test_frameworks.py",
     "python docs/examples/benchmarl_mappo.py": "tests/docs/test_frameworks.py",
+    "python docs/examples/jax_callback.py": "tests/docs/test_frameworks.py",
     "python docs/examples/jax_dlpack.py": "tests/docs/test_frameworks.py",
     "python -m dcgrid_env.traces.timing": "tests/traces/test_timing.py",
     "python -m dcgrid_env.traces.compare_requests": "tests/traces/test_readme.py",

@@ -329,6 +329,29 @@ def test_rllib_example_on_the_native_batch_and_its_checkpoint(tmp_path):
 
 @pytest.mark.slow
 @needs("jax")
+def test_a_compiled_scan_in_jax_has_the_costs_of_the_loop(tmp_path):
+    code = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import jax, jax.numpy as jnp, numpy as np
+from jax_callback import Batch, episode_costs
+
+batch = Batch(3, horizon=6, info="costs")
+n, m = batch.sizes
+w, b = np.random.default_rng(0).normal(0.0, 0.3, (n, m)).astype(np.float32), np.zeros(m, np.float32)
+same = [(jnp.broadcast_to(w, (3, n, m)), jnp.broadcast_to(b, (3, m)))]
+found = np.asarray(episode_costs(batch, 6)(same, batch.reset(4)))
+observation, _ = batch.envs.reset(seed=4)
+for _ in range(6):
+    observation, _, _, _, info = batch.envs.step(np.tanh(observation @ w))
+assert np.allclose(found, info["final_info"]["J"], rtol=1e-5), (found, info)
+print("checked")
+"""
+    assert run("-c", code, EXAMPLES, home=tmp_path).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("jax")
 def test_jax_example_shares_memory_and_has_the_derivative_of_the_cost(tmp_path):
     code = """
 import sys
