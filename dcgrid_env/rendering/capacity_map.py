@@ -69,7 +69,7 @@ class CapacityMap(FeederMap):
         is_asked = ~np.isnan(mw)
         order = 1 + np.argsort(is_asked[1:], kind="stable")  # candidates above the others
         areas = self._bus_area * np.where(is_asked, 1.6, min(1.0, _SMALLER_FROM / len(mw)))
-        widths = np.where(is_asked, 0.6, 0.3)[order]
+        widths = np.where(is_asked, 0.6, 0.3)[order].tolist()
         self.dots = ax.scatter(*xy[order].T, s=areas[order], c=colours[order], linewidths=widths, **look)
         self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=[INK], **look)
         asked = np.flatnonzero(is_asked)

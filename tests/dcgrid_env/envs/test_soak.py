@@ -1,4 +1,4 @@
-"""100,000 steps of random actions across resets, on presets of every form."""
+"""10,000 steps of random actions across resets, on presets of every form."""
 
 import resource
 
@@ -8,7 +8,7 @@ import pytest
 
 from dcgrid_env import DcgridEnv
 
-STEPS = 100_000
+STEPS = 10_000
 
 
 LONG = ("mixed", "fault", "ieee123-3ph", "ieee123-3ph-day", "ieee33-weak-ups", "ride-through", "smoothing", "routing")
