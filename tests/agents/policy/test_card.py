@@ -133,7 +133,8 @@ def test_what_ships_is_small_and_whole():
 def test_what_ships_has_a_card_of_this_package_and_its_presets(name):
     policy, card = belongs(FOLDER, name)
     assert preset_of(name) in (without_horizon(card.scenario), None)
-    assert card.version == version("dcgrid-env")
+    made, now = ([int(part) for part in text.split(".")] for text in (card.version, version("dcgrid-env")))
+    assert made <= now
     assert card.seed is not None
     assert card.training_s is not None
     assert card.scored is not None

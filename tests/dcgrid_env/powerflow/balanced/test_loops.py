@@ -101,7 +101,8 @@ def test_power_is_conserved_at_every_bus_and_voltages_agree_around_every_loop(fe
     sent = (s.p_branch_kw + 1j * s.q_branch_kvar) / 1000.0
     received = sent - (r + 1j * x) * s.current_sq_pu
     v_sq = s.v_pu**2
-    drawn = (feeder.p_load_kw + 1j * feeder.q_load_kvar + (feeder.shunt_kw - 1j * feeder.shunt_kvar) * v_sq) / 1000.0
+    g_kw, b_kvar = (0.0 if kva is None else kva for kva in (feeder.shunt_kw, feeder.shunt_kvar))  # None: all are 0
+    drawn = (feeder.p_load_kw + 1j * feeder.q_load_kvar + (g_kw - 1j * b_kvar) * v_sq) / 1000.0
     balance = -drawn
     np.add.at(balance, feeder.to_bus, received)
     np.subtract.at(balance, feeder.from_bus, sent)
