@@ -5,6 +5,8 @@ import re
 from collections import defaultdict
 from itertools import pairwise
 
+import pytest
+
 from helpers.places import ROOT
 
 FOLDERS = ("dcgrid_env", "baselines", "agents", "traces", "docs/studies")
@@ -56,6 +58,7 @@ def openings(text):
             yield line.strip()
 
 
+@pytest.mark.slow
 def test_public_docstrings_stand_alone():
     begins = [(path, line, opening) for path in paths() for line, text in texts(path) for opening in openings(text)]
     bad = [f"{path.relative_to(ROOT)}:{line}: {text[:60]}" for path, line, text in begins if NO_SENTENCE.match(text)]

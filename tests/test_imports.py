@@ -79,6 +79,7 @@ def test_every_folder_is_a_room_of_the_plan():
     assert flat == {"__init__.py"}
 
 
+@pytest.mark.slow
 def test_no_upward_import():
     bad = [
         f"{name} imports {target}, which stands above it"
@@ -131,6 +132,7 @@ def test_controllers_use_public_names_only(room):
 
 
 @pytest.mark.parametrize("name", ["dcgrid_env", "dcgrid_env.agents", "dcgrid_env.cli.main"])
+@pytest.mark.slow
 def test_import_is_light(name):
     heavy = ("torch", "stable_baselines3", "matplotlib", "pandas", "numba")
     code = f"import sys, {name}; print([m for m in {heavy} if m in sys.modules])"

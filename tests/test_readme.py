@@ -123,6 +123,7 @@ def test_the_controller_of_the_example_can_be_imported_without_running_anything(
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 def test_the_scenario_of_the_example_runs_on_the_command_line(tmp_path, monkeypatch):
     (block,) = (b for b in re.findall(r"```python\n(.*?)```", SCENARIOS, re.DOTALL) if "def make()" in b)
     monkeypatch.chdir(tmp_path)

@@ -66,6 +66,7 @@ def test_episodes_are_drawn_here_as_there(name):
 
 
 @pytest.mark.parametrize("name", ["toy6", "ieee33-weak", "mixed", "sync"])
+@pytest.mark.slow
 def test_a_value_comes_out_again(name):
     scenario = make_scenario(name, split="test")
     values = published(scenario)

@@ -145,6 +145,7 @@ def test_a_file_is_read_and_asked_once_and_again_where_it_has_changed(here, caps
     assert spec.make("test").horizon == 21
 
 
+@pytest.mark.slow
 def test_another_process_makes_the_same(here):
     spec = ScenarioSpec("own.py:make", ("horizon=30",))
     code = (

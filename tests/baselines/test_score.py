@@ -24,6 +24,7 @@ def test_it_is_a_ratio_of_means():
 
 
 @pytest.mark.parametrize("n", [8, 32])
+@pytest.mark.slow
 def test_the_interval_covers_the_truth_as_often_as_it_says(n):
     """Of 95 %: with 8 episodes a percentile bootstrap and BCa both cover the truth 0.88 of the time."""
     rng, covered, runs = np.random.default_rng(1), 0, 500

@@ -35,6 +35,7 @@ def named(public):
     return getattr(import_module(package), name)
 
 
+@pytest.mark.slow
 def test_every_public_name_is_on_one_page(api):
     pages = {module: api["page"](module, names) for module, names in api["modules"]().items()}
     documented = [public for text in pages.values() for public in documented_on(text)]
@@ -54,11 +55,13 @@ def test_every_public_name_is_on_one_page(api):
     assert ".. index:: ! make_vec\n" in pages["dcgrid_env.envs.vector"]  # Gymnasium's name leads to the class
 
 
+@pytest.mark.slow
 def test_every_public_name_has_a_description(api):
     names = [(module, public) for module, names in api["modules"]().items() for public in names]
     assert [public for module, public in names if not api["described"](module, public)] == []
 
 
+@pytest.mark.slow
 def test_groups_cover_all_modules(api):
     groups = {module: api["place"](module) for module in api["modules"]()}
     entries = {(group.title, i) for group, i in groups.values()}

@@ -47,6 +47,7 @@ def one_thread():
 
 
 @pytest.mark.usefixtures("one_thread")
+@pytest.mark.slow
 def test_plain_sb3_and_its_model_as_a_class_of_ones_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     before, after = example("sb3_plain").main(steps=1, num_envs=1, episodes=2, save=Path("results/sb3_plain.zip"))
@@ -60,6 +61,7 @@ def test_plain_sb3_and_its_model_as_a_class_of_ones_own(tmp_path, monkeypatch, c
 
 @pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize("view", ["joint", "shared"])
+@pytest.mark.slow
 def test_sb3_on_the_native_batch(view, tmp_path, capsys):
     n_env = 4 * (12 if view == "shared" else 1)
     before, after = example("sb3_vec_env").main(

@@ -41,6 +41,7 @@ def test_every_preset_stands_in_one_family():
     assert [page for page in pages if not (ROOT / "docs" / f"{page}.md").is_file()] == []
 
 
+@pytest.mark.slow
 def test_headroom_is_that_of_the_benchmark_and_the_cards():
     headroom = runpy.run_path(str(EXTENSIONS / "headroom.py"))
     for preset in PRESETS:
@@ -63,6 +64,7 @@ def test_headroom_is_that_of_the_benchmark_and_the_cards():
         headroom["headroom"]("new")
 
 
+@pytest.mark.slow
 def test_every_page_of_an_environment_has_an_animation_of_its_best_policy():
     pytest.importorskip("sphinx")
     pages = runpy.run_path(str(EXTENSIONS / "environment_pages.py"))

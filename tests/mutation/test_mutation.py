@@ -107,6 +107,7 @@ def test_a_planted_survivor_is_found_and_planted_mutants_are_caught(toy, tmp_pat
     assert [o["after"] for o in json.loads((tmp_path / "again.json").read_text())] == ["pass"]
 
 
+@pytest.mark.slow
 def test_a_run_that_cannot_be_made_says_why(toy):
     assert "no room 'figure' in rooms.toml; choose from figures" in run(toy, "figure").stderr
     listed = toy / "equivalents.toml"

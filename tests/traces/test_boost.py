@@ -70,6 +70,7 @@ def drawn_shares(draw):
 
 @settings(max_examples=150, deadline=None)
 @given(drawn=drawn_shares(), boost_share=st.one_of(st.sampled_from([1.1, 1.3, 2.0]), st.floats(1.0, 2.0)))
+@pytest.mark.slow
 def test_any_draw_stays_in_bounds(drawn, boost_share):
     share, compute = drawn
     high, followed = boosted(share, compute, boost_share)

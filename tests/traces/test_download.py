@@ -265,6 +265,7 @@ def test_several_at_once_download_once(server, path):
     assert server.sent == [len(CONTENT)]
 
 
+@pytest.mark.slow
 def test_traces_are_imported_without_the_means_to_download():
     code = "import sys, dcgrid_env.traces.recordings; print({'pooch', 'requests', 'filelock'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -103,6 +103,7 @@ def test_splits_share_no_seed():
 
 
 @pytest.mark.parametrize("source", SERVED)
+@pytest.mark.slow
 def test_rows_made_of_requests_are_the_hours_of_days_of_their_own(source):
     hours = {}
     for split in ALL_SPLITS:
@@ -147,6 +148,7 @@ def test_the_first_rows_do_not_depend_on_the_count():
     np.testing.assert_array_equal(many[:2], few)
 
 
+@pytest.mark.slow
 def test_another_process_draws_the_same_bytes():
     code = (
         "import hashlib; from dcgrid_env.traces import library; "

@@ -109,6 +109,7 @@ def spoilt(tmp_path_factory):
     return main(dataclasses.replace(QUICK, out=tmp_path_factory.mktemp("spoilt") / "run"), Spoilt), rates
 
 
+@pytest.mark.slow
 def test_the_rate_of_learning_falls_along_a_cosine(spoilt):
     # 40 steps are four windows, so 16 updates are four batches: at 0, 1/4, 1/2 and 3/4 of half a turn.
     assert spoilt[1] == pytest.approx([0.08, 0.04 * (1.0 + np.sqrt(0.5)), 0.04, 0.04 * (1.0 - np.sqrt(0.5))])
@@ -120,6 +121,7 @@ def test_a_policy_that_grows_worse_is_not_kept(spoilt):
     assert Card.load(spoilt[0] / "policy.json").validation_J == first
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_to_the_same_curve(finished, tmp_path):
     cfg = dataclasses.replace(TINY, out=tmp_path / "run")
     with pytest.raises(KeyboardInterrupt):
@@ -130,6 +132,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_curve(finished, tmp_path):
     assert (tmp_path / "run" / "policy.safetensors").read_bytes() == (finished / "policy.safetensors").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_run_that_diverges_stops_and_keeps_what_was_good(tmp_path):
     cfg, folder = dataclasses.replace(TINY, out=tmp_path / "run"), tmp_path / "run"
     with pytest.raises(
@@ -192,6 +195,7 @@ def test_a_run_learns_from_the_training_split_and_from_variants():
     assert np.isfinite(list(figures.values())).all()
 
 
+@pytest.mark.slow
 def test_a_history_begins_with_an_episode_and_is_cut_with_its_windows():
     cfg = dataclasses.replace(QUICK, history=2)
     learner, again = (Learner(cfg, grids_of(cfg)) for _ in range(2))

@@ -27,6 +27,7 @@ def finished(tmp_path_factory):
     return main(dataclasses.replace(TINY, out=tmp_path_factory.mktemp("cem") / "run"))
 
 
+@pytest.mark.slow
 def test_the_search_improves_on_its_start(finished):
     """The start keeps the reactive power at zero; the policy is the best of the curve, on unseen episodes too."""
     curve = read_curve(finished)
@@ -44,6 +45,7 @@ def test_the_search_improves_on_its_start(finished):
     assert np.mean(own) < 0.6 * np.mean(idle)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_bytes_and_another_seed_others(finished, tmp_path):
     again = main(dataclasses.replace(TINY, out=tmp_path / "again"))
     assert without_times(again) == without_times(finished)
@@ -52,6 +54,7 @@ def test_a_seed_gives_the_same_bytes_and_another_seed_others(finished, tmp_path)
     assert read_curve(other)[0]["J"] != read_curve(finished)[0]["J"]
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_the_same_curve(finished, tmp_path, monkeypatch):
     cfg, searched = dataclasses.replace(TINY, out=tmp_path / "run"), algorithm.Search.iterate
 
@@ -72,6 +75,7 @@ def test_a_killed_run_goes_on_with_the_same_curve(finished, tmp_path, monkeypatc
 
 @pytest.mark.parametrize("view", ["shared", "centralised"])
 @pytest.mark.parametrize("scenario", ["ieee123-3ph-day", "smoothing", "zero-shot"])
+@pytest.mark.slow
 def test_other_devices_views_and_feeders(scenario, view, tmp_path):
     """Regulators that are agents, further channels, and random feeders."""
     cfg = Cem(

@@ -53,6 +53,7 @@ def test_the_exported_policy_acts_as_the_models_mean(tmp_path, name, view):
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypatch, name):
     module, _ = ALGORITHMS[name]
     times = ("seconds", "physics_s", "learning_s", "validation_s", "steps_per_s")
@@ -79,6 +80,7 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.slow
 def test_a_horizon_is_no_end_in_the_replay_buffer(tmp_path, name):
     cfg = tiny(name, tmp_path)
     vec_env = sb3.vec_env_for(cfg)

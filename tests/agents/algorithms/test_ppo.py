@@ -49,6 +49,7 @@ def test_the_exported_policy_acts_as_the_models_mean(tmp_path, view, act):
             np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_run_leaves_what_it_says_and_the_best_policy_is_the_curves(tmp_path):
     folder = ppo.main(tiny(tmp_path))
     assert {"config.json", "curve.csv", "checkpoint.pt", "policy.safetensors", "policy.json"} <= {
@@ -170,6 +171,7 @@ def test_a_setting_that_must_be_above_0_is_named(tmp_path, field):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_difference_rewards_have_settings_of_their_own(tmp_path):
     cfg = ppo.Ppo.for_scenario("toy6", reward="difference", out=tmp_path / "run", steps=1200, **TINY)
     assert (cfg.gamma, cfg.gae_lambda, cfg.outputs, cfg.nameplate) == (0.0, 0.0, "change", True)

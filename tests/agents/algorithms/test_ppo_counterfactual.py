@@ -206,6 +206,7 @@ def test_the_policy_acts_as_the_models_mean_and_sees_no_more_than_an_agent_does(
     assert set(policy.networks) == {"datacenter", "inverter"}
 
 
+@pytest.mark.slow
 def test_a_run_keeps_the_best_policy_of_the_curve(tmp_path):
     folder = algorithm.main(tiny(tmp_path, steps=600))
     best = min(row["J"] for row in read_curve(folder))

@@ -43,6 +43,7 @@ def test_a_late_measurement_tightens_the_reactive_bound():
         assert (np.abs(np.roots([1.0, -1.0, 0.0, k])).max() <= 1.0) == inside
 
 
+@pytest.mark.slow
 def test_a_run_keeps_to_the_bounds(tmp_path, capsys):
     cfg = Safe("toy6", out=tmp_path / "run", updates=2, num_envs=2, validation_episodes=2, margin=0.4, hidden=(4,))
     policy = Policy.load(main(cfg) / "policy.safetensors")

@@ -239,6 +239,7 @@ def test_what_acts_otherwise_than_it_says_is_refused(tmp_path, capsys):
     assert not list(tmp_path.glob("policy*"))
 
 
+@pytest.mark.slow
 def test_a_trusted_zip_is_evaluated(tmp_path, capsys):
     made(SAC).save(tmp_path / "model")
     main(["evaluate", str(tmp_path / "model.zip"), "--scenario", SCENARIO, "--episodes", "2", "--trust"])

@@ -59,12 +59,14 @@ def whole(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_controller_that_reads_its_caller_s_frames_finds_no_seeds(tmp_path):
     (tmp_path / "peek.py").write_text(PEEKING)
     with pytest.raises(ValueError, match="LookupError: there are no seeds in the frames"):
         submit(f"{tmp_path / 'peek.py'}:Peeking", "peek", tmp_path / "out", scenario="toy6", episodes=2, scope="joint")
 
 
+@pytest.mark.slow
 def test_no_field_of_a_submission_chooses_the_fresh_seeds(whole, monkeypatch):
     drawn = [verifying.draw_seed() for _ in range(50)]
     assert len(set(drawn)) == 50
@@ -124,6 +126,7 @@ def test_agents_under_a_local_scope_share_no_memory():
     assert (acted(body, "local") == 1.0).all()
 
 
+@pytest.mark.slow
 def test_code_sees_nothing_of_the_verifier_s_environment():
     with pytest.raises(remote.ProcessError, match="KeyError: 'DCGRID_VERIFIER_KEY'"):
         acted("__import__('os').environ['DCGRID_VERIFIER_KEY']")
@@ -147,6 +150,7 @@ def test_code_sees_nothing_of_the_verifier_s_environment():
         ("raise KeyError", "KeyError"),
     ],
 )
+@pytest.mark.slow
 def test_code_that_hangs_dies_or_answers_with_anything_is_one_error(body, said, monkeypatch):
     monkeypatch.setattr(remote, "STEP_S", 1.0)
     began = time.monotonic()
@@ -167,6 +171,7 @@ def test_code_that_hangs_dies_or_answers_with_anything_is_one_error(body, said, 
         ("import os; os._exit(1)", r"its process ended \(exit status 1\)"),
     ],
 )
+@pytest.mark.slow
 def test_code_that_cannot_be_loaded_is_one_line(code, said, tmp_path, capsys):
     (tmp_path / "own.py").write_text(code)
     with pytest.raises(SystemExit):

@@ -69,6 +69,7 @@ ON_PROCESSES = (
 )
 
 
+@pytest.mark.slow
 def test_confined_code_cannot_change_or_signal_another_process(victim):
     require_refused([attack.format(pid=victim.pid) for attack in ON_PROCESSES], errno.EPERM)
     time.sleep(0.1)
@@ -86,6 +87,7 @@ NEWER = (
 )
 
 
+@pytest.mark.slow
 def test_newer_system_calls_do_not_exist_for_confined_code(victim):
     """A C library then uses an older call, which the filter covers."""
     attacks = [f"called(libc.syscall({call.format(pid=victim.pid)}))" for call in NEWER]
@@ -93,6 +95,7 @@ def test_newer_system_calls_do_not_exist_for_confined_code(victim):
 
 
 @pytest.mark.parametrize("body", [f"libc.syscall({0x40000000 + 39})", MACHINE_CODE])
+@pytest.mark.slow
 def test_system_calls_of_another_interface_end_the_process(body):
     with pytest.raises(remote.ProcessError, match=r"its process ended \(signal (31|11)\)"):
         acted(body, confined=True)
@@ -115,6 +118,7 @@ METADATA = (
 )
 
 
+@pytest.mark.slow
 def test_confined_code_cannot_change_metadata_of_a_file(tmp_path):
     path = tmp_path / "report.json"
     path.write_text("{}")
@@ -161,6 +165,7 @@ CHANNELS = (
 )
 
 
+@pytest.mark.slow
 def test_two_confined_processes_share_no_lock_metadata_message_or_folder(tmp_path):
     path = tmp_path / "shared"
     path.write_text("{}")
@@ -181,11 +186,13 @@ VERIFIER = (
 )
 
 
+@pytest.mark.slow
 def test_confined_code_reads_and_writes_nothing_of_the_verifier(tmp_path):
     (tmp_path / "verifier.key").write_text("key")
     require_refused([attack.format(here=tmp_path, pid=os.getpid()) for attack in VERIFIER], errno.EACCES)
 
 
+@pytest.mark.slow
 def test_short_of_memory_the_kernel_ends_confined_code_before_the_verifier():
     with closing(remote.ControllerProcess(of_submitter=True)) as process:
         code = b"class Own:\n    def reset(self, env_info): ...\n    def act(self, observations): ..."
@@ -193,6 +200,7 @@ def test_short_of_memory_the_kernel_ends_confined_code_before_the_verifier():
         assert Path(f"/proc/{process._process.pid}/oom_score_adj").read_text() == "1000\n"
 
 
+@pytest.mark.slow
 def test_the_memory_of_confined_code_is_limited():
     with pytest.raises(remote.ProcessError, match="MemoryError"):
         acted("np.ones(2**31)", confined=True)

@@ -201,6 +201,7 @@ def test_a_card_that_says_something_else_is_noticed(copied, capsys, tmp_path):
 
 
 @pytest.mark.skipif(not version(), reason="this system cannot confine code")
+@pytest.mark.slow
 def test_code_of_ones_own_runs_when_trusted_alone(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(OWN)
@@ -307,6 +308,7 @@ def test_what_was_changed_after_it_was_verified_is_not_listed(file, fields, said
 
 
 @pytest.mark.parametrize("file", ["submission.json", "verified.json", "card and weights"])
+@pytest.mark.slow
 def test_a_damaged_folder_is_refused_by_its_file_or_reads_as_the_same(file, entry, tmp_path, monkeypatch):
     monkeypatch.setattr("docs.studies.leaderboard.PUBLISHED_EPISODES", 4)
     folder, same, refused = Path(shutil.copytree(entry, tmp_path / "entry")), listed(entry), 0
@@ -379,6 +381,7 @@ def test_groups_and_texts_of_the_tables(whole):
     assert "1.0 (0.0 to 1.1) below |" in text
 
 
+@pytest.mark.slow
 def test_our_folders_can_be_listed(monkeypatch):
     monkeypatch.setattr("dcgrid_env.agents.leaderboard.signing.PUBLIC", PUBLIC)
     folders = sorted(path.parent for path in ENTRIES.glob("*/submission.json"))

@@ -69,6 +69,7 @@ except ValueError as error:
 """
 
 
+@pytest.mark.slow
 def test_the_modules_are_imported_without_the_modules_of_unix():
     subprocess.run([sys.executable, "-c", ON_WINDOWS], check=True)
 
@@ -95,6 +96,7 @@ def test_entries_need_linux(arguments, monkeypatch, capsys, tmp_path):
         ("prctl", (22,), "seccomp: filter system calls fails: Operation not permitted"),
     ],
 )
+@pytest.mark.slow
 def test_a_part_of_the_confinement_that_fails_is_named(call, start, message, tmp_path):
     program = CONFINING.format(call=call, start=start)
     command, one_thread = [sys.executable, "-c", program, tmp_path], remote._environment(str(tmp_path))
@@ -117,6 +119,7 @@ def test_code_does_not_run_on_a_kernel_without_seccomp():
 
 @confines
 @pytest.mark.parametrize("confined", [False, True])
+@pytest.mark.slow
 def test_a_process_imports_what_this_one_can(confined, tmp_path, monkeypatch):
     (tmp_path / "elsewhere.py").write_text("figure = 7.0")
     monkeypatch.syspath_prepend(tmp_path)
@@ -142,6 +145,7 @@ def test_confined_code_cannot_read_the_folders_of_the_script_and_of_the_work(tmp
     assert acted("import of_work", confined=True).shape == (2, 4)
 
 
+@pytest.mark.slow
 def test_the_last_line_of_standard_error_is_reported():
     body = (
         "sys.stderr.write('first\\n' * 10_000 + 'library X\\x1b[2J\\tis missing\\n')\nsys.stderr.flush()\nos._exit(4)"

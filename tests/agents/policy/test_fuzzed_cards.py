@@ -43,6 +43,7 @@ def load(tmp_path):
     return read
 
 
+@pytest.mark.slow
 def test_damaged_cards_are_refused_or_valid(load):
     rng, refused = random.Random(1), 0
     for _ in range(1000):
@@ -69,6 +70,7 @@ def changed(path, value) -> bytes:
     return json.dumps(card).encode()
 
 
+@pytest.mark.slow
 def test_odd_values_are_refused_or_valid(load):
     rng = random.Random(2)
     for path in leaves(json.loads(CARD)):

@@ -45,6 +45,7 @@ def test_tensors_and_arrays_come_to_the_same(preset):
 @pytest.mark.parametrize(
     ("preset", "deviations", "of"), [("ieee33-weak", (-1.2, -0.4), "cut_kw"), ("khodr141", (-0.4, 0.2), "chosen")]
 )
+@pytest.mark.slow
 def test_the_derivative_is_that_of_the_decisions(preset, deviations, of):
     joint, apart = observed(preset, deviations), 5e-3  # of the band
     names = [name for own in field_names(make_scenario(preset)).values() for name in own]

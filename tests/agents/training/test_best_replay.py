@@ -45,6 +45,7 @@ def without_times(folder):
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "carry-over")) for name in ALGORITHMS]
 )
+@pytest.mark.slow
 def test_the_replay_changes_nothing_and_every_validation_has_a_line(name, tmp_path, capsys):
     """Curve and policy are the same with and without the replay, and the replay is of the best policy."""
     algorithm, folders = ALGORITHMS[name], {}

@@ -46,6 +46,7 @@ def test_a_command_names_what_differs_only():
     assert float(words_of(exact)[-1]) == exact.learning_rate
 
 
+@pytest.mark.slow
 def test_a_run_is_done_once_and_others_are_told_apart(tmp_path):
     config = tiny(tmp_path / "run")
     assert not finished(config)

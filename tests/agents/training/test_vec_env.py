@@ -74,6 +74,7 @@ def test_what_cannot_be_is_refused():
         sb3_vec_env("toy6", 1, horizn=3)
 
 
+@pytest.mark.slow
 def test_it_says_what_it_needs():
     code = """
 import sys

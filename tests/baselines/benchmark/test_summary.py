@@ -180,6 +180,7 @@ def test_the_worst_episode_is_that_of_the_best_beside_the_reference():
     assert apart.worst.seeds == (3, 1)
 
 
+@pytest.mark.slow
 def test_two_worst_episodes_are_replayed_under_both(monkeypatch):
     drawn = []
 

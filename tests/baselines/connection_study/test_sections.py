@@ -36,6 +36,7 @@ def test_the_base_case_is_the_power_flow_at_nominal_load(job):
     assert section.pictures[0][1].startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_worst_window_is_the_one_with_the_least_margin(job):
     section = sections.worst_window(job)
     limits, metrics = section.tables
@@ -56,6 +57,7 @@ def test_sensitivities_go_the_way_that_they_must(job):
     assert mw["as assumed"] == only.capacity_mw
 
 
+@pytest.mark.slow
 def test_the_report_is_whole_escaped_and_says_what_was_left_out(job, tmp_path):
     file = tmp_path / "study.toml"
     file.write_text("x = 1\n")
@@ -78,6 +80,7 @@ def test_the_report_is_whole_escaped_and_says_what_was_left_out(job, tmp_path):
     assert record["answers"] == answers(job, found)
 
 
+@pytest.mark.slow
 def test_a_day_and_fluctuation_of_a_small_site(job):
     limits = FluctuationLimits(ramp_kw_per_s=20.0)
     small = Job(StudyRequest(feeder="ieee33", bus="12", mw=0.2, controllers=("none",), limits=limits), job.study)

@@ -217,6 +217,7 @@ def test_a_closing_branch_limits_by_its_rating():
         carried(scenario.replace(feeder=before), **wide)
 
 
+@pytest.mark.slow
 def test_more_is_carried_within_wider_limits():
     scenario = on(load_feeder("ieee33"), source_voltage_pu=1.0)
     by_width = [

@@ -60,6 +60,7 @@ def test_a_tie_takes_over_behind_an_open_switch(scenario):
     assert moved
 
 
+@pytest.mark.slow
 def test_without_a_capacitor_less_fits_at_low_voltage(scenario):
     study = Study(
         scenario=scenario, others=False, buses=("66",), samples=1, window_s=10.0, settle_s=4.0, load="peak",

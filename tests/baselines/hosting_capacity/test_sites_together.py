@@ -53,6 +53,7 @@ def test_sites_that_share_nothing_have_what_each_has_alone(rule):
     assert found.limits == ("overload of branch a-b", "overload of branch a-c")
 
 
+@pytest.mark.slow
 def test_sites_that_share_a_branch_divide_it():
     study = study_of(chain(), ("b", "c"), tolerance_mw=0.005, max_mw=3.0)
     equal = sites_together(study, NoControl(), "none", "equal")
@@ -63,6 +64,7 @@ def test_sites_that_share_a_branch_divide_it():
     assert most.sum_mw == pytest.approx(equal.sum_mw, abs=0.006)
 
 
+@pytest.mark.slow
 def test_together_is_less_than_each_alone_and_the_sum_is_at_least_that_of_equal_sizes():
     study = study_of(load_feeder("ieee33"), ("6", "18", "33"), tolerance_mw=0.02, max_mw=2.0)
     study = dataclasses.replace(study, scenario=study.scenario.replace(source_voltage_pu=1.05))

@@ -45,6 +45,7 @@ def test_every_sample_is_the_power_flow_of_its_loads():
     assert counted["above the rating"] == 0.0
 
 
+@pytest.mark.slow
 def test_the_worst_hours_are_found_dated_and_simulated():
     shares = np.full((48, 1), 0.5)
     shares[31], shares[7] = 1.2, 0.1

@@ -42,6 +42,7 @@ def test_what_a_storage_draws(seen, kw):
     np.testing.assert_allclose(draw(**seen), [kw, kw], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_it_holds_the_voltage_and_leaves_clocks_and_reactive_power_to_the_droop():
     s = ieee33_weak_ups(split="validation", horizon=40)
     by_hand, shaved = (rollout(s, law, [1]).series(0) for law in (Droop(), PeakShaving()))

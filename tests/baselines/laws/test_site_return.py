@@ -18,6 +18,7 @@ def first_back_s(law):
     return (back - back.min()).tolist()
 
 
+@pytest.mark.slow
 def test_by_hand_all_return_at_once_and_staggered_one_after_the_other():
     slots = ride_through_34().datacenters.count
     assert first_back_s(ReturnByHand()) == [0] * slots

@@ -41,6 +41,7 @@ def test_with_positions_at_rest_it_is_the_program_of_the_episode(dt_s, cost):
     assert cost == pytest.approx(optimum, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_plans_cost_less_than_laws_and_more_than_the_bound():
     scenario = ieee13().replace(**AGENTS, **BY_MINUTES, weights={"switching": 1.0})
     found = hindsight(scenario, 0)

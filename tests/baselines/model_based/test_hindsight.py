@@ -18,6 +18,7 @@ def solved(request):
     return scenario, {seed: hindsight(scenario, seed) for seed in (0, 6)}
 
 
+@pytest.mark.slow
 def test_the_environment_agrees_with_the_program(solved):
     scenario, found = solved
     for seed, best in found.items():
@@ -124,6 +125,7 @@ def test_controllers_with_a_model_follow_the_voltage_profile(controller):
     assert best < found < best + 0.3 * (none - best)
 
 
+@pytest.mark.slow
 def test_what_is_served_has_arrived_and_what_is_left_is_charged():
     scenario = make_scenario("ieee33-weak", split="validation", weights=CostWeights(backlog=0.01, leftover=0.0))
     best = hindsight(scenario, 0)
@@ -195,6 +197,7 @@ def test_the_band_is_kept_where_it_can_be_and_told_where_it_cannot():
         hindsight(scenario.replace(source_voltage_pu=0.97), 0, keep_band=True)
 
 
+@pytest.mark.slow
 def test_at_the_lowest_clock_a_site_still_serves():
     """The program knows that work is served at f_min too, so the replay does as it says where nothing waits."""
     scenario = make_scenario("ieee33-weak", split="validation", datacenters={"f_min_mhz": 700.0})

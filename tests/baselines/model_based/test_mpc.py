@@ -329,6 +329,7 @@ def test_none_beats_hindsight_and_control_with_a_model_comes_near_it(name):
 
 
 @pytest.mark.parametrize("make", CONTROLLERS)
+@pytest.mark.slow
 def test_a_lost_agent_an_injection_and_a_boost_make_nothing_infinite(make):
     shares = tuple(np.sin(np.linspace(0.0, np.pi, 21)).tolist())
     scenario = make_scenario(

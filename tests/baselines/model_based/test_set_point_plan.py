@@ -36,6 +36,7 @@ def device_of(scenario, kind):
 
 
 @given(st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_regulators_that_may_move_alike_take_the_planned_taps(seed):
     """All regulators of the bank have the same volts, so one band leads all of them."""
     rng, scenario = np.random.default_rng(seed), by_minutes()
@@ -71,6 +72,7 @@ def test_banks_switch_in_the_planned_steps_although_the_control_waits():
         np.testing.assert_array_equal(env.transition.state.bank_on[0], on[step])
 
 
+@pytest.mark.slow
 def test_hindsight_with_set_points_costs_less_than_constant_ones_and_more_than_its_bound():
     scenario = by_minutes(weights={"switching": 1.0})
     found = hindsight(scenario, 0)

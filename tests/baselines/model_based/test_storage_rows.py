@@ -81,6 +81,7 @@ def test_a_storage_that_is_lost_is_not_counted_on():
     assert abs(best.gap) < 2e-4 * best.J
 
 
+@pytest.mark.slow
 def test_a_storage_on_one_phase_of_a_three_phase_feeder():
     base = ieee13().replace(horizon=10, grid_control={"regulators": "fixed"}, split="validation")
     storages = Storages(buses=("692", "671"), phases=("c", "abc"), s_rated_kva=320.0, **FIGURES)

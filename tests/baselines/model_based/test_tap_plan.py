@@ -82,6 +82,7 @@ def test_a_limit_holds_where_it_is_worth_its_price():
 
 
 @pytest.mark.parametrize("timer", ["integrating", "reset"])
+@pytest.mark.slow
 def test_pushed_relays_make_taps_that_lower_the_cost(timer, monkeypatch):
     """With the published set points, taps down save more than 20 % of the cost of a controller that plans none."""
     scenario = timed(timer=timer)
@@ -114,6 +115,7 @@ def test_taps_are_made_when_they_are_planned(monkeypatch):
     assert (made == asked)[asked != 0.0].mean() > 0.8
 
 
+@pytest.mark.slow
 def test_relays_whose_timers_integrate_are_held_before_their_delay_ends():
     """Otherwise they are out of band until the end, and a hold that fails then makes a tap that nobody planned."""
     recorder = rollout(make_scenario("ieee13-3ph", split="validation"), Mpc(horizon=1), range(3))

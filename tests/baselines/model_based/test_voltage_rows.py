@@ -41,6 +41,7 @@ def _optimum(sizes, limits, prices, ranges):
     level=st.sampled_from([0.0, 0.01, 0.05, 0.2]),
     uncharged_pu=st.sampled_from([None, 0.0, 0.0083]),
 )
+@pytest.mark.slow
 def test_the_optimum_is_that_of_all_rows(seed, level, uncharged_pu):
     v_pu, d, q, own = _drawn(seed, level)
     profile = () if uncharged_pu is None else (1.0 + 0.03 * np.random.default_rng(seed).normal(size=4), uncharged_pu)

@@ -31,6 +31,7 @@ def test_without_deadlines_waiting_has_its_price_and_routing_is_worth_something(
     assert pytest.approx(stays.J, rel=1e-4) == held.J
 
 
+@pytest.mark.slow
 def test_late_work_in_the_program_is_late_work_in_the_environment():
     # Work that is worth leaving late: lateness is cheap, and so is what is left.
     levels = {"target_s": 0.0, "deadline_s": 2.0, "late_weight": 0.02}

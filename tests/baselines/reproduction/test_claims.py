@@ -236,6 +236,7 @@ def test_draws_that_never_leave_the_band_are_said_so():
     assert "even 20 MW there do not leave the band" in lever_claims.bus_why(bus(leaves_band_kw=None))["ours"]
 
 
+@pytest.mark.slow
 def test_captions_follow_the_runs(few, monkeypatch):
     row = {"k_p_mw_per_pu": 1.0, "gain_reactive_pct": 3.0, "gain_active_pct": 2.0}
     monkeypatch.setattr(paper_figures, "gains", lambda _: [row, row | {"k_p_mw_per_pu": 20.0, "gain_active_pct": 9.0}])

@@ -63,6 +63,7 @@ def test_settled_on_three_phases_is_the_first_voltage_of_the_environment_without
     np.testing.assert_allclose(levers.settled(scenario, drawn), start.v_pu[1], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_levers_on_three_phases_by_small_changes(true):
     for record in levers.inverters(true):
         # An inverter on one phase, behind a raised tap, may move the mean of a site's phases more than the site itself.

@@ -17,6 +17,7 @@ from dcgrid_env.baselines.reproduction.paper import TABLE_ONE
 from dcgrid_env.baselines.reproduction.study_runs import Law
 
 
+@pytest.mark.slow
 def test_the_default_guess_is_the_study(few):
     for row in cells(few, Guess()):
         run = few.of(few.setting.scenario(row["n_datacenters"]), Law(k_p_mw_per_pu=row["k_p"]))

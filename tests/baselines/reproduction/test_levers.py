@@ -29,6 +29,7 @@ def test_turned_keeps_the_impedance():
     np.testing.assert_allclose(steep.r_ohm * feeder.x_ohm, 3.0 * feeder.r_ohm * steep.x_ohm, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_near_and_far_inverters(few):
     records = levers.inverters(few)
     assert [r["site"] for r in records] == list(PUBLISHED_BUSES)
@@ -41,6 +42,7 @@ def test_near_and_far_inverters(few):
     assert (site[53]["near_bus"], site[99]["near_bus"]) == (54, 103)
 
 
+@pytest.mark.slow
 def test_active_power_is_stronger_where_r_over_x_is_above_one(few):
     for r in levers.axes(few):
         assert (r["rise_pu_per_mw"] > r["rise_pu_per_mvar"]) == (r["r_over_x"] > 1.0)

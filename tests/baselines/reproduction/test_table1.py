@@ -13,6 +13,7 @@ from dcgrid_env.baselines.reproduction.study_runs import Runs, Setting
 from helpers.places import GPU_RECORDING, ROOT, needs_gpu_recording
 
 
+@pytest.mark.slow
 def test_table_one_and_the_split_of_its_gain(few):
     records = table1.table_one(few)
     cells = {(r["n_datacenters"], r["k_p_mw_per_pu"], r["memory"]): r for r in records}

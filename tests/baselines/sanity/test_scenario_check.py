@@ -31,6 +31,7 @@ def test_a_search_without_time_is_no_worse_than_where_it_begins():
     assert none >= fitted("constant-q", scenario, range(2), 0.0).J
 
 
+@pytest.mark.slow
 def test_who_reaches_what_is_in_order_and_hindsight_is_the_least():
     scenario, stages = make_scenario("ieee33-weak", **SHORT), []
     check = check_scenario(scenario, episodes=2, seconds=30.0, on_stage=stages.append)
@@ -56,6 +57,7 @@ def test_without_time_all_columns_are_of_the_one_episode_of_hindsight():
     assert PINNED not in check.figures.reached
 
 
+@pytest.mark.slow
 def test_a_feeder_where_nothing_can_be_done_is_not_worth_learning():
     scenario = make_scenario("ieee33", **{"datacenters.p_rated_kw": 0.1}, **{"inverters.s_rated_kva": 0.1}, **SHORT)
     check = check_scenario(scenario, episodes=2, seconds=20.0)
@@ -63,6 +65,7 @@ def test_a_feeder_where_nothing_can_be_done_is_not_worth_learning():
     assert any(str(verdict).startswith("nothing to gain: hindsight is within") for verdict in check.verdicts)
 
 
+@pytest.mark.slow
 def test_a_scenario_that_hindsight_refuses_is_judged_without_it():
     check = check_scenario(make_scenario("toy6", **{"cost.voltage": "l2"}, **SHORT), episodes=2, seconds=10.0)
     assert HINDSIGHT not in check.figures.reached

@@ -40,6 +40,7 @@ def test_costs_hold_where_the_power_flow_ends_an_episode():
     np.testing.assert_allclose(recorder.costs(), [metrics["J"] for metrics in recorder.metrics()])
 
 
+@pytest.mark.slow
 def test_one_gain_against_a_plain_search():
     scenario = make_scenario("toy6", split="validation", horizon=15)
     found = tune("droop-q", [scenario], episodes=1)
@@ -196,6 +197,7 @@ def test_set_points_are_searched_with_the_rest_of_the_law(law, monkeypatch):
     assert tune(law, [agents], episodes=2) == found
 
 
+@pytest.mark.slow
 def test_a_search_of_set_points_ends_once_all_candidates_are_alike(monkeypatch):
     monkeypatch.setattr(search, "_EXTRA_STD", 0.0)
     monkeypatch.setattr(search, "CANDIDATES", 8)

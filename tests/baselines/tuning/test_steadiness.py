@@ -64,6 +64,7 @@ def test_the_radius_of_several_scenarios_is_the_largest():
     assert each[1] == spectral_radius(weak, where, 1.0, 20.0, alpha_per_s=0.1)
 
 
+@pytest.mark.slow
 def test_a_search_that_ends_at_unstable_gains_is_repeated_within_the_bound():
     scenario = make_scenario("sync", split="validation", horizon=10)
     found = tune("droop-q", [scenario], episodes=1)

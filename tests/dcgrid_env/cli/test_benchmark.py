@@ -88,6 +88,7 @@ def own(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_records_tables_and_report(tmp_path, own, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     results = benchmark(tmp_path / "out", f"none, {own}:Still,none")
@@ -202,6 +203,7 @@ def test_a_changed_controller_is_computed_anew(tmp_path, own):
     assert after["episodes"] == benchmark(tmp_path / "fresh", spec, episodes=2)["episodes"]
 
 
+@pytest.mark.slow
 def test_what_fails_is_reported_and_the_rest_goes_on(tmp_path, own, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     specs = [f"{own}:{name}" for name in ("NotANumber", "WrongShape", "Raises", "Refuses", "Still")]
@@ -344,6 +346,7 @@ def test_the_folder_of_another_run_is_refused(tmp_path, capsys):
     assert (tmp_path / "results.json").read_text() == before
 
 
+@pytest.mark.slow
 def test_units_of_a_scenario_that_has_changed_are_refused(tmp_path, capsys):
     benchmark(tmp_path, "none", episodes=2)
     capsys.readouterr()
@@ -394,6 +397,7 @@ def test_ctrl_c_with_two_processes_loses_nothing_that_was_done(tmp_path):
         assert len(json.loads(path.read_text())["episodes"]) == 25
 
 
+@pytest.mark.slow
 def test_a_line_break_in_the_command_stays_within_its_line_of_the_results(tmp_path):
     out = tmp_path / "line\n# break"
     words = ["benchmark", "--scenarios", "toy6", "--set", "horizon=4", "--controllers", "none", "--episodes", "1"]

@@ -43,6 +43,7 @@ def test_it_prints_and_writes_the_same_answers(capsys, tmp_path):
     assert len(record["ratings"]["not_checked"]) == 32
 
 
+@pytest.mark.slow
 def test_ratings_of_a_season_and_of_outages_are_asked_for_and_reported(tmp_path, capsys):
     feeder = load_feeder("ieee13-3ph")
     names = [f"line {name}" for name in feeder.network.phase_line.name]
@@ -97,6 +98,7 @@ def test_what_cannot_be_is_one_line_and_nothing_is_written(arguments, said, caps
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_outages_and_sites_together_are_printed_and_written(capsys, tmp_path):
     wide = ("--limits", "0.93,1.08", "--max-mw", "1", "--tolerance-mw", "0.1", "--controllers", "none")
     more = ("--outages", "capacitor c83, regulator reg4", "--together", "equal")

@@ -31,6 +31,7 @@ def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
 
 
+@pytest.mark.slow
 def test_it_prints_the_answer_and_writes_the_report(tmp_path, capsys):
     (tmp_path / "s.toml").write_text(FILE)
     main(["study", "s.toml", "--out", "out", "--workers", "1"])

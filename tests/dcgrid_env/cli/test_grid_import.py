@@ -108,6 +108,7 @@ def test_a_file_of_another_program_is_said_to_be_none(tmp_path, capsys):
         assert "is no" in said(capsys, "import", kind, tmp_path / "grid.json", "--out", tmp_path / "x")
 
 
+@pytest.mark.slow
 def test_profiles_of_a_net_become_a_file(tmp_path, capsys):
     import pandapower
     import pandapower.networks

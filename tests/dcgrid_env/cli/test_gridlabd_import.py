@@ -28,6 +28,7 @@ def said(capsys, *words):
     return err
 
 
+@pytest.mark.slow
 def test_a_feeder_is_written_and_compared(model, capsys):
     out = model.parent / "my-feeder"
     main(["import", "gridlabd", str(model), "--out", str(out)])

@@ -83,6 +83,7 @@ def test_a_signal_while_a_file_is_written_leaves_nothing(here, quick, monkeypatc
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_keeps_what_is_whole_and_no_half_of_a_checkpoint(here, monkeypatch, capsys):
     arguments = [*WRITING["train"][0], "--validate-every", "1", "--checkpoint-every", "1", "--validation-episodes", "2"]
     signalled(monkeypatch, signal.SIGINT, "checkpoint.pt")
@@ -133,6 +134,7 @@ def test_a_command_that_fails_at_once_makes_no_folder(here, arguments, out):
 
 
 @pytest.mark.parametrize("name", ["benchmark", "hindsight", "tune"])
+@pytest.mark.slow
 def test_a_second_command_that_changes_the_same_files_is_one_line(here, capsys, quick, name):
     words, _ = WRITING[name]
     folder = here / ("out/deep" if name == "hindsight" else "out")

@@ -220,6 +220,7 @@ def test_overrides_given_in_two_places_are_refused(second, capsys):
     assert "set: must be given once" in said.err
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_ends_a_command_in_silence():
     read, write = os.pipe()
     os.close(read)

@@ -27,6 +27,7 @@ def run(*arguments):
         return json.load(file)
 
 
+@pytest.mark.slow
 def test_a_folder_with_loops_runs_with_its_loadings(folders, capsys):
     feeder = ieee33_with_ties(2, rating_a=200.0)
     feeder.to_csv(folders / "looped")
@@ -48,6 +49,7 @@ def test_a_folder_with_loops_runs_with_its_loadings(folders, capsys):
         ("ieee34-3ph", "drawn among 14 load buses of three phases; 7 inverters of 25 kVA at buses 802,"),
     ],
 )
+@pytest.mark.slow
 def test_a_folder_or_a_name_runs_with_what_is_chosen(feeder, said, folders, capsys):
     run("--feeder", feeder)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "kW of load" in line]
@@ -55,6 +57,7 @@ def test_a_folder_or_a_name_runs_with_what_is_chosen(feeder, said, folders, caps
     assert line.endswith("use --set to change fields")
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_document_and_the_file_that_runs_again(folders, capsys):
     given = ("n_datacenters=2", "datacenters.p_rated_kw=400", "grid_control.regulators=fixed", "horizon=3")
     results = run("--feeder", "my-feeder", "--set", *given)
@@ -67,6 +70,7 @@ def test_the_commands_of_the_document_and_the_file_that_runs_again(folders, caps
     assert json.loads((folders / "more" / "results.json").read_text())["episodes"] == results["episodes"]
 
 
+@pytest.mark.slow
 def test_a_feeder_takes_the_place_of_the_scenarios(folders, capsys):
     results = run("--scenario", "ieee33", "--feeder", "das69", "--set", "horizon=3")
     expected = make_scenario("ieee33", feeder="das69", horizon=3, split="test")

@@ -55,6 +55,7 @@ def refused(capsys, *words):
 
 
 @drawn
+@pytest.mark.slow
 def test_a_stored_run_is_replayed_exactly(tmp_path, monkeypatch, capsys, opened):
     monkeypatch.chdir(tmp_path)
     few = ("--scenario", "toy6", "--set", "horizon=6", "--episodes", "2", "--seed", "3")
@@ -131,6 +132,7 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason=f"imageio not installed; {from_clone('video')}")
+@pytest.mark.slow
 def test_a_gif_in_one_command(tmp_path, capsys):
     main(["replay", "--scenario", "toy6", "--set", "horizon=2", "--compare", "none", "--gif", str(tmp_path / "a.gif")])
     assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF89a")

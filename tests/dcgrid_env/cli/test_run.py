@@ -46,6 +46,7 @@ def test_the_default_controllers_use_a_storage():
     assert controller_names(Run(), make_scenario("toy6").replace(name="my-feeder")) == ["none", "droop", "inverters"]
 
 
+@pytest.mark.slow
 def test_the_same_command_gives_the_same_records(tmp_path):
     first = run(tmp_path / "a", "--episodes", "1", "--controllers", "droop")
     again = run(tmp_path / "b", "--episodes", "1", "--controllers", "droop")
@@ -108,6 +109,7 @@ def test_list_shows_everything(capsys):
         assert name in printed
 
 
+@pytest.mark.slow
 def test_gains_beyond_the_bound_are_told(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     monkeypatch.setitem(CONTROLLERS, "steep", ("too steep", lambda: Droop(k_p_mw_per_pu=20.0)))
@@ -143,6 +145,7 @@ class Fails(Law):
 """
 
 
+@pytest.mark.slow
 def test_ones_own_scenario_with_overrides_and_arguments(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(OWN)

@@ -22,6 +22,7 @@ def fails(capsys, *arguments):
     return capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_show_draws_one_trace_over_another(tmp_path, capsys):
     out = tmp_path / "new" / "trace.png"
     main(["traces", "show", "training", "--against", "inference", "--duration-s", "60", "--out", str(out)])
@@ -32,6 +33,7 @@ def test_show_draws_one_trace_over_another(tmp_path, capsys):
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.slow
 def test_show_refuses_what_is_too_short_for_the_picture(tmp_path, capsys):
     out, path = tmp_path / "new" / "trace.png", tmp_path / "site.csv"
     path.write_text("0,100\n5,200\n", encoding="utf-8")
@@ -61,6 +63,7 @@ def test_show_refuses_what_is_too_short_for_the_picture(tmp_path, capsys):
         out.unlink()
 
 
+@pytest.mark.slow
 def test_show_names_what_there_is(capsys):
     assert "`dcgrid list traces` lists all; or give a file" in fails(capsys, "show", "nothing")
     assert "dcgrid traces fetch azure-2023-code" in fails(capsys, "show", "azure-2023-code")
@@ -83,6 +86,7 @@ def test_record_without_a_gpu_says_what_is_missing(capsys, tmp_path, monkeypatch
     assert not list(tmp_path.glob("gpus*"))
 
 
+@pytest.mark.slow
 def test_run_takes_any_load_and_keeps_its_origin(tmp_path, capsys):
     path = tmp_path / "site.csv"
     path.write_text("".join(f"{s},{100 + s % 50}\n" for s in range(700)), encoding="utf-8")
@@ -104,6 +108,7 @@ def test_run_takes_any_load_and_keeps_its_origin(tmp_path, capsys):
 ROWS = "".join(f"{s},{100 + s % 50}\n" for s in range(1000))
 
 
+@pytest.mark.slow
 def test_check_reports_a_recording_and_writes_the_files(tmp_path, capsys):
     (tmp_path / "site.csv").write_text("time_s,site_kw\n" + ROWS, encoding="utf-8")
     files = {option: tmp_path / name for option, name in (("png", "s.png"), ("out", "s.json"), ("save", "s.csv"))}

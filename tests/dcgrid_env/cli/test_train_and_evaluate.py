@@ -120,6 +120,7 @@ def test_training_without_torch_says_what_to_install(monkeypatch, capsys):
         assert "in a clone of the repository: pip install -e '.[agents]'" in said
 
 
+@pytest.mark.slow
 def test_help_lists_the_algorithms_without_torch():
     code = (
         "import sys\nfrom dcgrid_env.cli.main import main\n"
@@ -173,6 +174,7 @@ def test_a_training_s_folder_runs_no_code_and_says_what_is_wrong_with_it(tmp_pat
 
 
 @pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
+@pytest.mark.slow
 def test_evaluate_off_the_test_split_has_no_score_and_says_so(tmp_path, capsys):
     path = policy().save(tmp_path / "mine")
     main(["evaluate", str(path), "--scenario", "ieee33", "--split", "validation", "--episodes", "2"])
@@ -289,6 +291,7 @@ def test_evaluate_on_ones_own_scenario_says_what_is_missing_and_solves_it(here, 
     assert [e["seed"] for e in json.loads(path.read_text())["episodes"]] == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_episodes_beyond_those_that_ship_are_solved(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     main(["evaluate", "none", "--scenario", "toy6", "--seed", "98", "--episodes", "3", "--hindsight", "--workers", "1"])
@@ -307,6 +310,7 @@ def test_a_file_of_another_scenario_is_refused_before_anything_is_run(here, caps
     assert "toy6.json belongs to a different scenario named toy6; move the file" in said
 
 
+@pytest.mark.slow
 def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
     main(["evaluate", "none", "--scenario", "toy6", "--set", "cost.voltage=l2", "--episodes", "2"])
     assert "no score: hindsight minimises the l1 voltage cost only, not 'l2'" in capsys.readouterr().out
@@ -357,6 +361,7 @@ def test_training_without_gains_of_the_reference_leaves_no_folder(here, capsys):
     assert not (here / "results" / "train").exists()
 
 
+@pytest.mark.slow
 def test_training_takes_devices_in_any_order(here):
     turned = "from dcgrid_env import make_scenario\n\ntoy6 = make_scenario('toy6', horizon=4)\n"
     (here / "turned.py").write_text(turned + "scenario = toy6.replace(name='turned', devices=toy6.devices[::-1])\n")
@@ -369,6 +374,7 @@ def test_training_takes_devices_in_any_order(here):
     assert {name: network.n_out for name, network in learned.networks.items()} == {"inverter": 1, "datacenter": 2}
 
 
+@pytest.mark.slow
 def test_several_seeds_of_a_training(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = [

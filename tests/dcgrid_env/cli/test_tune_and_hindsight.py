@@ -23,6 +23,7 @@ from dcgrid_env.cli.main import main
 from helpers.places import ROOT
 
 
+@pytest.mark.slow
 def test_hindsight_writes_what_it_solved_and_goes_on_from_there(tmp_path, capsys):
     arguments = ["hindsight", "--scenarios", "toy6", "--workers", "1", "--out", str(tmp_path)]
     main([*arguments, "--episodes", "2"])
@@ -113,6 +114,7 @@ def test_tune_writes_parameters_and_the_command_and_leaves_the_rest(tmp_path, ca
     assert f"k_q_mvar_per_pu_s = {found.parameters['k_q_mvar_per_pu_s']}" in capsys.readouterr().out.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_offsets_of_controlled_regulators_are_printed_as_an_option_that_the_tuned_law_requires(
     tmp_path, capsys, monkeypatch
 ):
@@ -383,6 +385,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_what_tune_finds_for_ones_own_scenario_is_what_others_use(here, capsys):
     with pytest.raises(ValueError, match="find its own with `dcgrid tune") as raised:
         make_controller("droop-q-tuned", ScenarioSpec("own.py:make").make("test"))

@@ -43,6 +43,7 @@ def test_functions_of_the_same_name_do_not_share_answers():
     assert [counted(1)(owner), counted(2)(owner)] == [1, 2]
 
 
+@pytest.mark.slow
 def test_an_answer_dies_with_its_owner():
     class Answer:
         pass
@@ -95,6 +96,7 @@ def run(scenario: Scenario) -> None:
 
 
 @pytest.mark.parametrize("observe", ["local", "neighbours"])
+@pytest.mark.slow
 def test_a_scenario_and_its_feeder_are_freed_when_nobody_holds_them(observe):
     feeder = long_feeder(120)
     scenario = scenario_on(feeder, observe=observe, sensing={"r_model_share": 0.9})

@@ -42,6 +42,7 @@ def test_who_is_refused_is_told_by_whom_on_one_line(tmp_path, holder):
 
 
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.slow
 def test_a_lock_ends_with_its_process(tmp_path, holder, sign):
     holder.send_signal(sign)
     holder.wait()

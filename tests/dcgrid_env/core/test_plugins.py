@@ -112,6 +112,7 @@ def test_a_package_adds_a_controller_a_scenario_and_a_feeder(site):
     assert ".toy" not in listed.stdout  # that is an ending, no name
 
 
+@pytest.mark.slow
 def test_a_scenario_takes_the_name_of_another_packages_feeder(site):
     folder = site("good-toy", GOOD, GOOD_POINTS)
     (folder / "toy-far").mkdir()  # a name goes before a folder, and the name is no file that may change
@@ -172,6 +173,7 @@ def test_a_scenario_file_names_another_packages_kind_of_device(site):
         assert len(error.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_broken_package_of_devices_is_one_warning_and_named_where_its_kind_is_missed(site):
     folder = site("broken-toy", "import not_there", "[dcgrid.devices]\nall = broken_toy:DEVICES\n")
     (folder / "a.toml").write_text(WITH_BATTERY)
@@ -182,6 +184,7 @@ def test_a_broken_package_of_devices_is_one_warning_and_named_where_its_kind_is_
     assert "devices[1].kind: no kind of device 'battery'; `dcgrid list devices` lists all; entry point" in error
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_before_it_is_asked_for(site):
     folder = site("good-toy", GOOD, GOOD_POINTS)
     loaded = "print([m for m in ('good_toy', 'dcgrid_env.agents', 'torch') if m in sys.modules])"
@@ -227,6 +230,7 @@ def test_a_broken_one_is_one_line_and_stops_nobody_else(site):
         assert where in error
 
 
+@pytest.mark.slow
 def test_a_name_that_is_taken_stays_what_it_is(site):
     site("other-toy", GOOD.replace("Law", "Other"), GOOD_POINTS.replace("good_toy", "other_toy"))
     entries = "dict.fromkeys(['droop', 'toy-law', 'free'], ('', NoControl))"
@@ -247,6 +251,7 @@ def test_a_name_that_is_taken_stays_what_it_is(site):
     assert "of taking-toy 1.0 repeats droop, toy-law, which stays what it is; give it another name" in line
 
 
+@pytest.mark.slow
 def test_one_that_makes_nothing_useful_is_one_line(site):
     points = "[dcgrid.controllers]\nlaws = bad_toy:THEIRS\n[dcgrid.scenarios]\nall = bad_toy:THEIRS\n"
     folder = site("bad-toy", "THEIRS = {'fails': ('', lambda: 1 / 0), 'empty': ('', dict)}", points)

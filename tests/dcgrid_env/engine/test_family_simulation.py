@@ -98,6 +98,7 @@ def test_a_snapshot_goes_on_as_it_was_with_environments_on_several_feeders():
     np.testing.assert_array_equal(first, [other.step(action)[0] for action in actions[:8]])
 
 
+@pytest.mark.slow
 def test_another_process_draws_the_same_episode():
     code = (
         "from dcgrid_env import *; "
@@ -117,6 +118,7 @@ def test_a_forecast_is_that_of_the_member():
     assert [env_indices.tolist() for _, env_indices in test.members([0, 64, 1])] in ([[0, 1], [2]], [[2], [0, 1]])
 
 
+@pytest.mark.slow
 def test_gymnasium_makes_it_and_draws_its_feeder():
     env = gymnasium.make("dcgrid/ZeroShot-v0", render_mode="rgb_array", horizon=3)
     pictures = []

@@ -31,6 +31,7 @@ ALIKE = ("llama3-405b", "mixtral-8x22b", "deepseek-v3")
         if source not in ("chat", "site")
     ],
 )
+@pytest.mark.slow
 def test_a_step_of_a_second_draws_the_mean_of_ten(source):
     # The window begins with the row, where step k covers the times from k dt to (k + 1) dt.
     same = {"trace": source, "workload.window": "start", "datacenters.clock_law": PrefillDecodeDvfs()}

@@ -214,6 +214,7 @@ def test_capacitors_are_off_or_lost():
     assert struck.tolist() == [False, False, False, True, True, False, False]
 
 
+@pytest.mark.slow
 def test_past_the_collapse_the_episode_ends_and_nothing_is_nan():
     scenario = ieee13().replace(
         datacenters={"p_rated_kw": 60_000.0}, trace="step", workload={"window": "start"}, horizon=30

@@ -59,6 +59,7 @@ def names(rows, agents):
     return [name for name, whose, *_ in rows if whose == "all" or agents in whose]
 
 
+@pytest.mark.slow
 def test_channels_and_fields_are_those_of_the_code():
     scenario = make_scenario("ieee33", datacenters={"boost_share": 1.3}, cost={"band_pu": 0.04})
     env = parallel_env(scenario)
@@ -107,6 +108,7 @@ def test_what_a_feature_adds_is_what_the_table_lists(feature):
     assert added(before.replace(**SETTINGS[feature]), before) == row(feature)
 
 
+@pytest.mark.slow
 def test_what_further_devices_add_is_what_the_table_lists():
     before = make_scenario("ieee33-weak")
     storages = Storages(buses=("18",), p_rated_kw=100.0, energy_kwh=50.0, s_rated_kva=120.0)

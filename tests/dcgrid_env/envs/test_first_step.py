@@ -31,6 +31,7 @@ for kernel in (
         ("ieee34-3ph", {"sweep_rows": 1, "sweep_adjoint_rows": 1}),
     ],
 )
+@pytest.mark.slow
 def test_a_single_environment_compiles_no_kernel_for_batches(preset, compiled):
     done = subprocess.run([sys.executable, "-c", CODE, preset], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -77,6 +77,7 @@ def test_energy_of_the_batteries_is_conserved_and_what_is_missing_is_charged():
 
 
 @pytest.mark.parametrize("name", ["ieee33-weak", "ieee34-3ph"])
+@pytest.mark.slow
 def test_single_batch_and_tensors_go_the_same_way(name):
     scenario = riding(
         name, datacenters={"ride_through": {"curve": "itic", "release": "agent", "walk_in_s": 5.0}}, horizon=110

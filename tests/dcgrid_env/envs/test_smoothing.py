@@ -55,6 +55,7 @@ def episode(scenario, rng=None, action=None):
     st.sampled_from(["fixed", "agent"]),
     st.booleans(),
 )
+@pytest.mark.slow
 def test_work_and_energy_are_conserved(seed, floor, up, down, hysteresis_s, control, two_classes):
     rule = {"floor_share": floor, "ramp_up_w_per_s": up, "ramp_down_w_per_s": down, "hysteresis_s": hysteresis_s}
     law = {"datacenters.clock_law": PrefillDecodeDvfs()} if two_classes else {}

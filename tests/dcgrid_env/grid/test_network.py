@@ -59,6 +59,7 @@ def assert_same(a, b):
 
 
 @given(networks())
+@pytest.mark.slow
 def test_a_network_comes_back_from_its_folder(tmp_path_factory, network):
     folder = tmp_path_factory.mktemp("network")
     write_csv(network, folder)
@@ -66,6 +67,7 @@ def test_a_network_comes_back_from_its_folder(tmp_path_factory, network):
 
 
 @given(networks())
+@pytest.mark.slow
 def test_a_feeder_comes_back_from_its_tables(network):
     feeder = Feeder.from_network(network)
     assert_same(Feeder.from_network(feeder.to_network()), feeder)

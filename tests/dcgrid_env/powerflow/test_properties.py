@@ -91,6 +91,7 @@ def solve(case: Case, kind: str, method: Any = distflow, **options: Any) -> Solu
 @pytest.mark.parametrize("kind", ["numpy", "arrays"])
 @settings(deadline=None)
 @given(case=cases(most_drop=0.1))
+@pytest.mark.slow
 def test_the_solution_fulfils_the_distflow_equations(kind, case):
     solution = solve(case, kind, tolerance_kva=TOLERANCE_KVA)
     assert solution.converged
@@ -153,6 +154,7 @@ def test_more_load_at_a_bus_lowers_its_voltage(case, data):
 @pytest.mark.parametrize("kind", ["numpy", "arrays"])
 @settings(deadline=None)
 @given(case=cases(most_drop=0.1))
+@pytest.mark.slow
 def test_lindistflow_adds_loads_and_drops_along_the_tree(kind, case):
     solution = solve(case, kind, lindistflow)
     assert solution.converged

@@ -213,6 +213,7 @@ def test_derivatives_of_distflow(toy6, scale):
 
 
 @both_forms
+@pytest.mark.slow
 def test_derivatives_of_a_batch(toy6):
     rng = np.random.default_rng(36)
     load = rng.uniform(-1.0, 2.0, (2, 3, 6)), rng.uniform(-1.0, 1.0, (2, 3, 6)), rng.uniform(0.95, 1.05, (2, 3))

@@ -24,6 +24,7 @@ def recorded(scenario, steps, **changes):
 
 
 @pytest.mark.parametrize(("scenario", "steps"), [("toy6", 4), pytest.param("ieee34-3ph", 2, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_frame_is_what_the_environment_draws(scenario, steps):
     run, drawn = recorded(scenario, steps, horizon=5)
     (*_, last) = frames({"random": run})
@@ -32,6 +33,7 @@ def test_a_frame_is_what_the_environment_draws(scenario, steps):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason=f"imageio not installed; {from_clone('video')}")
+@pytest.mark.slow
 def test_a_gif_shows_every_so_many_steps_of_all(tmp_path):
     run, _ = recorded("toy6", 5, horizon=5)
     path = write_film(tmp_path / "new" / "a.gif", {"one": run, "two": run}, fps=5.0, every=2)

@@ -114,6 +114,7 @@ def test_taps_have_signs():
     assert [signed(tap) for tap in (-3.0, 0.0, 11.0)] == ["\N{MINUS SIGN}3", "0", "+11"]
 
 
+@pytest.mark.slow
 def test_a_lost_bank_and_banks_switched_off_are_said():
     fault = Fault(among=("capacitor",), begin_s=(2.0, 2.0), duration_s=(2.0, 2.0))
     env, _ = make("ieee13-3ph", 2, faults=(fault,))
@@ -181,6 +182,7 @@ def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario, overrides
     np.testing.assert_array_equal(env.render(), fresh.render())
 
 
+@pytest.mark.slow
 def test_a_frame_in_which_no_tap_moves_lays_out_no_text(monkeypatch):
     env, _ = make("ieee123-3ph", grid_control={"regulators": "fixed"})
     drawn = []
@@ -194,6 +196,7 @@ def test_a_frame_in_which_no_tap_moves_lays_out_no_text(monkeypatch):
     assert not parts(env)[1].has_taps  # regulators that are fixed take no axes
 
 
+@pytest.mark.slow
 def test_a_collapse_is_drawn_with_the_last_solved_voltages():
     env, _ = make("ieee13-3ph", datacenters={"p_rated_kw": 8000.0}, split="test")
     while not env.transition.terminated[0]:
@@ -214,6 +217,7 @@ def test_a_feeder_of_one_phase_has_no_unbalance_to_show():
     np.testing.assert_allclose(panel.feeder.sectors[1].get_array(), states[-1].v_pu[0, [1, 3, 4]], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_without_sites_and_in_a_batch():
     env, _ = make("ieee13-3ph", 2, n_datacenters=0, datacenters={"buses": ()})
     assert is_image(env.render())
@@ -235,6 +239,7 @@ def test_without_sites_and_in_a_batch():
         for who in ("controlled", "agent")
     ],
 )
+@pytest.mark.slow
 def test_names_and_labels_keep_off_each_other_and_in_the_frame(name, who):
     env, _ = make(name, grid_control={"regulators": who}, split="test")
     panel = parts(env)[0]
@@ -253,6 +258,7 @@ def test_names_and_labels_keep_off_each_other_and_in_the_frame(name, who):
 
 
 @each
+@pytest.mark.slow
 def test_keys_stay_in_the_figure_and_names_of_axes_off_each_other(name):
     env, _ = make(name, grid_control={"regulators": "agent", "capacitors": "agent"})
     figure = env._viewer._figure

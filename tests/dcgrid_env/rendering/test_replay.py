@@ -63,6 +63,7 @@ def test_a_page_holds_the_episodes_to_the_last_decimal_shown(tmp_path):
     assert page._repr_html_().startswith('<iframe srcdoc="&lt;!DOCTYPE html&gt;')
 
 
+@pytest.mark.slow
 def test_phases_taps_storages_and_trips_are_there():
     run = episode("ieee13-3ph", "droop", horizon=3)
     three = held(replay(run))

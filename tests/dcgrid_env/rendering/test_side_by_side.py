@@ -66,6 +66,7 @@ def test_sags_and_trips_are_marked_at_their_times():
     assert "connected (%)" in labels(figure)
 
 
+@pytest.mark.slow
 def test_tap_changes_are_marked_and_counted_as_in_the_metrics():
     scenario = make_scenario("ride-through", horizon=60)
     runs, figure = figure_of(scenario, "none", "droop")

@@ -83,6 +83,7 @@ def test_frames_do_not_share_memory():
     np.testing.assert_array_equal(first, kept)
 
 
+@pytest.mark.slow
 def test_the_kept_background_changes_nothing():
     """A frame drawn after others is the frame that a viewer which draws for the first time would make."""
     env, fresh = make("ieee123", horizon=20), make("ieee123", horizon=20)
@@ -116,6 +117,7 @@ def test_a_part_drawn_anew_is_what_a_whole_picture_has_there(scenario):
     np.testing.assert_array_equal(env.render(), fresh.render())
 
 
+@pytest.mark.slow
 def test_a_usual_frame_lays_out_no_text_and_only_what_changed_is_drawn_anew(monkeypatch):
     env = make("toy6", datacenters={"p_rated_kw": 2500.0})
     env.render()
@@ -192,6 +194,7 @@ def curve_after_render(env, name, env_index=0):
     return curve(env, name)
 
 
+@pytest.mark.slow
 def test_frames_without_steps_in_between_miss_nothing():
     env, seldom = make(), make()
     for _ in range(4):
@@ -215,6 +218,7 @@ def test_a_restored_environment_is_drawn_from_where_it_went_on():
     assert curve_after_render(env, "v_pu")[:, 0].tolist() == [5, 6, 7]
 
 
+@pytest.mark.slow
 def test_a_batch_gives_an_image_of_each_environment():
     batch: Any = gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=3, render_mode="rgb_array", horizon=9)
     singles = [make(horizon=9) for _ in range(3)]
@@ -277,6 +281,7 @@ def test_drawing_before_an_episode_is_refused():
         viewer.draw()
 
 
+@pytest.mark.slow
 def test_copies_draw_for_themselves():
     env = make()
     run(env, 3)
@@ -295,6 +300,7 @@ def test_neither_the_settings_of_the_user_nor_the_drawing_touch_each_other():
         assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.slow
 def test_no_figure_is_left_behind():
     for mode in ("rgb_array", "human"):
         env = make(render_mode=mode)
@@ -362,6 +368,7 @@ def use_backend(monkeypatch):
     return use
 
 
+@pytest.mark.slow
 def test_human_with_a_toolkit_that_cannot_open_a_window(use_backend, caplog):
     use_backend(BrokenCanvas)
     env = make(render_mode="human")
@@ -370,6 +377,7 @@ def test_human_with_a_toolkit_that_cannot_open_a_window(use_backend, caplog):
     assert pyplot.get_fignums() == []
 
 
+@pytest.mark.slow
 def test_human_with_windows_shows_one_and_gives_it_back(use_backend, caplog):
     use_backend(WindowCanvas)
     env = make(render_mode="human")
@@ -438,6 +446,7 @@ def test_render_modes_of_gymnasium():
     env.close()
 
 
+@pytest.mark.slow
 def test_pettingzoo_render_test():
     from pettingzoo.test import render_test
 

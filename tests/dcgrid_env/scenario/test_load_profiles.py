@@ -135,6 +135,7 @@ def test_no_day_is_in_two_splits_and_starts_fall_into_the_splits_days():
         assert set((begin_h // 24.0).astype(int)) <= found
 
 
+@pytest.mark.slow
 def test_an_episode_may_be_as_long_as_a_day_and_a_short_file_repeats():
     fields = {"columns": "class", "classes": _all_home("ieee33")}
     day = make_scenario("ieee33", load_profiles={"file": _days(5), **fields}, split="test", dt_s=900.0, horizon=96)

@@ -245,6 +245,7 @@ def test_constants_of_a_preset(name):
     np.testing.assert_allclose(s.inverters.parameters.s_rated_kva, np.broadcast_to(kvar, len(inverters)))
 
 
+@pytest.mark.slow
 def test_in_sync_all_sites_draw_alike_and_with_pv_more_load_helps_at_noon():
     known = forecast(make_scenario("sync", split="test"), 0)
     np.testing.assert_array_equal(known.p_ref_kw, known.p_ref_kw[:, :1] * np.ones(4))

@@ -1,6 +1,7 @@
 """The animations of the environments' pages: each frame shows the curves up to a time."""
 
 import numpy as np
+import pytest
 from PIL import Image, ImageSequence
 
 from dcgrid_env import make_scenario
@@ -15,6 +16,7 @@ def columns(frame, colour):
     return np.flatnonzero(close[60:].any(axis=0))  # below the legend
 
 
+@pytest.mark.slow
 def test_curves_grow_from_left_to_right_until_they_are_whole(tmp_path):
     path = tmp_path / "toy6.gif"
     scenario = make_scenario("toy6", split="test", horizon=12)

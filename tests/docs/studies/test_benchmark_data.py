@@ -23,6 +23,7 @@ def run(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_a_data_file_has_the_figures_of_the_run(run, tmp_path, capsys):
     out = tmp_path / "new.json"
     studies(["benchmark-data", str(run / "results.json"), "--out", str(out)])

@@ -1,9 +1,12 @@
 """The search of set points: no neighbouring offset is better, and the start is never kept if one is."""
 
+import pytest
+
 from docs.studies import coordination
 from docs.studies.coordination import coordinated, mean_cost, with_offsets
 
 
+@pytest.mark.slow
 def test_no_move_of_a_regulator_lowers_the_cost_of_what_was_found(monkeypatch):
     monkeypatch.setattr(coordination, "STEPS_V", (2.0,))
     monkeypatch.setattr(coordination, "EPISODES", 2)

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from dcgrid_env.baselines.reproduction.guess import VALUES, Distance, Guess
 from dcgrid_env.baselines.reproduction.load import choose_load
 from dcgrid_env.baselines.reproduction.study_runs import Setting
@@ -31,6 +33,7 @@ def test_the_search_finds_a_goal_and_tries_each_guess_once(monkeypatch):
     assert [trial.guess for trial in fit_paper.search(SETTING, 3)] == [trial.guess for trial in trials[:3]]
 
 
+@pytest.mark.slow
 def test_the_search_is_printed_and_written(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     words = ["--tries", "2", "--episodes", "2", "--trace", "generated", "--workers", "1"]

@@ -16,6 +16,7 @@ def study():
     return sag_study.sag_study("ride-through", NAMES, 2, 1, best=True)
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_episodes(study):
     test = make_scenario("ride-through", split="test")
     metrics = rollout(test, ReturnByHand(), range(2)).metrics()
@@ -56,6 +57,7 @@ def test_the_page_and_the_figure_hold_all(study):
     assert f"{study.driven[1].course.figures['ups_trips']:.0f} trips" in said
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_and_figure(tmp_path, capsys):
     Sags(controllers="none", beside="return-by-hand", episodes=1, seed=0, out=tmp_path).run()
     assert (tmp_path / "sag-study.md").read_text().startswith("# Six voltage sags in 82 seconds\n")

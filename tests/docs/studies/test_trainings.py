@@ -98,6 +98,7 @@ def test_bad_input_is_one_line_before_anything_is_trained(here, capsys, argument
     assert not list(here.iterdir())
 
 
+@pytest.mark.slow
 def test_a_training_that_fails_stops_the_front_and_is_named(here, capsys):
     folder = here / "results/pareto/toy6/delay-4-2-0"
     folder.mkdir(parents=True)

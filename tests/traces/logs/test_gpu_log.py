@@ -244,6 +244,7 @@ READINGS = st.lists(
 
 
 @given(READINGS, st.sampled_from([1, 100, 1 << 22]))
+@pytest.mark.slow
 def test_the_sum_is_that_of_each_gpu_held(tmp_path_factory, readings, block_chars):
     # Hundredths of a watt at milliseconds; every GPU reports at the beginning and at the end.
     readings = [(g, 1, 100 * g) for g in range(3)] + readings + [(g, 1, 1) for g in range(3)]

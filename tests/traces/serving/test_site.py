@@ -234,6 +234,7 @@ def test_independent_sites_have_days_of_their_own():
     assert abs(np.corrcoef(pairs.T)[0, 1]) < 0.3
 
 
+@pytest.mark.slow
 def test_a_site_alone_looks_the_same_whatever_the_correlation():
     figures = {}
     for correlation in (0.0, 0.5, 1.0):

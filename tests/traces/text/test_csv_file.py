@@ -249,6 +249,7 @@ TABLES = st.lists(
 
 
 @given(TABLES, st.sampled_from([1, 7, 64]), st.booleans(), st.sampled_from(["hold", "linear"]))
+@pytest.mark.slow
 def test_what_is_written_is_read_whatever_the_block(tmp_path_factory, table, block_chars, header, gaps):
     time_s = np.cumsum([step for step, _ in table])
     cells = np.array([row for _, row in table])
@@ -291,6 +292,7 @@ def test_lines_are_named_whatever_the_block(write, block_chars, line, message):
         PowerTrace.from_csv(path, max_gap_s=2.5)
 
 
+@pytest.mark.slow
 def test_memory_is_bounded_by_what_is_kept(tmp_path):
     # 12 MB of 9 columns; 16 bytes a line are kept, and twice that while the trace takes its own copy.
     path, lines = tmp_path / "site.csv", 200_000

@@ -214,6 +214,7 @@ def test_compute_is_what_lies_above_idle_while_a_job_runs():
 
 @settings(max_examples=60, deadline=None)
 @given(duration_s=st.floats(0.1, 7200.0), seed=st.integers(0, 2**63))
+@pytest.mark.slow
 def test_any_duration_and_seed_stay_in_bounds(duration_s, seed):
     check_bounds(duration_s, seed, None)
 

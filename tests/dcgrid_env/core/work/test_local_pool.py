@@ -24,6 +24,7 @@ def done(work, items, n, values=None):
 
 
 @pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.slow
 def test_every_unit_has_its_result(n):
     assert done(math.sqrt, [9.0, 16.0, 25.0], n) == {9.0: 3.0, 16.0: 4.0, 25.0: 5.0}
     assert done(math.sqrt, [], n) == {}
@@ -55,6 +56,7 @@ def test_a_unit_whose_worker_is_killed_is_tried_twice_again_and_then_named(tmp_p
 
 
 @pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.slow
 def test_what_a_unit_raises_is_not_tried_again_and_named_when_the_others_are_done(n):
     results = LocalPool(n).results(units(math.sqrt, [-1.0, 4.0, 9.0]))
     assert {result for _, result in (next(results), next(results))} == {2.0, 3.0}
@@ -92,6 +94,7 @@ def test_an_error_that_cannot_travel_is_described_and_so_is_what_cannot_be_sent(
     assert found["function"].reason.startswith("it cannot be sent to a process: ")
 
 
+@pytest.mark.slow
 def test_a_process_has_one_thread_the_shared_values_and_no_ctrl_c_and_leaves_no_trace_here():
     before = dict(os.environ), signal.getsignal(signal.SIGINT)
     asked = [Unit(name, os.getenv, name) for name in THREADS]
@@ -104,6 +107,7 @@ def test_a_process_has_one_thread_the_shared_values_and_no_ctrl_c_and_leaves_no_
     assert (dict(os.environ), signal.getsignal(signal.SIGINT)) == before
 
 
+@pytest.mark.slow
 def test_a_unit_of_many_cores_runs_alone(tmp_path):
     wide = [Unit(str(i), alone, str(tmp_path / "one"), Needs(2)) for i in range(3)]
     assert [result for _, result in LocalPool(2).run(wide)] == [True] * 3
@@ -116,6 +120,7 @@ def alone(path):
     return True
 
 
+@pytest.mark.slow
 def test_leaving_early_ends_the_processes():
     results = LocalPool(2).run(units(math.sqrt, [float(i) for i in range(50)]))
     next(results)
@@ -125,6 +130,7 @@ def test_leaving_early_ends_the_processes():
 
 
 @pytest.mark.parametrize("at", [2, 3, 5])
+@pytest.mark.slow
 def test_an_interrupt_between_two_units_of_a_process_ends_it(at, monkeypatch):
     """The process that had just done its unit is no longer busy and has no other: it is to end nevertheless."""
     begin, calls = local_pool._Workers.begin, []

@@ -88,6 +88,7 @@ def opendss(name, bank, settings, p_kw, q_kvar):
 
 @pytest.mark.parametrize("measures", ["voltage", "kvar"])
 @pytest.mark.parametrize("name", BANKS)
+@pytest.mark.slow
 def test_the_same_switchings_at_the_same_seconds(name, measures):
     bank, on_below_pu, off_above_pu = BANKS[name]
     feeder = load_feeder(name)

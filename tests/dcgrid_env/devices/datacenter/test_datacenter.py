@@ -138,6 +138,7 @@ def test_laws_of_any_sequence(dt_s, drawn):
 @pytest.mark.parametrize("dt_s", [0.1, 1.0, 5.0])
 @settings(max_examples=60, deadline=None)
 @given(drawn=st.lists(st.tuples(shares, shares, shares), min_size=1, max_size=80))
+@pytest.mark.slow
 def test_laws_of_any_sequence_of_two_classes(dt_s, drawn):
     # Up to 1.3 of the rating, in any composition.
     p_ref_kw, f_mhz, share = np.array(drawn).T * [[1300.0], [1200.0], [1.0]] + [[0.0], [210.0], [0.0]]

@@ -146,6 +146,7 @@ def test_hindsight_takes_a_deadline_beyond_the_episode():
     assert found.bound <= found.J + 1e-6
 
 
+@pytest.mark.slow
 def test_what_all_sites_are_asked_is_within_its_range():
     s = make_scenario(
         "toy6", horizon=30, datacenters={"idle_share": 0.8, "boost_share": 2.0, "routing": {}}, trace="code"

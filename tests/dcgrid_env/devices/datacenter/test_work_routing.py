@@ -96,6 +96,7 @@ def test_it_has_a_derivative_by_what_is_given_and_taken():
         {"faults": [Fault(("datacenter",), (2.0, 6.0))]},
     ],
 )
+@pytest.mark.slow
 def test_one_environment_a_batch_and_tensors_agree_and_no_work_is_lost(changes):
     s = routed(**changes)
     rng, n = np.random.default_rng(5), action_layout(s).n

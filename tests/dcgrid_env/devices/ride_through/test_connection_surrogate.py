@@ -35,6 +35,7 @@ def driven(widths):
     return torch.stack(costs), torch.stack(shares), more.grad
 
 
+@pytest.mark.slow
 def test_every_value_is_as_without_it_and_the_derivative_another():
     exact, smooth = driven(None), driven(TripWidths())
     assert torch.equal(exact[0], smooth[0])

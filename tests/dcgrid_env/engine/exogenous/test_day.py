@@ -15,6 +15,7 @@ from dcgrid_env.traces import RowsOnDemand, load_share, rows_on_demand, sun_shar
 DAY = {"horizon": 1440, "dt_s": 60.0}
 
 
+@pytest.mark.slow
 def test_the_base_load_has_the_course_of_a_day():
     scenario = make_scenario(
         "ieee33", **{"background.start_hour": 0, "background.load_sigma": 0.0}, split="test", **DAY

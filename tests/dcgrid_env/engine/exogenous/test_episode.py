@@ -370,6 +370,7 @@ def test_recordings_have_the_scenarios_composition():
         np.testing.assert_allclose(state.class_arrived_kw, state.arrived_kw[..., None] * [0.25, 0.75])
 
 
+@pytest.mark.slow
 def test_boost_reaches_the_traces():
     plain, boosted = (
         trace_pool(make_scenario("ieee123", trace="training", datacenters={"boost_share": b})).p_share

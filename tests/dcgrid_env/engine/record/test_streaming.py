@@ -135,6 +135,7 @@ def test_nothing_is_said_of_an_episode_that_goes_on():
         recorder.costs()
 
 
+@pytest.mark.slow
 def test_what_a_course_takes_grows_with_steps_and_environments_and_a_day_is_too_long():
     scenario = make_scenario("ieee33-weak", split="test")
     one, eight = course_bytes(scenario, [0]), course_bytes(scenario, range(8))

@@ -33,6 +33,7 @@ def test_a_held_out_split_has_64_feeders_in_turn(split):
     assert keys(split, [2**64 - 1], number=2**64 - 1) == [of_seeds[HELD_OUT - 2]]
 
 
+@pytest.mark.slow
 def test_no_feeder_is_in_two_splits_and_all_64_differ():
     splits = [set(keys(split, range(64))) for split in HELD] + [set(keys("train", range(0, 4000, 4)))]
     assert len(set.union(*splits)) == sum(map(len, splits)) == 3 * 64 + 1000

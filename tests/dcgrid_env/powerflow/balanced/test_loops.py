@@ -53,6 +53,7 @@ def with_shunts_and_ratio(feeder):
     ],
     ids=["one loop", "two loops", "ieee33, 1 tie", "ieee33, 2 ties", "ieee33, 5 ties", "khodr141, 2 ties"],
 )  # fmt: skip
+@pytest.mark.slow
 def test_voltages_flows_and_loss_are_newtons(feeder, pandapower_net):
     p_kw, q_kvar = base(feeder)
     net = pandapower_net(replace(feeder, name=f"{feeder.name}, {feeder.n_branch} branches"))

@@ -104,6 +104,7 @@ def test_newton_is_the_sweep_where_that_settles_and_is_not_used_there(feeder, ra
     assert solved(feeder, inputs).converged.all()
 
 
+@pytest.mark.slow
 def test_each_environment_of_a_batch_that_needs_it_has_the_bits_that_it_has_alone():
     feeder = load_feeder("ieee34-3ph")
     given = growing(feeder, 0)

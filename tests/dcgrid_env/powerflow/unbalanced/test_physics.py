@@ -212,6 +212,7 @@ def test_up_to_the_collapse_and_past_it():
 
 @pytest.mark.parametrize("name", THREE_PHASE)
 @pytest.mark.parametrize("size_kw", [2e3, 2e4, 3e5, -3e5])
+@pytest.mark.slow
 def test_impossible_loads_are_no_error_and_never_a_nan(name, size_kw):
     feeder = load_feeder(name)
     p_kw, q_kvar = np.tile(feeder.p_load_kw, (40, 1)), np.tile(feeder.q_load_kvar, (40, 1))

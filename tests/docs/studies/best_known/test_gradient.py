@@ -10,6 +10,7 @@ from docs.studies.best_known.driving import driven
 
 
 @pytest.mark.parametrize(("preset", "horizon"), [("smoothing", 70), ("ride-through", 50)])
+@pytest.mark.slow
 def test_windows_have_the_gradient_of_whole_episodes(monkeypatch, preset, horizon):
     monkeypatch.setattr(gradient, "WINDOW", 20)
     s, seeds = make_scenario(preset, split="test", horizon=horizon), [2, 0]

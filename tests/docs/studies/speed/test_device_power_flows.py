@@ -15,6 +15,7 @@ def cases():
     return Case.draw(make_scenario("toy6"), 6), ThreePhaseCase.draw(6, "ieee13-3ph")
 
 
+@pytest.mark.slow
 def test_every_form_is_measured_in_both_precisions(cases, monkeypatch):
     done = []
     monkeypatch.setattr(tensors, "rate", lambda work, amount, seconds: done.append(work()) or amount)
@@ -27,6 +28,7 @@ def test_every_form_is_measured_in_both_precisions(cases, monkeypatch):
             assert row.error_pu < (1e-7 if "float64" in row.name else 1e-4), row.name
 
 
+@pytest.mark.slow
 def test_other_devices_have_the_array_form_alone(cases, monkeypatch):
     monkeypatch.setattr(device_power_flows, "kind_of", lambda device: "cuda")
     monkeypatch.setattr(tensors, "rate", lambda work, amount, seconds: amount)

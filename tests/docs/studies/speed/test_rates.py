@@ -175,6 +175,7 @@ def test_bad_settings_end_with_one_line_and_status_2(bad, capsys):
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_memory_measurement_that_fails_says_why():
     with pytest.raises(RuntimeError, match="nowhere"):
         memory_row("nowhere", 1)

@@ -13,6 +13,7 @@ def test_one_worker_does_one_after_the_other_and_many_are_held_up_by_the_driver(
     assert simulated_s(cost, 1000, 3.0, 1000) == pytest.approx(1000 * 0.5 + 4.0)
 
 
+@pytest.mark.slow
 def test_steps_follow_the_time_asked_for():
     assert 0 < steps_of(0.001) < steps_of(1.0)
 

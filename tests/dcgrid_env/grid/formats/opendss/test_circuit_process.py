@@ -68,6 +68,7 @@ def test_time_is_limited(master, children, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal that Windows does not have")
+@pytest.mark.slow
 def test_an_interrupt_ends_the_child(master, children):
     threading.Timer(3.0, os.kill, (os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
@@ -76,6 +77,7 @@ def test_an_interrupt_ends_the_child(master, children):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a parent's end is not seen on Windows")
+@pytest.mark.slow
 def test_the_child_ends_with_a_parent_that_is_killed(master):
     script = (
         "import subprocess, sys\nstart = subprocess.Popen.__init__\n"

@@ -61,6 +61,7 @@ def feeder(script):
     return ThreePhaseFeeder.from_network(read_opendss(script).network)
 
 
+@pytest.mark.slow
 def test_losses_are_those_of_opendss_with_the_cores(script, feeder):
     solution = solve_unbalanced(feeder, feeder.p_load_kw, feeder.q_load_kvar)
     theirs = losses_kw(script)

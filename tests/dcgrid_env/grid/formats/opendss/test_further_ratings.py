@@ -26,6 +26,7 @@ CalcVoltageBases
 """  # noqa: E501
 
 
+@pytest.mark.slow
 def test_written_ratings_are_kept_through_import_and_folder(tmp_path):
     path = tmp_path / "rated.dss"
     path.write_text(SCRIPT)

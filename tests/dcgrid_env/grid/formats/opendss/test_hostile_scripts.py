@@ -85,6 +85,7 @@ def test_no_property_of_opendss_that_may_stand_by_position_names_a_file_or_acts(
     assert seen == set(_DANGEROUS)
 
 
+@pytest.mark.slow
 def test_scripts_that_redirect_to_themselves_end(tmp_path, master):
     with pytest.raises(FeederError, match="redirect deeper than 32"):
         read_circuit(master("Redirect Master.dss"))

@@ -23,6 +23,7 @@ def shipped(request, tmp_path_factory):
     return feeder, read_circuit(path)
 
 
+@pytest.mark.slow
 def test_the_tables_of_a_shipped_feeder_come_back(shipped):
     feeder, found = shipped
     for kind in TABLES:

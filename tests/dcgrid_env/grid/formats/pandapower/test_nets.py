@@ -137,6 +137,7 @@ def test_generators_may_be_fixed_at_their_power():
 
 
 @pytest.mark.parametrize("name", ["ieee33", "ieee123"])
+@pytest.mark.slow
 def test_a_feeder_comes_back_from_a_net(tmp_path, name):
     feeder = load_feeder(name)
     write_pandapower(feeder, tmp_path / "net.json")
@@ -171,12 +172,14 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_a_file_gives_what_its_net_gives(file):
     feeders = [Feeder.from_network(read_pandapower(source).network) for source in (net_of_all_kinds(), file)]
     assert_same_feeder(*feeders)
     assert_same_feeder(feeders[0], Feeder.from_network(read_pandapower(file, trust=True).network))
 
 
+@pytest.mark.slow
 def test_nothing_that_a_file_names_is_imported_or_called(file, tmp_path, monkeypatch):
     """pandapower's own reader would import the module and make the object; a marker file would show it."""
     marker = tmp_path / "was_run"
@@ -248,6 +251,7 @@ SLOW = [
 @pytest.mark.parametrize(
     ("source", "arguments", "at"), [*NETS, *(pytest.param(*one, marks=pytest.mark.slow) for one in SLOW)]
 )
+@pytest.mark.slow
 def test_voltages_of_a_published_net_are_pandapowers(source, arguments, at):
     if "-" in source:
         pytest.importorskip("simbench", reason="simbench is not installed")
@@ -270,6 +274,7 @@ def test_a_transformer_to_a_bus_out_of_service_is_left_out():
     assert apart_pu(imported) < 1e-7
 
 
+@pytest.mark.slow
 def test_profiles_in_simbenchs_form_give_pandapowers_voltages_over_time(tmp_path):
     import pandas
 
