@@ -162,7 +162,8 @@ def test_rows_after_the_checkpoint_are_dropped(tmp_path):
 
 def test_progress_on_a_terminal_is_a_bar_with_the_last_figures(monkeypatch, capsys):
     """Iterations without a validation keep them; a resumed training begins where it was."""
-    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "120")
     with progress("[toy6], ppo", 4, 1) as advance:
         advance(2, "J 0.5")
