@@ -1,16 +1,18 @@
-"""Difference rewards for taps: what the advance of a relay's timer is worth, and to whose action it is due.
+"""Payment of agents for taps that relays will make, as a part of difference rewards.
 
 Relays integrate their time out of band over many steps, so the tap that an action leads to comes later. As deferred
 work is charged at once, the advance of a timer is paid at once, with its share of the value of the coming tap:
 
-    saved(a) = sum over relays of value dt/delay (s(x) - s(x'))        x = (d - half band) / (WIDTH half band)
-    value    = max(saving T_left - price, 0)                           s(x) = 1 / (1 + exp(-x))
+    saved(a) = sum over relays of value dt/delay (s(x) - s(x'))    value = max(saving T_left - price, 0)
+    x        = (d / half band - 1 - MARGIN) / WIDTH                s(x)  = min(exp(x), 1)
 
-A dash marks the step with the default in an entry. d is the distance of the relay volts from the target on the side of
-the useful tap, and follows the action by the slopes of the relay volts, with line-drop compensation. ``saving`` is what
-the tap saves in each later step once all agents choose their reactive power for it (``tap_targets``), T_left are the
-steps left and ``price`` is the cost of a tap. A timer advances only out of band; ``s`` is a smooth form of this
-condition, because one agent alone hardly ever moves a relay out of its band.
+A dash marks the step with the default in an entry. The distance d of the relay volts from the target is positive on the
+side of the useful tap. It follows the action by the slopes of the relay volts, with line-drop compensation. T_left are
+the steps left, and ``price`` is the cost of a tap. ``saving`` is the cost that the tap saves in each later step. It
+assumes that all agents then choose their reactive power for this tap (``tap_targets``).
+
+A timer advances only out of band. A single agent hardly ever moves a relay out of its band, so ``s`` is a smooth form
+of this condition. It ends a margin beyond the band, because a relay at the edge is in and out of band in turn.
 
 This is biased: it pays for an expected tap, pays each regulator for one tap of an episode at most and in one
 direction, and neglects that timers count down in band. Taps that do not save their price are assigned to no agent.
@@ -26,7 +28,9 @@ from dcgrid_env.engine.physics.acting_relays import scenario_relays
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.scenario.scenario import Scenario
 
-WIDTH = 0.5
+MARGIN = 0.2
+"""Distance beyond the band up to which volts are paid, as a share of half the band."""
+WIDTH = 0.8
 """Width of the smooth condition as a share of half the band."""
 
 
@@ -82,14 +86,9 @@ def tap_credit(
     value = np.maximum(targets.saving * steps_left[:, None] - targets.price, 0.0) * is_due
     delay_s = np.where(in_sequence > 0.0, settings.tap_delay_s[rows], settings.delay_s[rows])
     worth = value * np.minimum(scenario.dt_s / np.maximum(delay_s, scenario.dt_s), 1.0)
-    beyond_v = -targets.direction * (relay_v - target_v) - half_v
+    off_v = -targets.direction * (relay_v - target_v)[:, None]
     now, default = (
-        _share(volts / (WIDTH * half_v))
-        for volts in (beyond_v[:, None], beyond_v[:, None] - targets.direction * moved_v)
+        np.exp(np.minimum((volts / half_v - 1.0 - MARGIN) / WIDTH, 0.0))
+        for volts in (off_v, off_v - targets.direction * moved_v)
     )
     return ((now - default) * worth[:, None]).sum(-1)
-
-
-def _share(x: np.ndarray) -> np.ndarray:
-    """Return the logistic function, without overflow."""
-    return 0.5 + 0.5 * np.tanh(0.5 * x)

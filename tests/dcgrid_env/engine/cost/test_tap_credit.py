@@ -1,4 +1,4 @@
-"""What difference rewards pay for taps that relays are about to make, and which taps they pay for."""
+"""Payment for taps that relays will make, and the choice of these taps."""
 
 import numpy as np
 import pytest
@@ -44,8 +44,8 @@ def test_a_timer_is_paid_its_share_of_the_tap_by_hand(monkeypatch):
 
     def worth(regulators):
         off_v = -one.direction[0] * (regulators.relay_v[:, row] - settings.target_v[row])
-        x = (off_v - settings.half_band_v[row]) / (0.5 * settings.half_band_v[row])
-        return (0.5 * (scenario.horizon - 1) - 3.0) / settings.delay_s[row] / (1.0 + np.exp(-x))
+        x = (off_v / settings.half_band_v[row] - 1.2) / 0.8
+        return (0.5 * (scenario.horizon - 1) - 3.0) / settings.delay_s[row] * np.exp(np.minimum(x, 0.0))
 
     now = worth(simulation.transition.state.three_phase.equipment.regulators)
     exact = np.empty_like(action)
