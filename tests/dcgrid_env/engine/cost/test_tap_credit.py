@@ -15,13 +15,13 @@ N_ENV = 2
 
 
 def paid(scenario, targets, monkeypatch):
-    """Simulation after a step with much reactive power, its action and its difference rewards, as costs."""
+    """Simulation after a step with a little reactive power, its action and its difference rewards, as costs."""
     monkeypatch.setattr(simulations, "tap_targets", lambda _: targets)
     simulation = Simulation(scenario, N_ENV)
     simulation.reset(range(N_ENV))
     before, layout = simulation.now, action_layout(scenario)
     action = np.tile(rest_action(scenario), (N_ENV, 1))
-    action[:, layout.is_channel("q")] = 0.8
+    action[:, layout.is_channel("q")] = 0.1
     action[0, layout.is_channel("clock")] = -0.5
     vector = simulation.step(action).reward_vector
     assert vector is not None
