@@ -1,5 +1,7 @@
 """Payment for taps that relays will make, and the choice of these taps."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -36,24 +38,24 @@ def test_a_timer_is_paid_its_share_of_the_tap_by_hand(monkeypatch):
     assert relays is not None
     assert found is not None
     row = int(found.rows[0])
-    one = TapTargets(*(values[..., :1] if isinstance(values, np.ndarray) else values for values in found))
-    one = one._replace(saving=np.array([0.5]), price=3.0)
+    one = TapTargets(found.rows[:1], found.direction[:1], np.array([0.5]), 3.0, found.by_p[:, :1], found.by_q[:, :1])
     simulation, before, action, with_taps = paid(scenario, one, monkeypatch)
     *_, without = paid(scenario, None, monkeypatch)
     settings = relays.settings
 
-    def worth(regulators):
+    def worth(state: Any):
+        regulators = state.three_phase.equipment.regulators
         off_v = -one.direction[0] * (regulators.relay_v[:, row] - settings.target_v[row])
         x = (off_v / settings.half_band_v[row] - 1.2) / 0.8
         return (0.5 * (scenario.horizon - 1) - 3.0) / settings.delay_s[row] * np.exp(np.minimum(x, 0.0))
 
-    now = worth(simulation.transition.state.three_phase.equipment.regulators)
+    now = worth(simulation.transition.state)
     exact = np.empty_like(action)
     for entry in range(action.shape[1]):
         simulation.restore(before)
         changed = action.copy()
         changed[:, entry] = rest_action(scenario)[entry]
-        exact[:, entry] = now - worth(simulation.step(changed).state.three_phase.equipment.regulators)
+        exact[:, entry] = now - worth(simulation.step(changed).state)
     assert np.abs(exact).max() > 0.01
     np.testing.assert_allclose(with_taps - without, exact, atol=0.1 * np.abs(exact).max())
 
