@@ -39,6 +39,7 @@ from dcgrid_env.engine.physics.connections import (
     sensitivity_between_agents,
     sensitivity_to_agents,
 )
+from dcgrid_env.engine.physics.relay_slopes import RelaySlopes, relay_slopes
 from dcgrid_env.engine.record.episode_record import JoinedRecorder, Recorder, Series
 from dcgrid_env.engine.record.parquet import ParquetCourse
 from dcgrid_env.engine.record.streaming import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
@@ -135,6 +136,7 @@ __all__ = [
     "Recorder",
     "RegulatorControl",
     "RegulatorState",
+    "RelaySlopes",
     "RideThrough",
     "RideThroughCurve",
     "Routing",
@@ -182,6 +184,7 @@ __all__ = [
     "rating_coverage",
     "read_feeder",
     "register_device",
+    "relay_slopes",
     "sag_times",
     "scenario_hash",
     "scenario_on",

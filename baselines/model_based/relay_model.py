@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import ActingRelays, Control, Scenario, nodes_by_bus, solver_for
+from dcgrid_env import ActingRelays, Scenario, nodes_by_bus, relay_slopes
 
 _SPAN = 10.0  # kW and kvar by which an agent's power is moved to find a slope
 
@@ -37,24 +37,7 @@ def relay_model(scenario: Scenario, relays: ActingRelays, buses: np.ndarray) -> 
     share = np.zeros((n_row, n_agent, feeder.n_leg))
     row, agent = np.ogrid[:n_row, :n_agent]
     np.add.at(share, (row[..., None], agent[..., None], feeder.first_device_leg + nodes), _SPAN / nodes.shape[-1])
-    share = share.reshape(-1, feeder.n_leg)
-    none, step = 0.0 * share, np.eye(len(feeder.base_tap))[relays.rows]
-    still = np.zeros((1 + len(step), feeder.n_leg))
-    p_kw, q_kvar = (
-        load + np.concatenate((still, *moved))
-        for load, moved in ((feeder.p_load_kw, (share, none)), (feeder.q_load_kvar, (none, -share)))
-    )
-    taps = np.tile(feeder.base_tap, (len(p_kw), 1))
-    taps[1 : 1 + len(step)] += step
-    on = scenario.capacitor_connected
-    on = None if on is None else np.broadcast_to(on, (len(p_kw), *np.shape(on)))
-    solve = solver_for(feeder, scenario.power_flow)
-    solution: Any = solve(feeder, p_kw, q_kvar, scenario.source_voltage_pu, Control(feeder.tap_ratio(taps), None, on))
-    volts = relays.volts(solution)
-    by_tap, by_p, by_q = np.split(volts[1:] - volts[0], [len(step), len(step) + len(share)])
-    by_p, by_q = (by.reshape(n_row, n_agent, -1) / _SPAN for by in (by_p, by_q))
-    v_pu = solution.v_pu[..., feeder.load_slice]
-    sensing = scenario.sensing
-    return RelayModel(
-        relays, sensing.r_model_share * by_p, sensing.x_model_share * by_q, by_tap, v_pu[1 : 1 + len(step)] - v_pu[0]
-    )
+    slopes = relay_slopes(scenario, relays, share.reshape(-1, feeder.n_leg))
+    by_p, by_q = (by.reshape(n_row, n_agent, -1) / _SPAN for by in (slopes.by_p, slopes.by_q))
+    r_share, x_share = scenario.sensing.r_model_share, scenario.sensing.x_model_share
+    return RelayModel(relays, r_share * by_p, x_share * by_q, slopes.by_tap, slopes.v_by_tap)

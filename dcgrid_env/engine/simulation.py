@@ -10,9 +10,11 @@ from dcgrid_env.core.arrays import all_true
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.engine.cost import difference, observation, reward
 from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.cost.tap_credit import TapTargets
 from dcgrid_env.engine.exogenous import episode, trace_pool
 from dcgrid_env.engine.exogenous.episode import EpisodeOptions
 from dcgrid_env.engine.physics import dynamics
+from dcgrid_env.engine.physics.acting_relays import acting_relays
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.loads import drawn as with_loads
 from dcgrid_env.engine.physics.state import Exogenous, GridStep, State
@@ -159,7 +161,8 @@ class Simulation:
         """Return the cost that each entry of a joint action has saved in a step, (row, n_action)."""
         default = difference.default_setpoints(self.scenario, before, outside.p_ref_kw)
         setpoints = dynamics.setpoints_of(self.scenario, action)
-        return difference.differences(self.scenario, before, after, setpoints, default, outside)
+        targets, steps_left = tap_targets(self.scenario), self.scenario.horizon - self.now.step - 1
+        return difference.differences(self.scenario, before, after, setpoints, default, outside, targets, steps_left)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
         return measure(self.scenario, state, measurement_noise(self.scenario, drawn.key, step))
@@ -242,3 +245,23 @@ def difference_scale(scenario: Scenario) -> np.ndarray:
         of_channel = layout.is_channel(name)
         scale[of_channel] = np.concatenate(largest)[:, of_channel].mean() or 1.0
     return scale
+
+
+TAP_EPISODES = 8
+"""Episodes that ``tap_targets`` are found in."""
+
+
+@cached_on_owner
+def tap_targets(scenario: Scenario) -> TapTargets | None:
+    """Return the useful taps of the regulators whose relays act, in the first training episodes; None without any.
+
+    The search is for a voltage cost of the form l1; with another form there are none.
+    """
+    relays = acting_relays(scenario)
+    if relays is None or scenario.cost.voltage != "l1":
+        return None
+    from dcgrid_env.engine.cost.tap_targets import useful_taps  # for scenarios with such relays alone
+
+    sampled = Simulation(scenario.replace(split="train"), TAP_EPISODES)
+    begun = sampled.reset(range(TAP_EPISODES))
+    return useful_taps(sampled.scenario, relays, begun.state, begun.buses)

@@ -59,6 +59,7 @@ GROUPS = (
             "engine.exogenous.forecast",
             "engine.physics.connections",
             "engine.physics.acting_relays",
+            "engine.physics.relay_slopes",
         ),
     ),
     Group(

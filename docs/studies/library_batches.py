@@ -12,7 +12,7 @@ from dcgrid_env.agents import sb3_vec_env
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
-CORRECTED = ("ieee33-weak", "ieee123-3ph")
+CORRECTED = ("ieee33-weak",)
 """Scenarios in which actions correct the tuned droop; elsewhere they are changes of reactive power."""
 DISCOUNTS = {"difference": 0.0, "shared": 0.5}
 """Discount for each reward. A difference reward charges later costs at once."""

@@ -15,7 +15,8 @@ and storage are included, and the converter limits q' at p'. dV/dp and dV/dq are
 
 ``price`` is the weight of a term, and of one charged at the end of the episode too. Deferred work is therefore charged
 at once, with the price of its waiting in this step and that of work left at the end. This is a bias: it assumes
-a fixed waiting time. All other effects on later steps are neglected.
+a fixed waiting time. Where relays of regulators act, the advance of their timers is paid too (``tap_credit``). All
+other effects on later steps are neglected.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import DataCenters, Q, converter
 from dcgrid_env.engine.cost.reward import terms
+from dcgrid_env.engine.cost.tap_credit import TapTargets, tap_credit
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.connections import true_sensitivity
 from dcgrid_env.engine.physics.dynamics import device_slices, device_step
@@ -198,7 +200,14 @@ def _is_coupled(device: Any) -> bool:
 
 
 def differences(
-    scenario: Scenario, before: State, after: State, setpoints: np.ndarray, default: np.ndarray, exogenous: Exogenous
+    scenario: Scenario,
+    before: State,
+    after: State,
+    setpoints: np.ndarray,
+    default: np.ndarray,
+    exogenous: Exogenous,
+    targets: TapTargets | None = None,
+    steps_left: Any = None,
 ) -> np.ndarray:
     """Return the cost that each entry of the joint action saves in a step, (row, n_action); negative for a loss.
 
@@ -212,6 +221,8 @@ def differences(
         Set points of the action and of the default action, (row, n_action), each in the unit of its channel.
     exogenous
         Exogenous inputs of the step.
+    targets, steps_left
+        Useful taps, and the steps of the episode after this one, (row,); None where no tap is paid.
     """
     params, of, saved = parameters(scenario, default), changes(scenario), np.zeros(default.shape)
     drawn_kw = np.zeros((len(default), len(of.agent)))
@@ -223,7 +234,43 @@ def differences(
         more = _more_charged(scenario, run.device, params, state, after.devices[run.device])
         saved[:, run.entries] = more.sum(-1, keepdims=True) if run.is_coupled else more
     add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, saved)
+    if targets is not None:
+        p_kw, q_kvar, local = _changed_powers(scenario, after, setpoints, default, drawn_kw, exogenous)
+        p_kw, q_kvar = p_kw - after.p_kw[:, of.agent], q_kvar - after.q_kvar[:, of.agent]
+        moved_v = _moved(targets.by_p, targets.by_q, p_kw, q_kvar, local)
+        moved_v = np.add.reduceat(moved_v, of.first[:-1], axis=1)
+        saved += tap_credit(scenario, targets, after, moved_v, steps_left, exogenous.offset_v)
     return saved
+
+
+def _changed_powers(
+    scenario: Scenario,
+    state: State,
+    setpoints: np.ndarray,
+    default: np.ndarray,
+    drawn_kw: np.ndarray,
+    exogenous: Exogenous,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the draws in kW and injections in kvar with the default, (row, n_change), and nodes, (row, n_change, k).
+
+    Arguments are those of ``add_saved_costs``.
+    """
+    params, of = parameters(scenario, default), changes(scenario)
+    p_kw = np.where(of.is_reactive, state.p_kw[:, of.agent], drawn_kw)
+    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
+    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], p_kw, asked)
+    if exogenous.available is not None:
+        available = exogenous.available[:, of.agent]
+        p_kw, q_kvar = p_kw * available, q_kvar * available
+    nodes = exogenous.nodes - np.arange(len(default))[:, None, None] * state.v_pu.shape[1]
+    return p_kw, q_kvar, nodes[:, of.agent]
+
+
+def _moved(
+    by_p: np.ndarray, by_q: np.ndarray, more_p_kw: np.ndarray, more_q_kvar: np.ndarray, nodes: np.ndarray
+) -> np.ndarray:
+    """Return what changes of the draws and injections at ``nodes`` move, (row, n_change, n), by slopes (n_node, n)."""
+    return more_q_kvar[..., None] * by_q[nodes].mean(2) - more_p_kw[..., None] * by_p[nodes].mean(2)
 
 
 def sums_by_agent(scenario: Scenario, of_entries: np.ndarray) -> np.ndarray:
@@ -337,17 +384,10 @@ def _saved_costs_arrays(
 ) -> np.ndarray:
     """What ``add_saved_costs`` adds, as array operations and for every form of the voltage cost."""
     by, judged, cost, of = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
-    charged, params = charges(scenario), parameters(scenario, default)
+    charged = charges(scenario)
     p_now, q_now = state.p_kw[:, of.agent], state.q_kvar[:, of.agent]
-    p_kw = np.where(of.is_reactive, p_now, drawn_kw)
-    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
-    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], p_kw, asked)
-    if exogenous.available is not None:
-        available = exogenous.available[:, of.agent]
-        p_kw, q_kvar = p_kw * available, q_kvar * available
-    nodes = exogenous.nodes - np.arange(len(default))[:, None, None] * state.v_pu.shape[1]
-    local = nodes[:, of.agent]
-    moved = (q_kvar - q_now)[..., None] * by.by_q[local].mean(2) - (p_kw - p_now)[..., None] * by.by_p[local].mean(2)
+    p_kw, q_kvar, nodes = _changed_powers(scenario, state, setpoints, default, drawn_kw, exogenous)
+    moved = _moved(by.by_p, by.by_q, p_kw - p_now, q_kvar - q_now, nodes)
     more = (np.abs(q_kvar) - np.abs(q_now)) * charged.effort[of.agent]
     moved, more = (np.add.reduceat(values, of.first[:-1], axis=1) for values in (moved, more))
     v = state.v_pu[:, None, judged]

@@ -12,7 +12,8 @@ from dcgrid_env.scenario.errors import ScenarioError
 COMPARED = ("voltage", "violation", "effort")
 """Terms of the grid that a default action is compared by."""
 UNASSIGNED = ("switching",)
-"""Terms of the grid that are assigned to no agent, because they follow from timers over many steps."""
+"""Terms of the grid that are not compared, because they follow from timers over many steps. Taps that save more than
+their price are paid in advance (``engine.cost.tap_credit``)."""
 LATER = ("ride_through", "smoothing", "batching", "cooling")
 """Features of devices whose effect is mostly on later steps."""
 MOST_NODES = 2000

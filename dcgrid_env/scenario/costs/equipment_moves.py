@@ -38,6 +38,11 @@ def mean_switching(scenario: Any, equipment: Any) -> Array:
     return sum_last(moves * as_like(_moving(scenario), moves)) / _n_moving(scenario)
 
 
+def price_of_move(scenario: Any) -> float:
+    """Return the cost of one tap or switching, in units of the cost of a step."""
+    return scenario.cost.weights.switching / _n_moving(scenario)
+
+
 def switching_of_agents(scenario: Any, state: Any) -> Array:
     """Each agent's moves, and for every agent the mean number of moves by controls of equipment, (row, n_agent)."""
     moves, zero = _moves(state.three_phase.equipment), 0.0 * state.v_agent_pu

@@ -1,0 +1,94 @@
+"""Payment of agents for taps that relays will make, as a part of difference rewards.
+
+Relays integrate their time out of band over many steps, so the tap that an action leads to comes later. As deferred
+work is charged at once, the advance of a timer is paid at once, with its share of the value of the coming tap:
+
+    saved(a) = sum over relays of value dt/delay (s(x) - s(x'))    value = max(saving T_left - price, 0)
+    x        = (d / half band - 1 - MARGIN) / WIDTH                s(x)  = min(exp(x), 1)
+
+A dash marks the step with the default in an entry. The distance d of the relay volts from the target is positive on the
+side of the useful tap. It follows the action by the slopes of the relay volts, with line-drop compensation. T_left are
+the steps left, and ``price`` is the cost of a tap. ``saving`` is the cost that the tap saves in each later step. It
+assumes that all agents then choose their reactive power for this tap (``tap_targets``).
+
+A timer advances only out of band. A single agent hardly ever moves a relay out of its band, so ``s`` is a smooth form
+of this condition. It ends a margin beyond the band, because a relay at the edge is in and out of band in turn.
+
+This is biased: it pays for an expected tap, pays each regulator for one tap of an episode at most and in one
+direction, and neglects that timers count down in band. Taps that do not save their price are assigned to no agent.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dcgrid_env.engine.physics.acting_relays import scenario_relays
+from dcgrid_env.engine.physics.state import State
+from dcgrid_env.scenario.scenario import Scenario
+
+MARGIN = 0.2
+"""Distance beyond the band up to which volts are paid, as a share of half the band."""
+WIDTH = 0.8
+"""Width of the smooth condition as a share of half the band."""
+
+
+class TapTargets(NamedTuple):
+    """Useful taps of R regulators."""
+
+    rows: np.ndarray
+    """Their rows in the table of regulators, int, (R,)."""
+    direction: np.ndarray
+    """1 for a tap up, -1 for one down, (R,)."""
+    saving: np.ndarray
+    """Cost that the tap saves in each later step, (R,)."""
+    price: float
+    """Cost of a tap, in units of the cost of a step."""
+    by_p: np.ndarray
+    """Relay volts per kW injected at each node, (n_node, R)."""
+    by_q: np.ndarray
+    """Relay volts per kvar injected at each node, (n_node, R)."""
+
+
+def tap_credit(
+    scenario: Scenario,
+    targets: TapTargets,
+    state: State,
+    moved_v: np.ndarray,
+    steps_left: np.ndarray,
+    offset_v: np.ndarray | None,
+) -> np.ndarray:
+    """Return what the entries of the joint action advance useful taps by, as a saved cost, (row, n_action).
+
+    Parameters
+    ----------
+    scenario, targets
+        The scenario and its useful taps.
+    state
+        State after the step.
+    moved_v
+        Relay volts with the default in each entry less those with the action, V, (row, n_action, R).
+    steps_left
+        Steps of the episode after this one, (row,).
+    offset_v
+        Offsets of set points by schedules, V, (row, n_regulator); None without schedules.
+    """
+    settings, rows = scenario_relays(scenario), targets.rows
+    regulators = state.three_phase.equipment.regulators  # pyright: ignore[reportOptionalMemberAccess]
+    tap, relay_v, in_sequence, moves = (
+        getattr(regulators, name)[:, rows] for name in ("tap", "relay_v", "in_sequence", "moves")
+    )
+    target_v = settings.target_v[rows] if offset_v is None else settings.target_v[rows] + offset_v[:, rows]
+    half_v = settings.half_band_v[rows]
+    is_up = targets.direction > 0.0
+    is_due = (moves == 0.0) & np.where(is_up, tap < settings.highest[rows], tap > settings.lowest[rows])
+    value = np.maximum(targets.saving * steps_left[:, None] - targets.price, 0.0) * is_due
+    delay_s = np.where(in_sequence > 0.0, settings.tap_delay_s[rows], settings.delay_s[rows])
+    worth = value * np.minimum(scenario.dt_s / np.maximum(delay_s, scenario.dt_s), 1.0)
+    off_v = -targets.direction * (relay_v - target_v)[:, None]
+    now, default = (
+        np.exp(np.minimum((volts / half_v - 1.0 - MARGIN) / WIDTH, 0.0))
+        for volts in (off_v, off_v - targets.direction * moved_v)
+    )
+    return ((now - default) * worth[:, None]).sum(-1)
