@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
+import ast
 import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from gymnasium import spaces
 
 from dcgrid_env import scenario_hash
 from dcgrid_env.baselines.evaluation import hindsight_costs
@@ -23,30 +25,52 @@ from dcgrid_env.cli.settings import at_least, check_file
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import versions
 from docs.studies.learning_tables import estimate
-from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Setting, batches, example
+from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Batches, Setting, batches, example
 from docs.studies.scored import droop_on_test, on_test
 
-DATA = Path("docs/rl-libraries.json")
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+DATA, PAGE = Path("docs/rl-libraries.json"), Path("docs/rl-libraries.md")
 MOST_EPISODES = 32
 """Test episodes whose hindsight is published for every preset."""
 
 
 def sb3(model_class: str, policy: str, settings: Callable[[int], dict[str, Any]], on: Setting) -> np.ndarray:
     """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
-    script, of = example("difference_reward"), batches(on)
+    of = batches(on)
     chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(of.train.num_envs)
-    model = resolve_name(model_class)(policy, of.train, **chosen)
-    steps = on.steps * of.train.num_envs // on.num_envs
+    return learned(resolve_name(model_class)(policy, of.train, **chosen), of, on)
+
+
+def sb3_off_policy(model_class: str, settings: Callable[[int], dict[str, Any]], on: Setting) -> np.ndarray:
+    """Train an algorithm with a replay buffer, and return J of the test episodes, (episode,).
+
+    The actor maps to the whole action space, which is reduced to [-1, 1], and starts near the default action.
+    """
+    from docs.studies.library_loops import LOG_STD, initialise
+
+    of = batches(on)
+    of.train.action_space = spaces.Box(-1.0, 1.0, of.train.action_space.shape)
+    chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(of.train.num_envs)
+    model = resolve_name(model_class)("MlpPolicy", of.train, **chosen)
+    initialise(model.actor.mu, 0.01)
+    if hasattr(model.actor, "log_std"):
+        model.actor.log_std.bias.data.fill_(LOG_STD)
+    return learned(model, of, on)
+
+
+def learned(model: BaseAlgorithm, of: Batches, on: Setting) -> np.ndarray:
+    """Train a model of Stable-Baselines3, and return J of the test episodes, (episode,)."""
+    script, steps = example("difference_reward"), on.steps * of.train.num_envs // on.num_envs
     model.learn(steps, script.BestOnValidation(of.validation, every=steps // EVALUATIONS))
     of.test.obs_rms = of.validation.obs_rms
     return script.costs(model, of.test)
 
 
-def loop(name: str, on: Setting) -> np.ndarray:
-    """Train by a function of ``library_loops``, and return J of the test episodes, (episode,)."""
-    from docs.studies import library_loops
-
-    return getattr(library_loops, name)(on)
+def loop(function: str, *arguments: Any) -> np.ndarray:
+    """Train by a function, "module:name", whose module needs an optional library; return J of the test episodes."""
+    return resolve_name(function)(*arguments)
 
 
 class Library(NamedTuple):
@@ -60,15 +84,32 @@ class Library(NamedTuple):
     """Default of ``Setting.steps``."""
     num_envs: int
 
+    glue: tuple[str, ...] = ()
+    """Further functions and classes of the same module that connect the library."""
+
     @property
     def glue_lines(self) -> int:
-        """Lines of code that connect the library: those of its function and of ``batches``, without docstrings."""
-        from docs.studies import library_loops
-
+        """Lines of code that connect the library: its function, ``glue`` and ``batches``, without docstrings."""
         train: Any = self.train
-        function = getattr(library_loops, train.args[0]) if train.func is loop else train.func
-        lines = [line for each in (function, batches) for line in inspect.getsource(each).splitlines()]
-        return sum(1 for line in lines if line.strip() and not line.strip().startswith('"""'))
+        place = train.args[0] if train.func is loop else f"{train.func.__module__}:{train.func.__name__}"
+        module, function = place.split(":")
+        return code_lines(module, function, *self.glue) + code_lines(batches.__module__, batches.__name__)
+
+
+def code_lines(module: str, *names: str) -> int:
+    """Count the lines of code of functions and classes without their docstrings; the module is not imported."""
+    spec = find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    text = Path(spec.origin).read_text(encoding="utf-8")
+    lines: set[int] = set()
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name in names:
+            lines |= set(range(node.lineno, (node.end_lineno or 0) + 1))
+            for part in ast.walk(node):
+                if isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant):
+                    lines -= set(range(part.lineno, (part.end_lineno or 0) + 1))
+    return sum(1 for number, line in enumerate(text.splitlines(), 1) if number in lines and line.strip())
 
 
 def on_policy(n_rows: int) -> dict[str, Any]:
@@ -79,22 +120,54 @@ def on_policy(n_rows: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def off_policy(n_rows: int) -> dict[str, Any]:
-    """Return settings of algorithms with a replay buffer: a gradient step for each step of the batch."""
-    return {"learning_rate": 1e-3, "batch_size": 1024, "buffer_size": 500 * n_rows, "learning_starts": 120 * n_rows}
+def recurrent(n_rows: int) -> dict[str, Any]:
+    """Return settings of PPO with small recurrent networks."""
+    networks = {"log_std_init": -1.0, "lstm_hidden_size": 32, "net_arch": [64]}
+    return on_policy(n_rows) | {"policy_kwargs": networks}
 
 
+def off_policy(learning_rate: float, n_rows: int, **networks: Any) -> dict[str, Any]:
+    """Return settings of algorithms with a replay buffer: small networks and batches, a falling learning rate."""
+    return {
+        "learning_rate": lambda left: learning_rate * left, "batch_size": 512, "buffer_size": 2000 * n_rows,
+        "learning_starts": 0, "gradient_steps": 2, "policy_kwargs": {"net_arch": [64, 64], **networks},
+    }  # fmt: skip
+
+
+def maximum_entropy(n_rows: int) -> dict[str, Any]:
+    """Return settings of SAC and TQC; the weight of the entropy starts near its final value.
+
+    One critic is enough, because at a discount of 0 no overestimated value enters the targets.
+    """
+    return off_policy(3e-3, n_rows, n_critics=1) | {"ent_coef": "auto_0.01"}
+
+
+def td3(n_rows: int) -> dict[str, Any]:
+    """Return settings of TD3: noise for exploration, and a lower learning rate."""
+    from stable_baselines3.common.noise import NormalActionNoise
+
+    return off_policy(1e-3, n_rows) | {"action_noise": NormalActionNoise(np.zeros(1), np.full(1, 0.3))}
+
+
+SB3, CONTRIB, LEARNED = "stable-baselines3", "sb3-contrib", ("learned",)
+LOOPS, BENCHMARL = "docs.studies.library_loops", "docs.studies.library_benchmarl:benchmarl_ppo"
+TASK = ("Channels", "ChannelsTask")
 LIBRARIES = {
-    "sb3-ppo": Library("stable-baselines3", partial(sb3, "stable_baselines3:PPO", "MlpPolicy", on_policy), 200_000, 32),
-    "sb3-sac": Library("stable-baselines3", partial(sb3, "stable_baselines3:SAC", "MlpPolicy", off_policy), 30_000, 16),
-    "sb3-td3": Library("stable-baselines3", partial(sb3, "stable_baselines3:TD3", "MlpPolicy", off_policy), 30_000, 16),
-    "sb3-contrib-tqc": Library("sb3-contrib", partial(sb3, "sb3_contrib:TQC", "MlpPolicy", off_policy), 30_000, 16),
-    "sb3-contrib-recurrent-ppo": Library(
-        "sb3-contrib", partial(sb3, "sb3_contrib:RecurrentPPO", "MlpLstmPolicy", on_policy), 20_000, 16
+    "sb3-ppo": Library(SB3, partial(sb3, "stable_baselines3:PPO", "MlpPolicy", on_policy), 600_000, 32, LEARNED),
+    "sb3-sac": Library(SB3, partial(sb3_off_policy, "stable_baselines3:SAC", maximum_entropy), 60_000, 16, LEARNED),
+    "sb3-td3": Library(SB3, partial(sb3_off_policy, "stable_baselines3:TD3", td3), 60_000, 16, LEARNED),
+    "sb3-contrib-tqc": Library(
+        CONTRIB, partial(sb3_off_policy, "sb3_contrib:TQC", maximum_entropy), 30_000, 16, LEARNED
     ),
-    "torchrl-ppo": Library("torchrl", partial(loop, "torchrl_ppo"), 100_000, 32),
-    "skrl-ppo": Library("skrl", partial(loop, "skrl_ppo"), 100_000, 32),
-    "cleanrl-ppo": Library("torch", partial(loop, "cleanrl_ppo"), 100_000, 32),
+    "sb3-contrib-recurrent-ppo": Library(
+        CONTRIB, partial(sb3, "sb3_contrib:RecurrentPPO", "MlpLstmPolicy", recurrent), 50_000, 16, LEARNED
+    ),
+    "torchrl-ppo": Library("torchrl", partial(loop, f"{LOOPS}:torchrl_ppo"), 100_000, 32),
+    "skrl-ppo": Library("skrl", partial(loop, f"{LOOPS}:skrl_ppo"), 100_000, 32),
+    "cleanrl-ppo": Library("torch", partial(loop, f"{LOOPS}:cleanrl_ppo"), 100_000, 32),
+    "rllib-ppo": Library("ray", partial(loop, "docs.studies.library_rllib:rllib_ppo"), 100_000, 32, ("Rows",)),
+    "benchmarl-ippo": Library("benchmarl", partial(loop, BENCHMARL, "ippo"), 100_000, 32, TASK),
+    "benchmarl-mappo": Library("benchmarl", partial(loop, BENCHMARL, "mappo"), 100_000, 32, TASK),
 }
 
 
@@ -164,7 +237,7 @@ class LibraryTable(Command):
     """Train unmodified libraries and print their table.
 
     Each training is added to the file, in place of one with other steps or episodes. Finished trainings are skipped.
-    The libraries need their packages (pip install stable-baselines3 sb3-contrib).
+    The libraries need their packages (docs/rl-libraries.md).
     """
 
     library: str = ""
@@ -193,6 +266,8 @@ class LibraryTable(Command):
             raise ValueError(f"rewards: {unknown[0]!r} is unknown; choose from {', '.join(DISCOUNTS)}")
         if self.library and self.library not in LIBRARIES:
             raise ValueError(f"library: {self.library!r} is unknown; choose one of {', '.join(LIBRARIES)}")
+        if self.library and versions((package := LIBRARIES[self.library].package,))[package] is None:
+            raise ValueError(f"library: {self.library} needs {package}, which is not installed; see {PAGE}")
         for on in self._settings(rewards) if self.library else ():
             records = records_in(self.out)
             kept = [one for one in records if not _is_same(one, self.library, on, "scenario", "reward", "seed")]

@@ -59,15 +59,31 @@ class BestMean:
         return costs(self, self.of.test)
 
 
+def initialise(network: nn.Module, last_gain: float) -> None:
+    """Set orthogonal weights, with ``last_gain`` in the last layer, and zero biases, as in CleanRL."""
+    named = list(network.named_parameters())
+    weights = [values for name, values in named if name.endswith("weight")]
+    for weight in weights:
+        nn.init.orthogonal_(weight, last_gain if weight is weights[-1] else 2**0.5)
+    for name, values in named:
+        if name.endswith("bias"):
+            nn.init.zeros_(values)
+
+
 def tensor(values: Any) -> torch.Tensor:
     """Return a copy in float32."""
     return torch.tensor(values, dtype=torch.float32)
 
 
+def check_no_discount(library: str, on: Setting) -> None:
+    """Raise ValueError for a reward with a discount above 0, which a library is not connected for."""
+    if DISCOUNTS[on.reward]:
+        raise ValueError(f"reward: {library} is written for a discount of 0, not for {on.reward!r}; use difference")
+
+
 def cleanrl_ppo(on: Setting) -> np.ndarray:
     """Train the agent of docs/examples/cleanrl_ppo.py; advantages are those of a discount of 0."""
-    if DISCOUNTS[on.reward]:
-        raise ValueError(f"reward: cleanrl-ppo is written for a discount of 0, not for {on.reward!r}; use difference")
+    check_no_discount("cleanrl-ppo", on)
     torch.manual_seed(on.seed)
     of = batches(on)
     envs, n_row = of.train, of.train.num_envs
@@ -117,14 +133,15 @@ def torchrl_ppo(on: Setting) -> np.ndarray:
     envs, (n_observation, n_action) = of.train, of.sizes
     layers: dict[str, Any] = {"num_cells": [64, 64], "activation_class": nn.Tanh}
     mean: Any = MLP(n_observation, n_action, **layers)
-    nn.init.normal_(mean[-1].weight, std=0.01)
-    nn.init.zeros_(mean[-1].bias)
+    value: Any = MLP(n_observation, 1, **layers)
+    initialise(mean, 0.01)
+    initialise(value, 1.0)
     scale = AddStateIndependentNormalScale(n_action, scale_mapping="exp")
     nn.init.constant_(next(scale.parameters()), LOG_STD)
     module = TensorDictModule(nn.Sequential(mean, scale), ["observation"], ["loc", "scale"])
     keys: Any = ["loc", "scale"]
     actor = ProbabilisticActor(module, keys, distribution_class=IndependentNormal, return_log_prob=True)
-    critic = ValueOperator(MLP(n_observation, 1, **layers))
+    critic = ValueOperator(value)
     advantage = GAE(gamma=DISCOUNTS[on.reward], lmbda=0.0, value_network=critic)
     loss = ClipPPOLoss(actor, critic, entropy_coeff=0.0, normalize_advantage=True)
     optimizer = torch.optim.Adam(loss.parameters(), LEARNING_RATE)
@@ -167,6 +184,9 @@ def skrl_ppo(on: Setting) -> np.ndarray:
     common = {**spaces, "device": "cpu", "network": network}
     policy: Any = gaussian_model(**common, output="ACTIONS", initial_log_std=LOG_STD)
     critic: Any = deterministic_model(**common, output="ONE")
+    for model, role, last_gain in ((policy, "policy", 0.01), (critic, "value", 1.0)):
+        model.init_state_dict(role=role)
+        initialise(model, last_gain)
     best = BestMean(_SkrlMean(policy), of, on)
     settings = PPO_CFG(
         rollouts=HORIZON, learning_epochs=EPOCHS, mini_batches=MINIBATCHES, discount_factor=DISCOUNTS[on.reward],

@@ -315,6 +315,33 @@ def test_benchmarl_example(tmp_path):
     check_trained(printed, tmp_path / "made.safetensors")
 
 
+def check_in_the_table_of_libraries(library, home):
+    code = f"""
+import json, math, sys
+sys.path.insert(0, {str(ROOT)!r})
+from docs.studies.commands import main
+small = "--scenarios toy6 --seeds 1 --steps 480 --episodes 2 --out made.json"
+main(["libraries", "--library", {library!r}, *small.split()])
+(record,) = json.loads(open("made.json").read())["trainings"]
+assert len(record["J"]) == 2 and all(map(math.isfinite, record["J"])), record
+print("checked")
+"""
+    assert run("-W", "ignore", "-c", code, home=home).endswith("checked\n")
+
+
+@pytest.mark.slow
+@needs("benchmarl", "stable_baselines3", extra="benchmarl,agents")
+@pytest.mark.parametrize("algorithm", ["ippo", "mappo"])
+def test_benchmarl_in_the_table_of_libraries(algorithm, tmp_path):
+    check_in_the_table_of_libraries(f"benchmarl-{algorithm}", tmp_path)
+
+
+@pytest.mark.slow
+@needs("ray", "tree", "stable_baselines3")
+def test_rllib_in_the_table_of_libraries(tmp_path):
+    check_in_the_table_of_libraries("rllib-ppo", tmp_path)
+
+
 @pytest.mark.slow
 @needs("ray", "tree")
 def test_rllib_example_on_the_native_batch_and_its_checkpoint(tmp_path):

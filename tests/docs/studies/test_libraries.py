@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from torch import nn
 
 from docs.studies import libraries
 from docs.studies.commands import main
 from docs.studies.libraries import DATA, Library, Setting, records_in, score_of, table
+from docs.studies.library_loops import initialise
 from docs.studies.scored import droop_on_test
 from helpers.places import ROOT
 
@@ -65,6 +68,13 @@ def test_invalid_settings_are_refused(words, message, tmp_path, capsys):
     assert message in capsys.readouterr().err.replace("\n", " ")
 
 
+def test_a_library_that_is_not_installed_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(libraries.LIBRARIES, "absent", Library("not-on-any-index", partial(by_droop), 40, 2))
+    with pytest.raises(SystemExit):
+        run(tmp_path / "libraries.json", "--library", "absent")
+    assert "library: absent needs not-on-any-index, which is not installed; see" in capsys.readouterr().err
+
+
 def test_another_file_is_refused(tmp_path):
     other = tmp_path / "other.json"
     other.write_text("{}")
@@ -77,6 +87,9 @@ def test_another_file_is_refused(tmp_path):
     [
         ("sb3-ppo", "toy6"),
         ("sb3-sac", "ieee33-weak"),
+        ("sb3-td3", "toy6"),
+        ("sb3-contrib-tqc", "toy6"),
+        ("sb3-contrib-recurrent-ppo", "toy6"),
         ("cleanrl-ppo", "ieee33-weak"),
         ("skrl-ppo", "toy6"),
         ("torchrl-ppo", "ieee33-weak"),
@@ -90,6 +103,57 @@ def test_a_library_trains_and_is_tested(name, scenario):
     assert np.isfinite(j).all()
     assert j.shape == (2,)
     assert library.glue_lines > 20
+
+
+def test_lines_of_glue_are_counted_without_docstrings_and_without_the_library(tmp_path, monkeypatch):
+    text = '''
+import not_installed
+
+class One:
+    """Two
+    lines."""
+
+    def method(self):
+        """One line."""
+
+        return "value"
+
+def other(): return 1
+'''
+    (tmp_path / "glue_of_a_test.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert libraries.code_lines("glue_of_a_test", "One") == 3
+    assert libraries.code_lines("glue_of_a_test", "One", "other") == 4
+    for library in libraries.LIBRARIES.values():
+        assert 20 < library.glue_lines < 150
+
+
+def test_actors_of_off_policy_algorithms_start_near_the_default_action_and_map_to_one(monkeypatch):
+    kept = {}
+
+    def untrained(model, of, on):
+        kept[type(model).__name__] = (model, of)
+        return np.zeros(2)
+
+    monkeypatch.setattr(libraries, "learned", untrained)
+    for name in ("sb3-sac", "sb3-td3"):
+        libraries.LIBRARIES[name].train(Setting("toy6", "difference", 0, 480, 2, 2))
+    for model, of in kept.values():
+        actions, _ = model.predict(of.train.reset(), deterministic=True)
+        assert np.abs(actions).max() < 0.05
+        assert model.action_space.high.max() == 1.0
+    model, of = kept["SAC"]
+    sampled, _ = model.predict(np.zeros((4000, of.sizes[0]), np.float32), deterministic=False)
+    assert np.std(np.arctanh(sampled)) == pytest.approx(np.exp(-1.0), rel=0.3)
+
+
+def test_orthogonal_weights_have_their_gains():
+    layers = nn.Linear(3, 8), nn.Linear(8, 2)
+    initialise(nn.Sequential(layers[0], nn.Tanh(), layers[1]), 0.01)
+    first, last = (layer.weight.detach() for layer in layers)
+    torch.testing.assert_close(first.T @ first, 2.0 * torch.eye(3), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(last @ last.T, 1e-4 * torch.eye(2), atol=1e-8, rtol=0.0)
+    assert not layers[0].bias.detach().any()
 
 
 def test_a_library_that_cannot_train_on_a_reward_is_one_line():

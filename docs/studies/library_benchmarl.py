@@ -1,0 +1,191 @@
+"""IPPO and MAPPO of BenchMARL: the channels of an environment are the agents of one group, with shared parameters."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from benchmarl.algorithms import IppoConfig, MappoConfig  # pyright: ignore[reportMissingImports]
+from benchmarl.environments.common import TaskClass  # pyright: ignore[reportMissingImports]
+from benchmarl.experiment import Callback, Experiment, ExperimentConfig  # pyright: ignore[reportMissingImports]
+from benchmarl.models.mlp import MlpConfig  # pyright: ignore[reportMissingImports]
+from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
+from torch import nn
+from torchrl.data import Bounded, Categorical, Composite, Unbounded  # pyright: ignore[reportMissingImports]
+from torchrl.envs import EnvBase, ExplorationType, set_exploration_type  # pyright: ignore[reportMissingImports]
+
+from docs.studies.library_batches import DISCOUNTS, Setting, batches
+from docs.studies.library_loops import (
+    EPOCHS,
+    GRADIENT_NORM,
+    HORIZON,
+    LEARNING_RATE,
+    LOG_STD,
+    MINIBATCHES,
+    BestMean,
+    initialise,
+    tensor,
+)
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecNormalize
+
+GROUP = "channels"
+ALGORITHMS = {"ippo": IppoConfig, "mappo": MappoConfig}
+
+
+class Channels(EnvBase):
+    """A batch as an environment of TorchRL: (environment, channel) in place of rows."""
+
+    def __init__(self, envs: VecNormalize):
+        made: Any = envs.venv
+        self.n_channel = made.rows_per_env
+        n = envs.num_envs // self.n_channel
+        super().__init__(device="cpu", batch_size=torch.Size([n]))
+        self.envs, shape = envs, torch.Size([n, self.n_channel])
+        spaces: Any = (envs.observation_space, envs.action_space)
+        n_observation, n_action = (space.shape[0] for space in spaces)
+
+        def grouped(**entries: Any) -> Composite:
+            return Composite({GROUP: Composite(entries, shape=shape)}, shape=self.batch_size)
+
+        self.observation_spec = grouped(observation=Unbounded(torch.Size([*shape, n_observation])))
+        self.action_spec = grouped(action=Bounded(-1.0, 1.0, torch.Size([*shape, n_action])))
+        self.reward_spec = grouped(reward=Unbounded(torch.Size([*shape, 1])))
+        self.done_spec = Composite(
+            {"done": Categorical(2, torch.Size([n, 1]), dtype=torch.bool)}, shape=self.batch_size
+        )
+        self.now: Any = None
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Do nothing: the batch is seeded."""
+
+    def _reset(self, tensordict: Any = None, **_: Any) -> TensorDict:
+        """Return the first observations; the batch begins the next episodes by itself."""
+        self.now = self.envs.reset() if self.now is None else self.now
+        return self._grouped(observation=self.now)
+
+    def _step(self, tensordict: Any) -> TensorDict:
+        action = tensordict[GROUP, "action"].clamp(-1.0, 1.0).flatten(0, 1).numpy()
+        self.now, reward, done, _ = self.envs.step(action)
+        after = self._grouped(observation=self.now, reward=reward)
+        ends = torch.tensor(done).reshape(*self.batch_size, -1)[:, :1]
+        return after.update({"done": ends, "terminated": ends})
+
+    def _grouped(self, **rows: Any) -> TensorDict:
+        shape = (*self.batch_size, self.n_channel)
+        of_group = TensorDict({key: tensor(values).reshape(*shape, -1) for key, values in rows.items()}, shape)
+        return TensorDict({GROUP: of_group}, self.batch_size)
+
+
+class ChannelsTask(TaskClass):
+    """The batch as a task of BenchMARL."""
+
+    def __init__(self, name: str, envs: VecNormalize):
+        super().__init__(name, {})
+        made: Any = envs.venv
+        self.envs, self.n_channel = envs, made.rows_per_env
+
+    def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable:
+        """Return a function that makes the environment."""
+        return lambda: Channels(self.envs)
+
+    def supports_continuous_actions(self) -> bool:
+        """Return that actions are continuous."""
+        return True
+
+    def supports_discrete_actions(self) -> bool:
+        """Return that no action is discrete."""
+        return False
+
+    def max_steps(self, env: EnvBase) -> int:
+        """Return the steps of an episode."""
+        return HORIZON
+
+    def has_render(self, env: EnvBase) -> bool:
+        """Return that nothing is drawn."""
+        return False
+
+    def group_map(self, env: EnvBase) -> dict[str, list[str]]:
+        """Return the names of the channels."""
+        return {GROUP: [f"channel_{i}" for i in range(self.n_channel)]}
+
+    def observation_spec(self, env: EnvBase) -> Composite:
+        """Return the observations."""
+        return env.full_observation_spec_unbatched
+
+    def action_spec(self, env: EnvBase) -> Composite:
+        """Return the actions."""
+        return env.full_action_spec_unbatched
+
+    def info_spec(self, env: EnvBase) -> None:
+        """Return None: info is empty."""
+
+    def state_spec(self, env: EnvBase) -> None:
+        """Return None: a centralised critic takes all observations."""
+
+    def action_mask_spec(self, env: EnvBase) -> None:
+        """Return None: each action is always possible."""
+
+    @staticmethod
+    def env_name() -> str:
+        """Return the name in BenchMARL's folders."""
+        return "dcgrid"
+
+
+class _Mean(nn.Module):
+    """Mean actions of a group's policy for rows, (row, n_observation) to (row, n_action)."""
+
+    def __init__(self, policy: nn.Module, n_channel: int):
+        super().__init__()
+        self.policy, self.n_channel = policy, n_channel
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        shape = (len(observations) // self.n_channel, self.n_channel)
+        seen = TensorDict({(GROUP, "observation"): observations.reshape(*shape, -1)}, shape[:1])
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            return self.policy(seen)[GROUP, "action"].flatten(0, 1)
+
+
+class _Updates(Callback):
+    """Validation before each update, and the falling learning rate."""
+
+    def __init__(self):
+        super().__init__()
+        self.best: Any = None
+
+    def on_batch_collected(self, batch: Any) -> None:
+        update = self.experiment.n_iters_performed
+        self.best.evaluate(update)
+        for optimizer in self.experiment.optimizers[GROUP].values():
+            optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - update / self.best.updates)
+
+
+def benchmarl_ppo(algorithm: str, on: Setting) -> np.ndarray:
+    """Train IPPO or MAPPO of BenchMARL, and return J of the test episodes, (episode,)."""
+    of = batches(on)
+    frames = on.num_envs * HORIZON
+    config = ExperimentConfig.get_from_yaml()
+    config.gamma, config.lr, config.clip_grad_val = DISCOUNTS[on.reward], LEARNING_RATE, GRADIENT_NORM
+    config.max_n_frames = frames * max(1, on.steps // frames)
+    config.on_policy_collected_frames_per_batch, config.on_policy_n_envs_per_worker = frames, on.num_envs
+    config.on_policy_minibatch_size, config.on_policy_n_minibatch_iters = frames // MINIBATCHES, EPOCHS
+    config.loggers, config.evaluation, config.create_json = [], False, False
+    settings = ALGORITHMS[algorithm].get_from_yaml()
+    settings.lmbda, settings.critic_coef = 0.0, 0.5
+    settings.scale_mapping, settings.use_tanh_normal = f"biased_softplus_{np.exp(LOG_STD):.3f}", False
+    network, updates = MlpConfig(num_cells=[64, 64], layer_class=nn.Linear, activation_class=nn.Tanh), _Updates()
+    with tempfile.TemporaryDirectory() as config.save_folder:
+        experiment = Experiment(
+            task=ChannelsTask(on.scenario, of.train), algorithm_config=settings, model_config=network,
+            critic_model_config=network, seed=on.seed, config=config, callbacks=[updates],
+        )  # fmt: skip
+        policy = experiment.group_policies[GROUP]
+        initialise(policy, 0.01)
+        made: Any = of.train.venv
+        updates.best = BestMean(_Mean(policy, made.rows_per_env), of, on)
+        experiment.run()
+    return updates.best.tested()

@@ -1,0 +1,110 @@
+"""PPO of RLlib, whose environment runner takes the rows of a batch as environments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import ray  # pyright: ignore[reportMissingImports]
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from ray.rllib.algorithms.ppo import PPOConfig  # pyright: ignore[reportMissingImports]
+from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig  # pyright: ignore[reportMissingImports]
+from torch import nn
+
+from docs.studies.library_batches import DISCOUNTS, Setting, batches
+from docs.studies.library_loops import (
+    EPOCHS,
+    GRADIENT_NORM,
+    HORIZON,
+    LEARNING_RATE,
+    LOG_STD,
+    MINIBATCHES,
+    BestMean,
+    check_no_discount,
+    initialise,
+)
+
+MODEL = DefaultModelConfig(fcnet_hiddens=[64, 64], fcnet_activation="tanh", vf_share_layers=False, free_log_std=True)
+NAME = "DcgridRows-v0"
+WITHOUT_DASHBOARD = {"include_dashboard": False, "num_cpus": 1, "log_to_driver": False}
+
+
+class Rows(VectorEnv):
+    """A batch as a vector environment of Gymnasium whose episodes do not end: a discount of 0 ignores their ends."""
+
+    def __init__(self, envs: Any):
+        self.envs, self.num_envs = envs, envs.num_envs
+        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
+        self.single_observation_space = envs.observation_space
+        self.single_action_space = spaces.Box(-1.0, 1.0, envs.action_space.shape)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin the next episodes of the batch, which is seeded."""
+        return self.envs.reset(), {}
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Step the batch."""
+        observations, rewards, _, _ = self.envs.step(actions)
+        never = np.zeros(self.num_envs, bool)
+        return observations, rewards, never, never, {}
+
+
+class _Mean(nn.Module):
+    """Mean actions of a module of RLlib."""
+
+    def __init__(self, module: Any):
+        super().__init__()
+        self.module = module
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        return self.module.forward_inference({"obs": observations})["action_dist_inputs"].chunk(2, -1)[0]
+
+
+def rllib_ppo(on: Setting) -> np.ndarray:
+    """Train PPO of RLlib in this process, and return J of the test episodes, (episode,)."""
+    check_no_discount("rllib-ppo", on)
+    of = batches(on)
+    n_row, batch = of.train.num_envs, HORIZON * of.train.num_envs
+    ray.init(**WITHOUT_DASHBOARD)
+    gymnasium.register(NAME, vector_entry_point=lambda **_: Rows(of.train))
+    config = (
+        PPOConfig()
+        .environment(NAME)
+        .env_runners(
+            num_env_runners=0, num_envs_per_env_runner=n_row, gym_env_vectorize_mode="vector_entry_point",
+            rollout_fragment_length=HORIZON,
+        )
+        .rl_module(model_config=MODEL)
+        .training(
+            gamma=DISCOUNTS[on.reward], lambda_=0.0, lr=[[0, LEARNING_RATE], [on.steps * n_row // on.num_envs, 0.0]],
+            train_batch_size_per_learner=batch, minibatch_size=batch // MINIBATCHES, num_epochs=EPOCHS,
+            clip_param=0.2, use_kl_loss=False, vf_loss_coeff=0.5, vf_clip_param=float("inf"), grad_clip=GRADIENT_NORM,
+            grad_clip_by="global_norm",
+        )
+        .debugging(seed=on.seed, log_level="ERROR")
+    )  # fmt: skip
+    algorithm: Any = config.build_algo()
+
+    def prepare(learner: Any) -> None:
+        module = learner.module["default_policy"]
+        initialise(nn.ModuleList([module.encoder.actor_encoder, module.pi]), 0.01)
+        initialise(nn.ModuleList([module.encoder.critic_encoder, module.vf]), 1.0)
+        module.pi.log_std.data.fill_(LOG_STD)
+
+    algorithm.learner_group.foreach_learner(prepare)
+    algorithm.env_runner_group.sync_weights(from_worker_or_learner_group=algorithm.learner_group)
+    best = BestMean(_Mean(algorithm.get_module()), of, on)
+    for update in range(best.updates):
+        best.evaluate(update)
+        algorithm.train()
+    j = best.tested()
+    algorithm.stop()
+    ray.shutdown()
+    gymnasium.registry.pop(NAME)
+    return j
