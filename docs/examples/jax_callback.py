@@ -122,6 +122,8 @@ def steps_per_s(steps, course):
 
 def main(updates: int = 60, num_envs: int = 128, horizon: int = 120, seed: int = 0) -> tuple[float, float]:
     """Train, and return the mean J of 20 validation episodes before and after."""
+    if num_envs % 2 or updates < 1:
+        raise SystemExit(f"num_envs is {num_envs} and updates {updates}; give an even number and at least 1")
     batch = Batch(num_envs, horizon=horizon)
     run = episode_costs(batch, horizon)
     key = jax.random.key(seed)

@@ -200,14 +200,14 @@ def score_of(records: Sequence[dict[str, Any]]) -> Estimate:
 
 
 def table(records: Sequence[dict[str, Any]]) -> str:
-    """Return a row for each library, scenario and reward, as Markdown."""
+    """Return a row for each library, scenario, reward and number of steps, as Markdown."""
     heads = ["library", "version", "glue lines", "scenario", "reward", "steps", "seeds", "CPU, s", "score"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for record in records:
-        groups.setdefault((record["library"], record["scenario"], record["reward"]), []).append(record)
+        groups.setdefault(tuple(record[name] for name in ("library", "scenario", "reward", "steps")), []).append(record)
     order = list(LIBRARIES)
-    for (library, scenario, reward), group in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
+    for (library, scenario, reward, steps), group in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
         first, cpu_s = group[0], float(np.mean([record["cpu_s"] for record in group]))
         cells = [
             library,
@@ -215,7 +215,7 @@ def table(records: Sequence[dict[str, Any]]) -> str:
             LIBRARIES[library].glue_lines,
             f"`{scenario}`",
             reward,
-            f"{first['steps']:,}",
+            f"{steps:,}",
         ]
         cells += [len(group), f"{cpu_s:.0f}", estimate(score_of(group), 2)]
         lines.append("| " + " | ".join(map(str, cells)) + " |")

@@ -7,8 +7,9 @@ powers,
     c(taps) = min over q of w mean max(|V + dV/dtap taps + dV/dq (q - q0) - target| - uncharged, 0),  |q| <= limit,
 
 a linear program, as a mean over episodes at t = 0, where taps have settled without reactive power. Taps are added one
-after the other, the best first, while one saves its price over an episode. At most one tap of each regulator is added.
-The saving of a tap is the increase of c without it at the taps that were found, so it counts what the others bring.
+after the other, the best first, while one saves its price over an episode. At most one tap of each regulator is added,
+and only if it is possible in all these episodes. The saving of a tap is the increase of c without it at the taps that
+were found, so it counts what the others bring.
 """
 
 from __future__ import annotations
@@ -48,12 +49,18 @@ def useful_taps(scenario: Scenario, relays: ActingRelays, state: State, buses: n
     by_q = sensitivities(scenario).by_q[agent_nodes(scenario, buses)].mean(2)
     taps, now = np.zeros(len(relays.rows)), _least_cost(scenario, state, by_q, 0.0 * slopes.v_by_tap[0])
     price, least, one = price_of_move(scenario), LEAST * now, np.eye(len(taps))
+    tap, settings, rows = state.three_phase.equipment.regulators.tap, relays.settings, relays.rows  # pyright: ignore[reportOptionalMemberAccess]
+    possible = {
+        sign: ((tap + sign <= settings.highest) & (tap + sign >= settings.lowest)).all(0)[rows] for sign in (-1.0, 1.0)
+    }
 
     def cost(some: np.ndarray) -> float:
         return _least_cost(scenario, state, by_q, some @ slopes.v_by_tap)
 
     while len(free := np.flatnonzero(taps == 0.0)):
-        options = [taps + sign * one[relay] for relay in free for sign in (-1.0, 1.0)]
+        options = [taps + sign * one[relay] for relay in free for sign in possible if possible[sign][relay]]
+        if not options:
+            break
         costs = list(map(cost, options))
         best = int(np.argmin(costs))
         if now - costs[best] < least or (now - costs[best]) * scenario.horizon <= price:

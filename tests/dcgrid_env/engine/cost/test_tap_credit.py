@@ -107,3 +107,7 @@ def test_where_no_tap_is_paid():
         ("ieee13-3ph", {"cost": {"voltage": "bowl"}}),
     ):
         assert tap_targets(make_scenario(name, reward="difference", **fields)) is None
+
+
+def test_a_tap_beyond_the_last_one_is_not_useful():
+    assert tap_targets(make_scenario("ieee13-3ph", source_voltage_pu=0.9)) is None  # all stand at the highest tap
