@@ -141,12 +141,12 @@ def check_replay(scenario, seeds):
 @pytest.mark.parametrize("name", ACTING)
 def test_where_regulators_act_nobody_is_better_than_hindsight_on_average(name):
     scenario = make_scenario(name, split="test")
-    values = published(scenario)
+    values, n = published(scenario), 2 if scenario.horizon > 1000 else 10
     assert values is not None
     for controller in (*CONTROLLERS, *TUNED):
         if controller != "mpc" and drives(controller, scenario):
-            cost = rollout(scenario, make_controller(controller, scenario), range(20)).costs()
-            assert cost.mean() > values.J[:20].mean(), controller
+            cost = rollout(scenario, make_controller(controller, scenario), range(n)).costs()
+            assert cost.mean() > values.J[:n].mean(), controller
 
 
 @pytest.mark.slow

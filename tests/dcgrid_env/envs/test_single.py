@@ -27,12 +27,6 @@ def test_gymnasium_checker(name):
     check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped, skip_render_check=name not in DRAWN)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in dcgrid_env.IDS if name not in DRAWN])
-def test_gymnasium_checker_of_pictures(name):
-    check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped)
-
-
 @pytest.mark.parametrize("name", dcgrid_env.IDS)
 def test_stable_baselines3_checker(name):
     check_sb3_env(gymnasium.make(name).unwrapped)

@@ -1,4 +1,4 @@
-"""10,000 steps of random actions across resets, on presets of every form."""
+"""3,000 steps of random actions across resets, on presets of every form."""
 
 import resource
 
@@ -8,7 +8,7 @@ import pytest
 
 from dcgrid_env import DcgridEnv
 
-STEPS = 10_000
+STEPS = 3_000
 
 
 LONG = ("mixed", "fault", "ieee123-3ph", "ieee123-3ph-day", "ieee33-weak-ups", "ride-through", "smoothing", "routing")
