@@ -90,6 +90,7 @@ def test_no_upward_import():
     assert not bad, bad
 
 
+@pytest.mark.slow
 def test_no_circle():
     """At no level: the files and folders of each folder import each other one way."""
     levels = defaultdict(lambda: defaultdict(set))

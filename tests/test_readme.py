@@ -90,6 +90,7 @@ def test_scores_come_out_again(scenario):
     assert row[4:6] == pytest.approx(found, abs=0.00501)
 
 
+@pytest.mark.slow
 def test_overrides_of_the_text_work_on_the_presets_they_are_for():
     rows = SCENARIOS[SCENARIOS.index("| change | fields |") :].split("\n\n")[0].splitlines()[2:]
     assert len(rows) == 9

@@ -84,6 +84,7 @@ def test_the_code_in_the_card_runs_in_the_folder(exported, monkeypatch):
     assert float(said.getvalue()) == pytest.approx(evaluate(Policy.load(NAME), test, range(4)).means["J"])
 
 
+@pytest.mark.slow
 def test_the_hub_reads_the_card(exported):
     hub = pytest.importorskip("huggingface_hub", reason="huggingface_hub is not installed; pip install it")
     card = hub.ModelCard.load(exported / "README.md")

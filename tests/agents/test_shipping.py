@@ -22,6 +22,7 @@ def trained(folder, seed, q_share, validation_j, scenario="toy6", **more):
     return folder / f"run{seed}"
 
 
+@pytest.mark.slow
 def test_the_best_on_validation_ships_with_the_scores_of_all(tmp_path):
     shares = (0.1, 0.2, 0.3)
     runs = [
@@ -59,6 +60,7 @@ def test_the_best_on_validation_ships_with_the_scores_of_all(tmp_path):
     assert set(card.inputs) == {"datacenter", "inverter"}
 
 
+@pytest.mark.slow
 def test_a_policy_can_be_scored_on_another_scenario_than_its_own(tmp_path):
     card = ship([trained(tmp_path, 0, 0.2, 0.4)], "any-feeder", "ieee33", episodes=2, out=tmp_path / "out")
     assert card.scenario == "toy6"

@@ -47,6 +47,7 @@ def test_a_policy_of_another_scope_is_given_it(test_split):
     np.testing.assert_array_equal(found.J, evaluate(ConstantQ(0.5), test_split, [0, 1]).J)
 
 
+@pytest.mark.slow
 def test_no_score_says_why(test_split):
     validation = make_scenario("toy6", split="validation")
 

@@ -161,6 +161,7 @@ def test_constrained_ppo(method, tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("one_thread")
+@pytest.mark.slow
 def test_cleanrl_ppo_and_its_policy_without_torch(tmp_path, capsys):
     cleanrl = example("cleanrl_ppo")
     # 130 steps, so that each environment's episode of 120 ends within the rollout.
@@ -225,6 +226,7 @@ def test_offline_learning_and_its_policy_without_torch(temperature, tmp_path, mo
     assert card.algorithm == ("behaviour-cloning" if temperature is None else "awr")
 
 
+@pytest.mark.slow
 def test_offline_episodes_of_the_same_seed_are_held_against_each_other(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     for name in ("none", "droop"):

@@ -1,11 +1,13 @@
 """The picture of a trace holds what it says."""
 
 import numpy as np
+import pytest
 
 from dcgrid_env.traces import PowerTrace, generate_training
 from dcgrid_env.traces.figure import trace_figure
 
 
+@pytest.mark.slow
 def test_panels_show_the_traces():
     steady = PowerTrace([0, 60], [2.0, 2.0], "steady")
     figure = trace_figure({"training": generate_training(600.0, 1), "steady": steady})

@@ -143,6 +143,7 @@ def different_traces():
             yield name, serve(made, replica(gpu, model), n_replicas).trace
 
 
+@pytest.mark.slow
 def test_traces_that_differ_say_so():
     traces = dict(different_traces())
     said = {}

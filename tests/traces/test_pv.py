@@ -46,6 +46,7 @@ def test_splits_share_no_sky():
     assert not rows[0].flags.writeable
 
 
+@pytest.mark.slow
 def test_an_episode_takes_one_window_for_all_inverters():
     scenario = make_scenario(
         "ieee33", inverters={"injection": "pv", "s_rated_kva": (500.0,) * 5 + (250.0,)}, split="test"

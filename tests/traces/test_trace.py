@@ -68,6 +68,7 @@ def test_resample_keeps_energy_and_bounds(samples, steps, start_s):
 
 
 @given(samples=held_samples, dt_s=st.floats(0.05, 3.0))
+@pytest.mark.slow
 def test_resample_equals_a_direct_sum_over_pieces(samples, dt_s):
     trace = PowerTrace(np.cumsum([gap for gap, _ in samples]), [power for _, power in samples])
     assume(abs(trace.duration_s - dt_s) > 1e-6)  # a step that is missing by rounding alone is let pass

@@ -75,6 +75,7 @@ def test_a_tiny_run_improves_and_writes_what_it_found(finished):
     assert card.validation_J == best
 
 
+@pytest.mark.slow
 def test_the_saved_policy_is_the_best_of_the_curve(finished):
     from dcgrid_env.agents.training.validation import Validation
 
@@ -115,6 +116,7 @@ def test_the_rate_of_learning_falls_along_a_cosine(spoilt):
     assert spoilt[1] == pytest.approx([0.08, 0.04 * (1.0 + np.sqrt(0.5)), 0.04, 0.04 * (1.0 - np.sqrt(0.5))])
 
 
+@pytest.mark.slow
 def test_a_policy_that_grows_worse_is_not_kept(spoilt):
     first, last = (row["J"] for row in read_curve(spoilt[0]))
     assert last > 1.5 * first
@@ -210,6 +212,7 @@ def test_a_history_begins_with_an_episode_and_is_cut_with_its_windows():
 
 
 @pytest.mark.parametrize(("limit", "rises"), [(1e-7, True), (1e6, False)])
+@pytest.mark.slow
 def test_the_price_of_waiting_follows_the_limit_on_delay(limit, rises):
     cfg = dataclasses.replace(TINY, delay_limit_s=limit, dual_rate=0.1, learning_rate=1e-9)
     learner = Learner(cfg, grids_of(cfg))

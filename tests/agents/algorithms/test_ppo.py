@@ -87,6 +87,7 @@ def test_a_killed_run_goes_on_with_the_same_curve_bit_for_bit(tmp_path, monkeypa
     assert (broken / "policy.safetensors").read_bytes() == (whole / "policy.safetensors").read_bytes()
 
 
+@pytest.mark.slow
 def test_nan_stops_with_the_step_and_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):
     learned = ppo.BatchedPpo.train
 
@@ -104,6 +105,7 @@ def test_nan_stops_with_the_step_and_keeps_the_last_good_checkpoint(tmp_path, mo
     assert all(torch.isfinite(t).all() for t in state["parameters"]["policy"].values())
 
 
+@pytest.mark.slow
 def test_bad_input_is_refused_and_says_what_to_do(tmp_path):
     folder = ppo.main(tiny(tmp_path, steps=600))
     with pytest.raises(TrainingError, match="holds a run already; resume it"):

@@ -82,6 +82,7 @@ def test_no_field_of_a_submission_chooses_the_fresh_seeds(whole, monkeypatch):
     assert len({first, *seeds}) == 3, "the same submission gets other episodes each time"
 
 
+@pytest.mark.slow
 def test_a_report_that_was_written_by_hand_is_not_listed(whole):
     honest = read(whole / "verified.json", Verified)
     forged = replace(honest, score=honest.score._replace(value=0.999))

@@ -174,6 +174,7 @@ def test_changed_and_missing_files_are_named(copied, capsys):
     assert "give a folder that dcgrid submit wrote" in stopped(capsys, "verify", copied)
 
 
+@pytest.mark.slow
 def test_other_weights_under_hashes_made_anew_are_noticed(copied, capsys):
     other = constant()
     other.save(copied / "policy.safetensors")
@@ -280,6 +281,7 @@ def test_a_policy_under_guard_is_entered_too(tmp_path):
     assert pytest.approx(entry.claimed.J, rel=1e-6) == found.found.J
 
 
+@pytest.mark.slow
 def test_verified_folders_are_checked_and_listed(whole, tmp_path, capsys):
     for folder in (whole, whole.parent):  # a folder, and a folder of folders
         studies(["leaderboard", str(folder)])

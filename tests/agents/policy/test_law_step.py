@@ -36,6 +36,7 @@ def observed(preset, deviations=(-1.2, -0.4)):
 
 
 @pytest.mark.parametrize("preset", ["ieee33-weak", "mixed"])
+@pytest.mark.slow
 def test_tensors_and_arrays_come_to_the_same(preset):
     joint = observed(preset)
     for ours, its in zip(steps(preset, np.asarray, joint), steps(preset, double, double(joint)), strict=True):

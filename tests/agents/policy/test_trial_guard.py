@@ -47,6 +47,7 @@ def test_what_pays_in_the_trial_acts_as_it_would_alone(monkeypatch):
     assert own.info["guard_law_pct"].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.slow
 def test_each_placement_has_its_own_verdict(monkeypatch):
     verdicts = []
 
@@ -92,6 +93,7 @@ def test_a_model_that_is_said_to_be_wrong_is_no_judge():
     )
 
 
+@pytest.mark.slow
 def test_it_drives_the_agents_by_name_and_where_places_are_fixed_needs_no_word_of_them():
     env = parallel_env("das69", horizon=3)
     seen, _ = env.reset(seed=0)

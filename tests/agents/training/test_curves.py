@@ -61,6 +61,7 @@ def test_a_folder_that_holds_no_run_is_named(tmp_path):
         lines([read(run(tmp_path / name)) for name in ("x", "y")])
 
 
+@pytest.mark.slow
 def test_the_figure_has_a_panel_for_each_scenario(tmp_path):
     names = ("toy6", "ieee123", "ieee33", "das69", "khodr141")
     curves = [

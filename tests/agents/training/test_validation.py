@@ -14,6 +14,7 @@ def policy(clock=1.0):
     return Policy({"datacenter": Network([site]), "inverter": Network([other])})
 
 
+@pytest.mark.slow
 def test_figures_are_means_over_episodes_and_scenarios_of_the_validation_split():
     found = Validation(["toy6", "ieee33-weak"], 3)(policy(-0.9))
     every, droop = [], []

@@ -188,6 +188,7 @@ def test_what_helpers_ask_of_it(view):
 
 
 @VIEWS
+@pytest.mark.slow
 def test_images_of_each_environment(view):
     env = sb3_vec_env("toy6", 2, view, render_mode="rgb_array")
     env.seed(0)

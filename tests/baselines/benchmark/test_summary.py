@@ -231,6 +231,7 @@ def test_names_keep_apart_in_order_and_inside(wanted):
     assert len(found) == len(wanted)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_of_whatever_names_and_failures():
     name = "long/" * 20 + "$mine_{$.py:C"
     assert len(short(name)) <= 30

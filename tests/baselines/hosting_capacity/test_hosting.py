@@ -128,6 +128,7 @@ def test_a_limit_of_taps_needs_regulators():
         Study(scenario=two_buses(), taps_max_per_hour=3.0)
 
 
+@pytest.mark.slow
 def test_windows_alone_carry_at_least_what_all_carry():
     scenario = on(load_feeder("ieee33"), source_voltage_pu=1.05)
     study = Study(scenario=scenario, others=False, buses=("6", "18"), samples=8)
@@ -176,6 +177,7 @@ def test_a_transformer_limits_by_the_kva_of_its_smaller_winding(tmp_path):
     assert found.by_controller["none"][0].limit.startswith("overload of transformer low, phase ")
 
 
+@pytest.mark.slow
 def test_sampled_windows_hold_the_full_rating():
     """Whatever the trace asks for: at peak load, without noise, a window is then as strict as the snapshot."""
     for scenario in (on(load_feeder("ieee33"), source_voltage_pu=1.05), make_scenario("ieee33-weak", split="test")):
@@ -227,6 +229,7 @@ def test_more_is_carried_within_wider_limits():
     assert np.all(np.diff(by_width, axis=0) > 0.0)
 
 
+@pytest.mark.slow
 def test_a_droop_carries_more_at_the_ends_and_its_price_is_delay():
     found, [none, droop] = carried(
         on(load_feeder("ieee33"), source_voltage_pu=1.05),

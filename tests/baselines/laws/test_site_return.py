@@ -25,6 +25,7 @@ def test_by_hand_all_return_at_once_and_staggered_one_after_the_other():
     assert first_back_s(StaggeredReturn()) == [20 * i for i in range(slots)]
 
 
+@pytest.mark.slow
 def test_without_a_rule_they_return_at_once_and_trip_again():
     scenario = ride_through_34()
     hasty, by_hand = (rollout(scenario, law, [2]).metrics()[0] for law in (Droop(), ReturnByHand()))

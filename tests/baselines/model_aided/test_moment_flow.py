@@ -44,6 +44,7 @@ def test_taps_settle_under_the_set_points():
     assert np.abs(without_taps - v_pu).max() > 0.005
 
 
+@pytest.mark.slow
 def test_taps_that_answer_within_a_step_stay_as_without_reactive_power():
     flow = flow_of(dt_s=60.0, background={"start_hour": 6.0})
     q_kvar = np.tile(-0.8 * flow.scenario.q_scale_kvar, (len(flow.points.p_load_kw), 1))

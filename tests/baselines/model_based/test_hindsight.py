@@ -29,6 +29,7 @@ def test_the_environment_agrees_with_the_program(solved):
 
 
 @pytest.mark.parametrize("name", ["none", "inverters", "droop-q", "droop"])
+@pytest.mark.slow
 def test_no_controller_beats_hindsight_or_the_bound(solved, name):
     scenario, found = solved
     costs = [metrics["J"] for metrics in rollout(scenario, make_controller(name), list(found)).metrics()]
@@ -106,6 +107,7 @@ PROFILE = {"cost.reference": "profile", "cost.profile_band_pu": 0.002, "horizon"
 
 @pytest.mark.parametrize("changed", [{}, {"cost.profile_pu": {"3": 1.01, "5": 0.93}}])
 @pytest.mark.parametrize("name", ["toy6", "ieee33-weak"])
+@pytest.mark.slow
 def test_the_voltage_profile_is_planned_for(name, changed):
     """The program agrees with the environment, and no law or model pays less; the plan for 1 p.u. costs more."""
     scenario = make_scenario(name, **PROFILE, **changed)
@@ -149,6 +151,7 @@ def test_the_forecast_is_what_the_environment_draws():
     )
 
 
+@pytest.mark.slow
 def test_what_is_lost_is_foreseen():
     """A tripped site draws nothing, a lost inverter gives nothing, and the program knows when."""
     faults = (Fault(("dc_1",), (5.0, 5.0), (10.0, 10.0)), Fault(("inv_2",), (12.0, 12.0)))

@@ -122,6 +122,7 @@ def within(program, x):
 
 @pytest.mark.parametrize("has_targets", [False, True])
 @pytest.mark.parametrize("steps", [1, 4])
+@pytest.mark.slow
 def test_the_solver_against_highs(steps, has_targets):
     """Within 0.2 % of the optimum after 300 rounds from scratch, and within 0.02 % after 3000, never below it."""
     for seed in range(4):

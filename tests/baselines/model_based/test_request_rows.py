@@ -11,6 +11,7 @@ CAP = {"value_share": 0.42, "begin_s": 5, "ramp_s": 5, "duration_s": 15}
 
 
 @pytest.mark.parametrize("kind", ["cap", "target"])
+@pytest.mark.slow
 def test_the_program_has_the_environment_s_price_of_a_request(kind):
     s = make_scenario("load-target", grid_request={"targets": [CAP | {"kind": kind}]}, **SHORT)
     found = hindsight(s, 0)
@@ -30,6 +31,7 @@ def test_a_cheap_request_is_missed_and_a_dear_one_is_met():
     assert met["grid_request_delivered_kwh"] > 0.97 * met["grid_request_asked_kwh"]
 
 
+@pytest.mark.slow
 def test_a_request_far_away_changes_nothing():
     s = make_scenario("load-target", grid_request={"targets": [CAP | {"begin_s": 1000}]}, **SHORT)
     without = s.replace(grid_request={"targets": ()}, weights={"grid_request": 0.0})

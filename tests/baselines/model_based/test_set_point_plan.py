@@ -111,6 +111,7 @@ def test_a_switching_in_the_first_step_is_priced(mode):
     assert abs(found.gap) <= 2e-4 * found.J
 
 
+@pytest.mark.slow
 def test_a_delay_beyond_the_episode_switches_nothing():
     scenario = by_minutes(dt_s=1.0, **{"grid_control.regulators": "fixed"})
     found = hindsight(scenario, 0)

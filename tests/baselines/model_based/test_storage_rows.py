@@ -28,6 +28,7 @@ def test_the_environment_agrees_with_the_program(solved):
         assert np.abs(best.recorder.series(0).storage_kw).max() > 50.0
 
 
+@pytest.mark.slow
 def test_nothing_beats_hindsight_and_storage_is_worth_something(solved):
     scenario, found = solved
     without = make_scenario("ieee33-weak", split="validation", horizon=60)
@@ -38,6 +39,7 @@ def test_nothing_beats_hindsight_and_storage_is_worth_something(solved):
         assert best.bound < hindsight(without, seed).bound
 
 
+@pytest.mark.slow
 def test_the_programs_energy_is_the_environments():
     figures: Any = FIGURES | {
         "energy_kwh": 0.4,

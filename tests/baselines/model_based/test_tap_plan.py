@@ -97,6 +97,7 @@ def test_pushed_relays_make_taps_that_lower_the_cost(timer, monkeypatch):
     assert (unplanned < droop).all()
 
 
+@pytest.mark.slow
 def test_taps_are_made_when_they_are_planned(monkeypatch):
     """The first tap comes when the delay ends, and nearly all planned taps are made in their step."""
     planned = []
@@ -125,6 +126,7 @@ def test_relays_whose_timers_integrate_are_held_before_their_delay_ends():
         assert states.moves[-1].max() <= 2.0
 
 
+@pytest.mark.slow
 def test_no_tap_is_planned_at_a_price_that_it_cannot_save(monkeypatch):
     asked = []
     choose = TapPlan.choose
@@ -141,6 +143,7 @@ def test_no_tap_is_planned_at_a_price_that_it_cannot_save(monkeypatch):
         assert np.any(asked) == some
 
 
+@pytest.mark.slow
 def test_an_episode_is_controlled_the_same_alone_and_among_others():
     scenario = timed(horizon=40)
     among = rollout(scenario, Mpc(horizon=2), [0, 1, 2]).series(1)

@@ -10,6 +10,7 @@ from helpers.routing import routed
 
 
 @pytest.mark.parametrize("order", ["edf", "fcfs"])
+@pytest.mark.slow
 def test_the_replay_is_near_the_bound_and_better_than_laws(order):
     levels = {"target_s": 1.0, "deadline_s": 6.0, "order": order}
     s = make_scenario("routing", split="validation", horizon=20, datacenters={"service": levels})
@@ -21,6 +22,7 @@ def test_the_replay_is_near_the_bound_and_better_than_laws(order):
     assert found.recorder.metrics()[0]["moved_kws"] > 0.0
 
 
+@pytest.mark.slow
 def test_without_deadlines_waiting_has_its_price_and_routing_is_worth_something():
     s = routed("bursty", horizon=15, datacenters={"batching": None, "service": None})
     stays = hindsight(s.replace(datacenters={"routing": None}), 1)

@@ -250,6 +250,7 @@ def test_captions_follow_the_runs(few, monkeypatch):
     assert "too little to be seen" in said[5]
 
 
+@pytest.mark.slow
 def test_what_waits_at_bus_13_is_that_of_the_runs(few, monkeypatch):
     law = Law(k_p_mw_per_pu=20.0)
     low = all_sites(few).replace(source_voltage_pu=1.0)

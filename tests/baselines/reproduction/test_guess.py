@@ -25,6 +25,7 @@ def test_the_default_guess_is_the_study(few):
         assert row["delay_s"] == table1.figures(run)["delay_mean_s"]
 
 
+@pytest.mark.slow
 def test_each_setting_of_a_guess_is_heeded(few):
     def figures_of(guess):
         return figures(few.of(scenario_of(few, guess, 5), law_of(guess, 20.0)), guess)

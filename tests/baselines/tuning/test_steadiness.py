@@ -74,6 +74,7 @@ def test_a_search_that_ends_at_unstable_gains_is_repeated_within_the_bound():
     assert tune("constant-q", [scenario], episodes=1).spectral_radius is None
 
 
+@pytest.mark.slow
 def test_a_droop_that_swings_at_all_gains_is_refused(monkeypatch):
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.has_limit_cycle", lambda *_: True)
     with pytest.raises(ValueError, match=r"tune: 'droop-q' is not stable on toy6 at any of \d+ sets of gains"):

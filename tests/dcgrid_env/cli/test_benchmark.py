@@ -301,6 +301,7 @@ def test_ones_own_scenario_and_arguments_with_commas(tmp_path, own, capsys, monk
     assert "3 of 3 units with these settings are already in" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_a_score_lacks_is_said_beforehand_with_the_commands(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     monkeypatch.chdir(tmp_path)
@@ -336,6 +337,7 @@ def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_folder_of_another_run_is_refused(tmp_path, capsys):
     main(["run", "--scenario", "toy6", "--controllers", "none", "--episodes", "1", "--out", str(tmp_path)])
     before = (tmp_path / "results.json").read_text()

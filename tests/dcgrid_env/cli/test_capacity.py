@@ -24,6 +24,7 @@ def run(*arguments):
     main(["capacity", *SHORT, "--out", "out", *arguments])
 
 
+@pytest.mark.slow
 def test_it_prints_and_writes_the_same_answers(capsys, tmp_path):
     run(*IEEE33, "--controllers", "none,droop", "--buses", "6,18")
     printed = capsys.readouterr().out

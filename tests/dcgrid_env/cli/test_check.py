@@ -5,6 +5,7 @@ import pytest
 from dcgrid_env.cli.main import main
 
 
+@pytest.mark.slow
 def test_a_scenario_file_is_looked_at_and_judged(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")

@@ -84,6 +84,7 @@ def test_what_acts_has_its_score_from_its_card_or_by_definition(here):
         assert card["score_why"]
 
 
+@pytest.mark.slow
 def test_several_controllers_take_turns_and_the_digest_is_that_of_the_content(here):
     words = ["dataset", "--set", "horizon=4", "--episodes", "5", "--noise", "0.1"]
     main([*words, "--controller", "droop,none,random"])

@@ -61,6 +61,7 @@ def test_damaged_results_are_refused_or_replayed_as_they_were(results, replayed)
 
 
 @pytest.mark.parametrize("field", ["meta", "meta.command", "meta.scenario_hash", "episodes", "episodes.0"])
+@pytest.mark.slow
 def test_odd_values_in_the_fields_that_a_replay_reads_are_refused(results, replayed, field):
     for value in ODD:
         content = json.loads(results)

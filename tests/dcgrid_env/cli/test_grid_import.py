@@ -46,6 +46,7 @@ def test_a_feeder_goes_out_and_comes_in(tmp_path, capsys, kind):
     assert "choose another --out" in said(capsys, "import", kind, file, "--out", out)
 
 
+@pytest.mark.slow
 def test_a_named_net_is_made_with_arguments_and_a_case_is_known_by_its_path(tmp_path, capsys):
     words = ["create_cigre_network_mv", "--arguments", "with_der=all"]
     main(["import", "pandapower", *words, "--out", str(tmp_path / "a")])

@@ -83,6 +83,7 @@ def test_an_unknown_name_gets_suggestions_and_where_all_are_listed(capsys, argum
     assert re.match(f"dcgrid: {said.replace('?', '.')}", shown.err), shown.err
 
 
+@pytest.mark.slow
 def test_fields_are_listed_with_what_each_is(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", WIDE)
     main(["list", "fields"])

@@ -81,6 +81,7 @@ def test_a_feeder_takes_the_place_of_the_scenarios(folders, capsys):
     assert "power flow sweep" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_devices_in_words_are_placed_printed_and_written_as_a_file_for_all_commands(folders, capsys):
     load_feeder("das69").scaled(1.01, 1.0).to_csv("changed")
     words = ("--datacenters", "3 x 250 kW at ends", "--inverters", "2 x 200 kvar", "--save-scenario", "mine.toml")

@@ -80,6 +80,7 @@ def test_a_stored_run_is_replayed_exactly(tmp_path, monkeypatch, capsys, opened)
 
 
 @drawn
+@pytest.mark.slow
 def test_a_run_begun_from_python_is_replayed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["mine.py", "--fast"])  # whatever script it is begun by

@@ -102,6 +102,7 @@ def test_a_controller_that_ends_the_program_does_not_end_it_as_if_all_were_well(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_list_shows_everything(capsys):
     main(["list"])
     printed = capsys.readouterr().out
@@ -222,6 +223,7 @@ def test_a_run_too_long_to_be_kept_sums_up_and_writes_its_course(tmp_path, monke
     assert not (tmp_path / "none" / "course").exists()
 
 
+@pytest.mark.slow
 def test_the_course_of_a_short_run_is_written_on_request(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     results = run(tmp_path, "--scenario", "toy6", "--episodes", "1", "--controllers", "none", "--course", "parquet")

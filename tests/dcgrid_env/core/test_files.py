@@ -111,6 +111,7 @@ def test_json_with_a_nan_is_refused_before_anything_is_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_figure_has_the_format_of_its_suffix(tmp_path):
     for name, begins in (("a.png", b"\x89PNG"), ("b.pdf", b"%PDF"), ("c", b"\x89PNG")):
         write_figure(tmp_path / name, Figure(), dpi=10)

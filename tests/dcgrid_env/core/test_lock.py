@@ -32,6 +32,7 @@ def holder(tmp_path):
     process.stdout.close()
 
 
+@pytest.mark.slow
 def test_who_is_refused_is_told_by_whom_on_one_line(tmp_path, holder):
     with pytest.raises(LockedError) as refused, locked(tmp_path, "training"):
         pytest.fail("held twice")

@@ -11,6 +11,7 @@ from helpers.forms import FORMS
 
 @pytest.mark.parametrize("preset", FORMS)
 @pytest.mark.parametrize("law", [LinearDvfs, PrefillDecodeDvfs])
+@pytest.mark.slow
 def test_every_preset_runs(preset, law):
     scenario = make_scenario(preset, dt_s=0.1, horizon=150, datacenters={"clock_law": law(), "boost_share": 1.3})
     for controller in (NoControl(), Droop(5.0)):

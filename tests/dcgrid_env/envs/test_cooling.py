@@ -57,6 +57,7 @@ def test_it_has_settled_at_the_beginning_and_the_pue_is_stated():
     assert figures["cooling_kwh"] > 0.0
 
 
+@pytest.mark.slow
 def test_the_converter_holds_all_of_it_and_observations_stay_within_their_bounds():
     s = cooled(Cooling(), datacenters={"boost_share": 1.2})
     sites = s.datacenters

@@ -106,6 +106,7 @@ def test_info_keys_are_constant():
     [{}, {"datacenters.clock_law": PrefillDecodeDvfs(), "datacenters.boost_share": 1.3}],
     ids=["linear", "work_classes"],
 )
+@pytest.mark.slow
 def test_save_and_restore_round_trip_exactly(extra):
     env = DcgridEnv("ieee123", **extra)
     env.reset(seed=3)

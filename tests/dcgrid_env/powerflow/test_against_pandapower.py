@@ -27,6 +27,7 @@ def test_distflow_agrees_with_newton_in_pandapower(feeder, random_loads, pandapo
         np.testing.assert_allclose(q_import[row], newton["q_import_kvar"], rtol=0.0, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_distflow_agrees_close_to_collapse(feeder, pandapower_net):
     # A load scaled up to a lowest voltage of 0.7 p.u. or less: far beyond operation, where the loss terms dominate.
     net = pandapower_net(feeder)

@@ -120,6 +120,7 @@ def test_the_solution_fulfils_the_distflow_equations(kind, case):
 
 @settings(deadline=None)
 @given(case=cases(most_drop=0.1))
+@pytest.mark.slow
 def test_complex_voltages_and_currents_carry_the_same_power(case):
     # Away from DistFlow's squares: walk down with phasors, current = conj(S / V), and meet each load at its bus.
     solution = solve(case, "numpy", tolerance_kva=TOLERANCE_KVA)
@@ -137,6 +138,7 @@ def test_complex_voltages_and_currents_carry_the_same_power(case):
 
 @settings(deadline=None)
 @given(case=cases(most_drop=0.05, switches=False, least=0.01), data=st.data())
+@pytest.mark.slow
 def test_more_load_at_a_bus_lowers_its_voltage(case, data):
     bus = data.draw(st.sampled_from(sorted(case.up)))
     i = case.feeder.index(bus)
@@ -169,6 +171,7 @@ def test_lindistflow_adds_loads_and_drops_along_the_tree(kind, case):
 
 @settings(deadline=None)
 @given(case=cases(most_drop=0.1))
+@pytest.mark.slow
 def test_losses_lower_voltages_where_no_power_is_fed_in(case):
     # With loads alone, DistFlow's voltages lie below LinDistFlow's, which knows no losses.
     p_kw, q_kvar = (np.abs(load) for load in case.loads())

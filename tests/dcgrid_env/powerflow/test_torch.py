@@ -222,6 +222,7 @@ def test_derivatives_of_a_batch(toy6):
 
 @both_forms
 @pytest.mark.parametrize("scale", [1.0, 12.0])
+@pytest.mark.slow
 def test_derivatives_with_a_warm_start(toy6, scale):
     # A start at the answer must not stop the sweeps before the derivative has converged.
     load = scale * toy6.p_load_kw / 1000.0, scale * toy6.q_load_kvar / 1000.0

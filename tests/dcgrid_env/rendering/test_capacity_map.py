@@ -23,6 +23,7 @@ def panels(figure):
     return [ax for ax in figure.axes if ax.get_title()]
 
 
+@pytest.mark.slow
 def test_a_panel_for_each_controller_on_one_scale():
     wide, narrow = maps(0.2, 20.0), maps(1.0, 2.0)
     figure = capacity_figure(FEEDER, {"none": wide, "droop": narrow, "mpc": wide}, "ieee33")

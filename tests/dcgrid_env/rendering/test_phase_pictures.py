@@ -53,6 +53,7 @@ def is_image(frame):
 
 
 @each
+@pytest.mark.slow
 def test_each_bus_shows_the_voltages_of_its_phases_in_their_places(name):
     env, states = make(name, 5)
     feeder, v, xy = env.scenario.feeder, states[-1].v_pu[0], positions(env.scenario.feeder)
@@ -87,6 +88,7 @@ def test_a_sector_outside_the_band_has_a_rim_and_one_without_voltage_its_own_col
     assert not drawn.worst.get_visible()
 
 
+@pytest.mark.slow
 def test_the_bus_of_the_largest_unbalance_is_ringed_and_named():
     env, states = make("ieee123-3ph", 8)
     feeder, factor = env.scenario.feeder, states[-1].three_phase.unbalance[0]
@@ -96,6 +98,7 @@ def test_the_bus_of_the_largest_unbalance_is_ringed_and_named():
     assert f"largest unbalance {100 * factor.max():.2f} % at bus {feeder.bus_ids[bus]};" in panel.more.get_text()
 
 
+@pytest.mark.slow
 def test_taps_and_banks_are_said_where_they_are():
     env, states = make("ieee13-3ph", 12, grid_control={"regulators": "agent", "capacitors": "agent"})
     regulators, banks = states[-1].three_phase.equipment
@@ -126,6 +129,7 @@ def test_a_lost_bank_and_banks_switched_off_are_said():
 
 
 @each
+@pytest.mark.slow
 def test_curves_are_each_phase_s_spread_the_unbalance_and_the_taps(name):
     env, states = make(name, 25)
     feeder, curves = env.scenario.feeder, parts(env)[1]
@@ -149,6 +153,7 @@ def test_curves_are_each_phase_s_spread_the_unbalance_and_the_taps(name):
     assert low < taps.min() <= taps.max() < high
 
 
+@pytest.mark.slow
 def test_an_agent_s_voltage_stands_in_the_axes_of_its_phases():
     env, states = make("ieee13-3ph", 4)
     feeder, curves = env.scenario.feeder, parts(env)[1]
@@ -272,6 +277,7 @@ def test_keys_stay_in_the_figure_and_names_of_axes_off_each_other(name):
     assert all(upper.y0 >= lower.y1 for upper, lower in pairwise(names))
 
 
+@pytest.mark.slow
 def test_labels_name_the_agents_of_set_points():
     env, _ = make(variant_of("set points as agents"))
     assert [text.split("\n")[1:] for text in labels(env)] == [["regset_0"], ["capset_0"], ["capset_1"]]

@@ -85,6 +85,7 @@ def test_tap_changes_are_marked_and_counted_as_in_the_metrics():
 
 
 @pytest.mark.parametrize(("dt_s", "shown"), [(0.1, 10.0), (1.0, 300.0)])
+@pytest.mark.slow
 def test_of_an_episode_in_short_steps_ten_seconds_are_shown(dt_s, shown):
     """The largest change of the power drawn lies within them, so burnt power and ramps can be seen."""
     scenario = make_scenario("smoothing", horizon=300, dt_s=dt_s)

@@ -62,6 +62,7 @@ def is_image(frame):
     return frame.shape == SHAPE and frame.dtype == np.uint8 and frame.std() > 5.0
 
 
+@pytest.mark.slow
 def test_frames_have_one_size_and_follow_the_episode():
     env = make()
     frames = [env.render()]
@@ -137,6 +138,7 @@ def test_a_usual_frame_lays_out_no_text_and_only_what_changed_is_drawn_anew(monk
 
 
 @pytest.mark.parametrize(("backlog", "unit"), [(9e2, "kW s"), (0.9e6, "kW s"), (1.1e6, "MW s"), (9e8, "MW s")])
+@pytest.mark.slow
 def test_names_of_axes_keep_clear_of_long_figures(backlog, unit):
     env = make("toy6", datacenters={"p_rated_kw": 250.0})
     env.render()
@@ -179,6 +181,7 @@ def test_curves_are_the_simulation():
     assert f"{(np.abs(v[1:] - 1) > 0.05).sum()} of 5 buses outside 0.95 to 1.05" in below
 
 
+@pytest.mark.slow
 def test_a_new_episode_starts_from_an_empty_history():
     env = make()
     first = env.render()
@@ -291,6 +294,7 @@ def test_copies_draw_for_themselves():
         assert other._figure is not env._viewer._figure
 
 
+@pytest.mark.slow
 def test_neither_the_settings_of_the_user_nor_the_drawing_touch_each_other():
     frame = make().render()
     with matplotlib.rc_context({"font.size": 30.0, "axes.facecolor": "black", "text.color": "red", "axes.grid": False}):
@@ -312,6 +316,7 @@ def test_no_figure_is_left_behind():
     assert pyplot.get_fignums() == []
 
 
+@pytest.mark.slow
 def test_close_can_be_followed_by_a_reset():
     env = make()
     frame = env.render()
@@ -417,6 +422,7 @@ def test_other_scenarios_can_be_drawn(scenario, overrides):
     assert (env.render() != first).any()
 
 
+@pytest.mark.slow
 def test_time_is_given_in_the_unit_that_fits():
     env = make("ieee123", dt_s=60.0, horizon=90)
     env.render()
@@ -433,6 +439,7 @@ def test_a_voltage_collapse_is_named():
     assert "voltage collapse" in titles(env)[1]
 
 
+@pytest.mark.slow
 def test_render_modes_of_gymnasium():
     env = gymnasium.make("dcgrid/Toy6-v0", render_mode="rgb_array")
     env.reset(seed=0)

@@ -173,6 +173,7 @@ def test_what_stands_in_no_file_is_refused():
         make_scenario("ieee33", trace=(trace,)).to_toml()
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_a_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text('base = "toy6"\nhorizon = 5\n')

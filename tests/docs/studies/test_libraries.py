@@ -162,6 +162,7 @@ def test_a_library_that_cannot_train_on_a_reward_is_one_line():
         libraries.LIBRARIES["cleanrl-ppo"].train(on)
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_table_of_the_file():
     records = records_in(ROOT / DATA)
     assert json.loads((ROOT / DATA).read_text())["trainings"] == records

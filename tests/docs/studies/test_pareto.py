@@ -16,6 +16,7 @@ def test_a_run_for_each_limit_and_seed_and_one_without(tmp_path):
     assert len({one.out for one in made}) == 6
 
 
+@pytest.mark.slow
 def test_the_curves_run_through_the_tuned_law_and_buy_voltage_with_delay(monkeypatch):
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0, 3.503, 7.0))
     curves = pareto.swept("ieee33-weak", 2)

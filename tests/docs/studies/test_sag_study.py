@@ -33,6 +33,7 @@ def test_figures_are_those_of_the_episodes(study):
     assert named["best known"].figures[0] == pytest.approx(costs.of([0, 1]).J.mean())
 
 
+@pytest.mark.slow
 def test_sags_are_where_sites_leave(study):
     course = study.driven[0].course
     begin_s = sag_times(study.scenario, 1)

@@ -27,6 +27,7 @@ def test_policies_of_an_algorithm_are_those_that_ship():
     assert policies_of("safe", ["toy6", "ieee33-weak"]) == ["ieee33-weak-safe"]
 
 
+@pytest.mark.slow
 def test_a_policy_at_home_has_its_score_and_elsewhere_it_is_guarded():
     (row,) = rows(["toy6-analytic", "khodr141-analytic", "routing-analytic"], ["toy6"], 4, "test")
     at_home, away, other = row.cells.values()

@@ -46,6 +46,7 @@ def test_gamma_distances_vary_by_one_over_the_root_of_the_shape(shape):
 
 
 @pytest.mark.parametrize("window_s", [1.0, 10.0, 100.0])
+@pytest.mark.slow
 def test_two_state_counts_follow_the_theory(window_s):
     law = Arrivals(10.0, calm_rate=0.1, calm_s=40.0, busy_s=20.0)
     duration_s = 400_000.0
@@ -71,6 +72,7 @@ def test_two_state_dwells_and_rates_show_where_the_calm_is_silent():
     assert np.count_nonzero(silent) == pytest.approx(40_000.0 / 7.0 * np.exp(-0.4 / 5.0), rel=0.05)
 
 
+@pytest.mark.slow
 def test_both_states_come_first_as_often_as_they_hold():
     law = Arrivals(1.0, calm_rate=0.0, calm_s=3e6, busy_s=1e6)
     # The busy rate is 4/s, so that 10 s of it are hardly ever empty.

@@ -269,6 +269,7 @@ def advanced(unit, n_replicas, made, cuts, every=1):
 
 @settings(max_examples=80, deadline=None)
 @given(made=arriving(), n_replicas=st.integers(1, 5), unit=st.sampled_from([UNIT, SMALL, replica("H200", "llama3-8b")]))
+@pytest.mark.slow
 def test_every_request_is_answered_or_waits(made, n_replicas, unit):
     arrival_s, context, tokens, cuts = made
     loads, done, pool = advanced(unit, n_replicas, made, cuts)

@@ -159,6 +159,7 @@ def test_the_mean_of_a_law_is_that_of_its_draws(name, kind):
     most=st.integers(1, 5000),
     seed=st.integers(0, 2**32),
 )
+@pytest.mark.slow
 def test_any_law_of_tokens(parts, most, seed):
     law = TokenLaw(tuple(parts), most)
     counts = law.draw(np.random.default_rng(seed), 20_000)

@@ -228,6 +228,7 @@ def test_blocks_are_shared_or_not_as_a_whole():
     assert 0 < sum(part.all() for part in per_block) < len(per_block)
 
 
+@pytest.mark.slow
 def test_independent_sites_have_days_of_their_own():
     groups = [generate_sites(2, 600.0, 24 * day, small(0.1)) for day in range(60)]
     pairs = np.array([[len(served(trace).arrival_s) for trace in group] for group in groups])

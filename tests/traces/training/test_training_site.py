@@ -239,6 +239,7 @@ def any_params(draw):
 
 @settings(max_examples=60, deadline=None)
 @given(duration_s=st.floats(0.1, 600.0), seed=st.integers(0, 2**63), params=any_params())
+@pytest.mark.slow
 def test_any_parameters_stay_in_bounds(duration_s, seed, params):
     check_bounds(duration_s, seed, params)
 

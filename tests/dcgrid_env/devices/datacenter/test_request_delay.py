@@ -132,6 +132,7 @@ def finished_at(level: float, done: np.ndarray, dt_s: float) -> float | None:
 
 @pytest.mark.parametrize("dt_s", [0.5, 1.0, 5.0])
 @given(drawn=st.lists(st.tuples(amounts, amounts), min_size=1, max_size=40), seed=st.integers(0, 1000))
+@pytest.mark.slow
 def test_against_a_walk_along_the_curves(dt_s, drawn, seed):
     arrived, done = course(drawn)
     end_s = len(drawn) * dt_s

@@ -35,6 +35,7 @@ def moved(route: Any, arrived: Any, share: float = 1.0, available: Any = None) -
 
 @settings(max_examples=200, deadline=None)
 @given(SHARES, ARRIVED, st.floats(0.0, 1.0, allow_subnormal=False))
+@pytest.mark.slow
 def test_work_is_conserved_and_no_site_gives_or_takes_more_than_it_may(route, arrived, share):
     at, r = np.array([arrived]), np.array([route])
     own, load = moved(r, at, share)

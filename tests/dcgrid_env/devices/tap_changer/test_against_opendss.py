@@ -23,6 +23,7 @@ from docs.studies.relays import (
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("name", FEEDERS)
+@pytest.mark.slow
 def test_opendss_queue_explains_every_tap_and_ours_agree_while_it_acts_like_a_drive(name, seed):
     feeder = load_feeder(name)
     loads = moving_loads(feeder, seed)

@@ -33,6 +33,7 @@ def test_pst_max_is_that_of_the_node_that_flickers_most(training):
     assert training.worst_flicker("230V-50Hz").pst > worst.pst
 
 
+@pytest.mark.slow
 def test_the_swing_of_training_jobs_lies_mostly_in_the_band(training):
     own_kw = training.p_kw[:, :3]
     band = swing(own_kw, 0.1)

@@ -30,6 +30,7 @@ def paid(scenario, targets, monkeypatch):
     return simulation, before, action, vector * difference_scale(scenario)
 
 
+@pytest.mark.slow
 def test_a_timer_is_paid_its_share_of_the_tap_by_hand(monkeypatch):
     """Against the relay volts of a complete power flow with the default in each entry."""
     cost = {"default_action": "rest"}
@@ -60,6 +61,7 @@ def test_a_timer_is_paid_its_share_of_the_tap_by_hand(monkeypatch):
     np.testing.assert_allclose(with_taps - without, exact, atol=0.1 * np.abs(exact).max())
 
 
+@pytest.mark.slow
 def test_a_tap_that_does_not_save_its_price_is_not_paid(monkeypatch):
     scenario = make_scenario("ieee13-3ph", reward="difference")
     found = tap_targets(scenario)

@@ -121,6 +121,7 @@ def test_figures_are_as_old_as_the_delay(timer, delay_s, steps):
     assert steps > 40 or np.abs(late - now).max() > 0.5
 
 
+@pytest.mark.slow
 def test_the_delay_is_two_seconds_by_default_whatever_the_step():
     for dt_s, steps in ((0.5, 4), (1.0, 2), (60.0, 1)):
         state = Simulation(ieee13().replace(sensing={"regulator": True}, dt_s=dt_s), 1).reset([0]).state

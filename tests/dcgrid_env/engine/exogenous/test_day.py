@@ -112,6 +112,7 @@ def test_a_snapshot_goes_on_where_its_rows_have_not_been_made():
 
 
 @pytest.mark.parametrize("name", ["mixed", "ieee123"])
+@pytest.mark.slow
 def test_a_batch_a_tensor_environment_and_a_forecast_have_the_same_day(name):
     scenario = make_scenario(name, horizon=130, dt_s=60.0, split="test", weights={"leftover": 0.0})
     recorder = rollout(scenario, NoControl(), range(3))

@@ -95,6 +95,7 @@ requests = st.fixed_dictionaries(
 
 
 @given(st.lists(requests, min_size=1, max_size=4), st.sampled_from([0.1, 1.0, 7.0]))
+@pytest.mark.slow
 def test_a_request_is_a_range_within_what_sites_can_draw(targets, dt_s):
     found = over_time(asking(*targets, dt_s=dt_s))
     for name, figures in found._asdict().items():

@@ -37,6 +37,7 @@ def test_short_episodes_draw_from_a_day_of_hours_as_ever(source):
     assert isinstance(trace_pool(scenario), TraceRows)
 
 
+@pytest.mark.slow
 def test_the_number_of_sites_is_kept():
     scenario = make_scenario("scale-32", horizon=61, dt_s=60.0)
     assert len(trace_pool(scenario).p_share) == 32
@@ -57,6 +58,7 @@ def test_seeds_beyond_the_published_draw_other_windows(length):
 
 
 @pytest.mark.parametrize("length", DAY[1:], ids=str)
+@pytest.mark.slow
 def test_pv_has_windows_enough(length):
     scenario = make_scenario("mixed", split="test", **length)
     rows, steps = sun_rows(scenario).shape

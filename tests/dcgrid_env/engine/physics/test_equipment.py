@@ -271,6 +271,7 @@ def test_a_regulator_observes_what_its_relay_is_off_by(observe):
     assert (low[own.index("relay")], high[own.index("relay")]) == (low[0], high[0]) == (-20.0, 20.0)
 
 
+@pytest.mark.slow
 def test_the_relay_keeps_its_last_value_where_the_power_flow_has_none():
     scenario = ieee13().replace(
         grid_control={"regulators": "agent"},

@@ -112,6 +112,7 @@ def test_an_observation_of_every_voltage_warns_where_there_are_very_many(large):
         dcgrid_env.parallel_env(scenario.replace(observe="feeder"))
 
 
+@pytest.mark.slow
 def test_a_chain_of_many_buses_is_read_solved_and_drawn(tmp_path):
     chain = balanced_feeder(5_000, chain=True)
     solution = distflow(chain, chain.p_load_kw, chain.q_load_kvar)

@@ -195,6 +195,7 @@ def check_value(form, seed, folder):
 
 
 @pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.slow
 def test_a_file_with_other_bytes_is_refused_by_name_or_read(formats, name, tmp_path):
     for seed in range(6 if name == "pandapower" else 30):
         check_bytes(formats[name], seed, tmp_path / DAMAGED)

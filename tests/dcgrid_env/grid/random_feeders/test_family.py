@@ -40,6 +40,7 @@ def test_no_feeder_is_in_two_splits_and_all_64_differ():
     assert len({digest([("", FAMILY.feeder("test", key))]) for key in keys("test", range(64))}) == 64
 
 
+@pytest.mark.slow
 def test_members_share_buses_and_load_and_stay_within_reach():
     for split in HELD:
         for key in keys(split, range(6)):

@@ -95,6 +95,7 @@ def meshed(draw):
 
 @given(meshed())
 @settings(max_examples=80, deadline=None)
+@pytest.mark.slow
 def test_power_is_conserved_at_every_bus_and_voltages_agree_around_every_loop(feeder):
     s = distflow(feeder, *base(feeder), tolerance_kva=1e-8)
     assert s.converged

@@ -49,6 +49,7 @@ def two_buses(r, x, g, b, ratio):
     p=st.floats(-1.0, 1.0), q=st.floats(-1.0, 1.0), g=st.floats(-0.5, 1.0), b=st.floats(-1.0, 1.0),
     ratio=st.floats(0.8, 1.2), v0=st.floats(0.95, 1.05),
 )  # fmt: skip
+@pytest.mark.slow
 def test_two_buses_by_hand(p, q, g, b, ratio, v0):
     # Thevenin: the shunt y = g + jb behind z = r + jx divides both the source and z by 1 + z y; what is left is a
     # load alone, whose squared voltage w solves w^2 + w (2 Re(z' s*) - |v'|^2) + |z'|^2 |s|^2 = 0.

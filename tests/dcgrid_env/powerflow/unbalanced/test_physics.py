@@ -197,6 +197,7 @@ def test_two_nodes_by_hand(p_kw, q_kvar):
     assert solution.v_angle_deg[1] == pytest.approx(-120.0)
 
 
+@pytest.mark.slow
 def test_up_to_the_collapse_and_past_it():
     feeder = two_nodes(0.5, 0.0)  # carries p up to 1 / (4 r) = 0.5 MW
     p_kw = np.zeros((40, feeder.n_leg))

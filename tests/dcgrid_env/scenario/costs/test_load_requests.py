@@ -190,6 +190,7 @@ def test_all_interfaces_charge_the_same():
         np.testing.assert_allclose(done.observation[0], observation, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_cost_has_a_derivative_by_the_clocks():
     scenario = asking(trace="training")
     env = TensorEnv(scenario, like=torch.empty(0, dtype=torch.float64))

@@ -55,6 +55,7 @@ def test_solves_agree_with_distflow(solver, feeder, loads):
         np.testing.assert_allclose(v_pu, ours.v_pu[:n_row], rtol=0.0, atol=CLOSE)
 
 
+@pytest.mark.slow
 def test_the_substation_voltage_is_the_feeders_own_unless_given(feeder):
     lacking = missing("pandapower, defaults")
     if lacking:

@@ -91,6 +91,7 @@ def ours(feeder, factors):
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.slow
 def test_banks_switch_when_those_of_opendss_do(master, tmp_path, case):
     bank, control = CASES[case]
     path = master(f"{CIRCUIT}{bank}New CapControl.k {AT} {control}\n")
@@ -122,6 +123,7 @@ def test_a_control_that_cannot_be_represented_is_named(master, control):
     assert not len(imported.network.capacitor_control)
 
 
+@pytest.mark.slow
 def test_a_bank_that_its_control_has_opened_is_off_and_can_be_switched(master):
     off = "New Capacitor.c bus1=m kv=12.47 kvar=900 states=[0]\n"
     control = f"New CapControl.k {AT} type=kvar\n"

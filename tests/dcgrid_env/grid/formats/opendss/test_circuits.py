@@ -30,6 +30,7 @@ LARGE = {
 
 
 @pytest.mark.parametrize("path", [*SMALL, *(pytest.param(path, marks=pytest.mark.slow) for path in LARGE)])
+@pytest.mark.slow
 def test_a_published_circuit_agrees_with_opendss(path):
     if not SHARED_CIRCUITS.is_dir():
         pytest.skip("the public circuits of ../shared are not there")

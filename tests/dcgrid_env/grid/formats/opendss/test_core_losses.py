@@ -88,6 +88,7 @@ def test_a_circuit_made_of_the_tables_has_the_cores():
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**31), scale=st.floats(0.0, 40.0))
+@pytest.mark.slow
 def test_the_source_gives_what_loads_draw_and_what_is_lost(feeder, seed, scale):
     rng = np.random.default_rng(seed)
     p_kw, q_kvar = np.zeros((2, 40, feeder.n_leg))

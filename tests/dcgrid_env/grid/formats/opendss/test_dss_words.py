@@ -50,6 +50,7 @@ def a_word(draw):
 
 
 @given(st.lists(a_word(), max_size=6))
+@pytest.mark.slow
 def test_words_that_are_written_are_read_again(words):
     assert words_of(" ".join(map(str, words))) == words
 

@@ -35,6 +35,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.slow
 def test_voltages_are_those_of_opendss(master, case):
     found = read_circuit(master(CASES[case]))
     kind = CASES[case].rpartition("New ")[2].partition(".")[0].lower()

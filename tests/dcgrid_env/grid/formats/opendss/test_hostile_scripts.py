@@ -91,6 +91,7 @@ def test_scripts_that_redirect_to_themselves_end(tmp_path, master):
         read_circuit(master("Redirect Master.dss"))
 
 
+@pytest.mark.slow
 def test_a_refusal_in_a_redirected_file_names_that_file(tmp_path, master):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "loads.dss").write_text("! loads\nDOScmd ls\n")

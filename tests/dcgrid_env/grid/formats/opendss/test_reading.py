@@ -155,6 +155,7 @@ def test_loads_of_every_connection_within_and_beyond_their_limits(master, law, p
     ("model=3", 1e-8), ("model=4", 1e-8), ("model=4 cvrwatts=0 cvrvars=1", 1e-8),
     ("model=4 cvrwatts=0.8 cvrvars=1.5", 1e-6),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_exponents_and_motors_within_their_limits(master, law, limit):
     load = f"New Load.a bus1=n kv=4.16 kw=100 kvar=50 {law}"
     for pu in (0.97, 1.0, 1.03):

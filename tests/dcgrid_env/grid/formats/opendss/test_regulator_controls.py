@@ -73,6 +73,7 @@ def test_taps_are_made_when_opendss_makes_them(master, tmp_path, case):
         ({"sensed_bus": ("r",), "sensed_phase": ("a",)}, "sensed_phase is 'a'; its phases are b"),
     ],
 )
+@pytest.mark.slow
 def test_relays_that_cannot_be(master, column, message):
     network = read_circuit(master(f"{CIRCUIT}New RegControl.k {AT} vreg=121\n")).network
     with pytest.raises(FeederError, match=message):

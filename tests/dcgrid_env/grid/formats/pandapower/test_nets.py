@@ -150,6 +150,7 @@ def test_a_feeder_comes_back_from_a_net(tmp_path, name):
         assert len(set(imported.bus_of.values())) == feeder.n_bus - np.sum((feeder.r_ohm == 0) & (feeder.x_ohm == 0))
 
 
+@pytest.mark.slow
 def test_an_empty_text_is_an_empty_cell():
     with quiet():
         net = pp.networks.create_cigre_network_mv()
@@ -159,6 +160,7 @@ def test_an_empty_text_is_an_empty_cell():
     assert_same_feeder(feeder, Feeder.from_network(read_pandapower(net).network))
 
 
+@pytest.mark.slow
 def test_a_net_of_all_kinds_comes_back():
     feeder = Feeder.from_network(read_pandapower(net_of_all_kinds()).network)
     again = read_pandapower(pandapower_net(feeder))
