@@ -15,8 +15,8 @@ and storage are included, and the converter limits q' at p'. dV/dp and dV/dq are
 
 ``price`` is the weight of a term, and of one charged at the end of the episode too. Deferred work is therefore charged
 at once, with the price of its waiting in this step and that of work left at the end. This is a bias: it assumes
-a fixed waiting time. Where relays of regulators act, the advance of their timers is paid too (``tap_credit``). All
-other effects on later steps are neglected.
+a fixed waiting time. Useful taps of regulators are paid in advance (``tap_credit``). All other effects on later steps
+are neglected.
 """
 
 from __future__ import annotations
