@@ -1,8 +1,9 @@
 """A policy in JAX that is rolled out in one compiled scan: the native batch steps inside it through a callback.
 
 The environments stay on the host. ``Batch.step`` is a function for ``jax.jit`` and ``jax.lax.scan``, which calls the
-native batch by ``jax.experimental.io_callback``, in order. For a derivative through the grid, see jax_dlpack.py. The script trains by an evolution strategy (Salimans et al., arXiv 1703.03864), whose one rollout per update gives
-a different policy to each environment, and prints how much of a step's time is the callback's.
+native batch by ``jax.experimental.io_callback``, in order. For a derivative through the grid, see jax_dlpack.py. The
+script trains by an evolution strategy (Salimans et al., arXiv 1703.03864): each environment has another policy. At the
+end it prints steps per second with and without JAX.
 
     python docs/examples/jax_callback.py --updates 60
 """
