@@ -1,7 +1,7 @@
 """Payment of agents for taps that relays will make, as a part of difference rewards.
 
-Relays integrate their time out of band over many steps, so the tap that an action leads to comes later. As deferred
-work is charged at once, the advance of a timer is paid at once, with its share of the value of the coming tap:
+The timers of relays run over many steps, so the tap that an action leads to comes later. As deferred work is charged at
+once, a step is paid at once for its share of the value of the coming tap:
 
     saved(a) = sum over relays of value dt/delay (s(x) - s(x'))    value = max(saving T_left - price, 0)
     x        = (d / half band - 1 - MARGIN) / WIDTH                s(x)  = min(exp(x), 1)
