@@ -26,6 +26,9 @@ pytestmark = [
     pytest.mark.skipif(not os.path.isdir("/proc"), reason="finds the processes of a node in /proc"),
 ]
 
+UNITS_OF_25 = int(os.environ.get("DCGRID_RAY_UNITS", "300"))
+"""Units of 25 episodes of the longest run."""
+
 OWN = """
 import time
 import numpy as np
@@ -109,6 +112,26 @@ def test_a_benchmark_survives_ctrl_c_and_a_killed_node(here, cluster):
     for part in ("episodes", "summaries", "failures"):
         assert local[part] == ray[part]
     cluster.add_node()
+
+
+def test_many_units_survive_three_killed_nodes(here, cluster):
+    (here / "short.toml").write_text(make_scenario("toy6", horizon=5).replace(name="short").to_toml())
+    words = ["benchmark", "--scenarios", "short.toml", "--controllers", "none", "--episodes", str(25 * UNITS_OF_25)]
+    assert ended(begun(*words, "--workers", "2", "--out", "local"))[0] == 0
+    process = begun(*words, "--ray", cluster.address, "--out", "ray")
+    units = here / "ray" / "units"
+    for share in (0.1, 0.4, 0.7):
+        while len(list(units.glob("*/*/*.json"))) < share * UNITS_OF_25:
+            assert process.poll() is None, process.communicate()[0]
+            time.sleep(0.05)
+        assert cluster.kill_node()
+        cluster.add_node()
+    code, said = ended(process)
+    assert code == 0, said
+    assert len(list(units.glob("*/*/*.json"))) == UNITS_OF_25
+    local, ray = (json.loads((here / out / "results.json").read_text()) for out in ("local", "ray"))
+    for part in ("episodes", "summaries", "failures"):
+        assert local[part] == ray[part]
 
 
 def test_a_training_over_seeds_survives_a_killed_node(here, cluster):
