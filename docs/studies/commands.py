@@ -36,6 +36,7 @@ COMMANDS = Group(
             "unseen-feeders": _entry("Score controllers on feeders they never saw.", "unseen_feeders:UnseenFeeders"),
         },
         "Speed": {
+            "roofline": _entry("Compare two batched power flows with what one core can do.", "speed.roofline:Roofline"),
             "soak": _entry("Run environments for long and look at memory and speed.", "speed.soak:Soak"),
             "speed": _entry("Measure environments, power flows and other libraries.", "speed.rates:Speed"),
             "speed-sizes": _entry("Measure feeders of 100 to 100,000 buses.", "speed.size_table:SpeedSizes"),
