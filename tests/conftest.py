@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from pathlib import Path
 
 from hypothesis import settings
@@ -9,6 +10,10 @@ from hypothesis import settings
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Workers share the cores: threads of one's torch would wait for those of the others'.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Workers and the commands that tests start would each compile all modules from their text without files of byte code.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # A verifier's own key, in the home of whoever runs the tests, signs no report here.
 os.environ["DCGRID_VERIFIER_KEY"] = str(Path(__file__).with_name("no-verifier.key"))
