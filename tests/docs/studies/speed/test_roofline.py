@@ -40,7 +40,7 @@ def test_the_command_prints_two_rows_and_refuses_too_few_points(capsys):
     printed = capsys.readouterr().out
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in printed.splitlines()[4:]]
     assert [row[0] for row in rows] == ["`ieee123`", "`ieee123-3ph`"]
-    assert all(0.0 < float(figure.replace(",", "")) for row in rows for figure in row[1:7])
+    assert all(float(figure.replace(",", "")) > 0.0 for row in rows for figure in row[1:7])
     with pytest.raises(SystemExit):
         main(["roofline", "--points", "1"])
     assert "points" in capsys.readouterr().err
