@@ -162,7 +162,8 @@ class Simulation:
         default = difference.default_setpoints(self.scenario, before, outside.p_ref_kw)
         setpoints = dynamics.setpoints_of(self.scenario, action)
         targets, steps_left = tap_targets(self.scenario), self.scenario.horizon - self.now.step - 1
-        return difference.differences(self.scenario, before, after, setpoints, default, outside, targets, steps_left)
+        given = (self.scenario, before, after, setpoints, default, outside, self.now.episode.buses)
+        return difference.differences(*given, targets, steps_left)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
         return measure(self.scenario, state, measurement_noise(self.scenario, drawn.key, step))
@@ -238,7 +239,10 @@ def difference_scale(scenario: Scenario) -> np.ndarray:
         now = sampled.now
         outside = episode.exogenous(s, now.episode, now.step + 1, now.noise, now.p_ref_next_kw)
         after = sampled.step(rest).state
-        moved = [difference.differences(s, now.state, after, resting, end, outside) for end in (lowest, highest)]
+        moved = [
+            difference.differences(s, now.state, after, resting, end, outside, now.episode.buses)
+            for end in (lowest, highest)
+        ]
         largest.append(np.maximum(*np.abs(moved)))
     scale = np.ones(layout.n)
     for name in dict.fromkeys(name for _, name in layout.names):

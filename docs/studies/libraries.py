@@ -126,27 +126,30 @@ def recurrent(n_rows: int) -> dict[str, Any]:
     return on_policy(n_rows) | {"policy_kwargs": networks}
 
 
-def off_policy(learning_rate: float, n_rows: int, **networks: Any) -> dict[str, Any]:
-    """Return settings of algorithms with a replay buffer: small networks and batches, a falling learning rate."""
+def off_policy(learning_rate: float, batch_size: int, n_rows: int, **networks: Any) -> dict[str, Any]:
+    """Return settings of algorithms with a replay buffer: small networks, large batches, a falling learning rate."""
     return {
-        "learning_rate": lambda left: learning_rate * left, "batch_size": 512, "buffer_size": 2000 * n_rows,
-        "learning_starts": 0, "gradient_steps": 2, "policy_kwargs": {"net_arch": [64, 64], **networks},
+        "learning_rate": lambda left: learning_rate * left, "batch_size": batch_size, "buffer_size": 2000 * n_rows,
+        "learning_starts": 0, "gradient_steps": 1, "policy_kwargs": {"net_arch": [64, 64], **networks},
     }  # fmt: skip
 
 
-def maximum_entropy(n_rows: int) -> dict[str, Any]:
+def maximum_entropy(batch_size: int, n_rows: int) -> dict[str, Any]:
     """Return settings of SAC and TQC; the weight of the entropy starts near its final value.
 
-    One critic is enough, because at a discount of 0 no overestimated value enters the targets.
+    One critic is enough, because at a discount of 0 no overestimated value enters the targets. The target entropy is
+    that of a deviation of 0.3; the default of -1 would be one of 0.09.
     """
-    return off_policy(3e-3, n_rows, n_critics=1) | {"ent_coef": "auto_0.01"}
+    return off_policy(3e-3, batch_size, n_rows, n_critics=1) | {"ent_coef": "auto_0.01", "target_entropy": 0.2}
 
 
 def td3(n_rows: int) -> dict[str, Any]:
-    """Return settings of TD3: noise for exploration, and a lower learning rate."""
+    """Return settings of TD3: noise for exploration, and networks as those of PPO."""
     from stable_baselines3.common.noise import NormalActionNoise
+    from torch.nn import Tanh
 
-    return off_policy(1e-3, n_rows) | {"action_noise": NormalActionNoise(np.zeros(1), np.full(1, 0.3))}
+    noise = {"action_noise": NormalActionNoise(np.zeros(1), np.full(1, 0.2)), "policy_delay": 1}
+    return off_policy(2e-3, 2048, n_rows, n_critics=1, activation_fn=Tanh) | noise
 
 
 SB3, CONTRIB, LEARNED = "stable-baselines3", "sb3-contrib", ("learned",)
@@ -154,10 +157,12 @@ LOOPS, BENCHMARL = "docs.studies.library_loops", "docs.studies.library_benchmarl
 TASK = ("Channels", "ChannelsTask")
 LIBRARIES = {
     "sb3-ppo": Library(SB3, partial(sb3, "stable_baselines3:PPO", "MlpPolicy", on_policy), 600_000, 32, LEARNED),
-    "sb3-sac": Library(SB3, partial(sb3_off_policy, "stable_baselines3:SAC", maximum_entropy), 60_000, 16, LEARNED),
-    "sb3-td3": Library(SB3, partial(sb3_off_policy, "stable_baselines3:TD3", td3), 60_000, 16, LEARNED),
+    "sb3-sac": Library(
+        SB3, partial(sb3_off_policy, "stable_baselines3:SAC", partial(maximum_entropy, 2048)), 160_000, 16, LEARNED
+    ),
+    "sb3-td3": Library(SB3, partial(sb3_off_policy, "stable_baselines3:TD3", td3), 100_000, 16, LEARNED),
     "sb3-contrib-tqc": Library(
-        CONTRIB, partial(sb3_off_policy, "sb3_contrib:TQC", maximum_entropy), 30_000, 16, LEARNED
+        CONTRIB, partial(sb3_off_policy, "sb3_contrib:TQC", partial(maximum_entropy, 1024)), 100_000, 16, LEARNED
     ),
     "sb3-contrib-recurrent-ppo": Library(
         CONTRIB, partial(sb3, "sb3_contrib:RecurrentPPO", "MlpLstmPolicy", recurrent), 50_000, 16, LEARNED

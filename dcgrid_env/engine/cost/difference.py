@@ -28,9 +28,9 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import DataCenters, Q, converter
 from dcgrid_env.engine.cost.reward import terms
-from dcgrid_env.engine.cost.tap_credit import TapTargets, tap_credit
+from dcgrid_env.engine.cost.tap_credit import ComingTaps, TapTargets, coming_taps
 from dcgrid_env.engine.physics.actions import action_layout
-from dcgrid_env.engine.physics.connections import true_sensitivity
+from dcgrid_env.engine.physics.connections import connections, true_sensitivity
 from dcgrid_env.engine.physics.dynamics import device_slices, device_step
 from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import Exogenous, State
@@ -44,10 +44,10 @@ COMPILED = ("l1",)
 
 
 class Sensitivities(NamedTuple):
-    """Sensitivities of a scenario's feeder."""
+    """Sensitivities of a scenario's feeder to power at each group of nodes of ``connections``, in equal shares."""
 
     by_p: np.ndarray
-    """dV/dp of the charged nodes by the power injected at each node, p.u. per kW, (n_node, n_charged)."""
+    """dV/dp of the charged nodes, p.u. per kW injected, (n_group, n_charged)."""
     by_q: np.ndarray
     """dV/dq likewise, p.u. per kvar."""
     is_squared: bool
@@ -57,8 +57,8 @@ class Sensitivities(NamedTuple):
 @cached_on_owner
 def sensitivities(scenario: Scenario) -> Sensitivities:
     """Return the sensitivities of a scenario's feeder."""
-    charged = scenario.feeder.load_slice
-    by_p, by_q = (np.ascontiguousarray(matrix[charged].T) / 1e3 for matrix in true_sensitivity(scenario))
+    charged, nodes = scenario.feeder.load_slice, connections(scenario).nodes
+    by_p, by_q = (matrix[charged].T[nodes].mean(1) / 1e3 for matrix in true_sensitivity(scenario))
     return Sensitivities(by_p, by_q, isinstance(scenario.feeder, Feeder))
 
 
@@ -206,6 +206,7 @@ def differences(
     setpoints: np.ndarray,
     default: np.ndarray,
     exogenous: Exogenous,
+    buses: np.ndarray,
     targets: TapTargets | None = None,
     steps_left: Any = None,
 ) -> np.ndarray:
@@ -221,6 +222,8 @@ def differences(
         Set points of the action and of the default action, (row, n_action), each in the unit of its channel.
     exogenous
         Exogenous inputs of the step.
+    buses
+        Position of each agent's bus in ``bus_ids``, (row, n_agent).
     targets, steps_left
         Useful taps, and the steps of the episode after this one, (row,); None where no tap is paid.
     """
@@ -233,44 +236,17 @@ def differences(
         state, drawn_kw[:, run.changes] = device_step(scenario, params, before, run.device, tuple(given), exogenous)
         more = _more_charged(scenario, run.device, params, state, after.devices[run.device])
         saved[:, run.entries] = more.sum(-1, keepdims=True) if run.is_coupled else more
-    add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, saved)
+    slopes, coming = _NO_SLOPES, _NO_TAPS
     if targets is not None:
-        p_kw, q_kvar, local = _changed_powers(scenario, after, setpoints, default, drawn_kw, exogenous)
-        p_kw, q_kvar = p_kw - after.p_kw[:, of.agent], q_kvar - after.q_kvar[:, of.agent]
-        moved_v = _moved(targets.by_p, targets.by_q, p_kw, q_kvar, local)
-        moved_v = np.add.reduceat(moved_v, of.first[:-1], axis=1)
-        saved += tap_credit(scenario, targets, after, moved_v, steps_left, exogenous.offset_v)
+        slopes = (targets.by_p, targets.by_q)
+        coming = coming_taps(scenario, targets, after, steps_left, exogenous.offset_v)
+    at = connections(scenario).group[np.arange(scenario.n_agents), buses]
+    add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, at, slopes, coming, saved)
     return saved
 
 
-def _changed_powers(
-    scenario: Scenario,
-    state: State,
-    setpoints: np.ndarray,
-    default: np.ndarray,
-    drawn_kw: np.ndarray,
-    exogenous: Exogenous,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the draws in kW and injections in kvar with the default, (row, n_change), and nodes, (row, n_change, k).
-
-    Arguments are those of ``add_saved_costs``.
-    """
-    params, of = parameters(scenario, default), changes(scenario)
-    p_kw = np.where(of.is_reactive, state.p_kw[:, of.agent], drawn_kw)
-    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
-    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], p_kw, asked)
-    if exogenous.available is not None:
-        available = exogenous.available[:, of.agent]
-        p_kw, q_kvar = p_kw * available, q_kvar * available
-    nodes = exogenous.nodes - np.arange(len(default))[:, None, None] * state.v_pu.shape[1]
-    return p_kw, q_kvar, nodes[:, of.agent]
-
-
-def _moved(
-    by_p: np.ndarray, by_q: np.ndarray, more_p_kw: np.ndarray, more_q_kvar: np.ndarray, nodes: np.ndarray
-) -> np.ndarray:
-    """Return what changes of the draws and injections at ``nodes`` move, (row, n_change, n), by slopes (n_node, n)."""
-    return more_q_kvar[..., None] * by_q[nodes].mean(2) - more_p_kw[..., None] * by_p[nodes].mean(2)
+_NO_SLOPES = (np.empty((0, 0)), np.empty((0, 0)))
+_NO_TAPS = ComingTaps(np.empty((0, 0)), np.empty(0), np.empty((0, 0)))
 
 
 def sums_by_agent(scenario: Scenario, of_entries: np.ndarray) -> np.ndarray:
@@ -339,9 +315,12 @@ def add_saved_costs(
     default: np.ndarray,
     drawn_kw: np.ndarray,
     exogenous: Exogenous,
+    at: np.ndarray,
+    slopes: tuple[np.ndarray, np.ndarray],
+    coming: ComingTaps,
     saved: np.ndarray,
 ) -> None:
-    """Add the voltage, violation and effort costs that each entry saves to ``saved``, (row, n_action).
+    """Add the voltage, violation and effort costs that each entry saves to ``saved``, (row, n_action), and taps.
 
     Parameters
     ----------
@@ -353,11 +332,15 @@ def add_saved_costs(
         Draws with the default, kW, (row, n_change), in the order of ``changes``; any for a reactive set point.
     exogenous
         Exogenous inputs of the step.
+    at
+        Group of nodes of each agent, (row, n_agent).
+    slopes, coming
+        Slopes of relay volts (``TapTargets.by_p``, ``by_q``) and worth of useful taps, without columns if none is paid.
     saved
         Array to add to.
     """
     if scenario.cost.voltage not in COMPILED:
-        saved += _saved_costs_arrays(scenario, state, setpoints, default, drawn_kw, exogenous)
+        saved += _saved_costs_arrays(scenario, state, setpoints, default, drawn_kw, exogenous, at)
         return
     from dcgrid_env.core.threads import over_rows  # brings the compiler with it, so not on import
     from dcgrid_env.engine.cost.difference_kernel import add_saved_costs_rows
@@ -366,10 +349,10 @@ def add_saved_costs(
     cost, params = scenario.cost, parameters(scenario, default)
     available = np.empty((0, 0)) if exogenous.available is None else np.ascontiguousarray(exogenous.available)
     given = (
-        np.ascontiguousarray(state.v_pu), exogenous.nodes, by.by_p, by.by_q, by.is_squared, charged.targets_pu,
+        np.ascontiguousarray(state.v_pu), at, by.by_p, by.by_q, by.is_squared, charged.targets_pu,
         float(cost.uncharged_pu), float(cost.band_pu), charged.voltage, charged.violation, charged.effort, *of,
         params.converter_kva, params.q_scale_kvar, setpoints, default, np.ascontiguousarray(state.p_kw),
-        np.ascontiguousarray(state.q_kvar), drawn_kw, available, saved,
+        np.ascontiguousarray(state.q_kvar), drawn_kw, available, *slopes, *coming, saved,
     )  # fmt: skip
     over_rows(lambda begin, end: add_saved_costs_rows(begin, end, *given), len(saved))
 
@@ -381,13 +364,20 @@ def _saved_costs_arrays(
     default: np.ndarray,
     drawn_kw: np.ndarray,
     exogenous: Exogenous,
+    at: np.ndarray,
 ) -> np.ndarray:
-    """What ``add_saved_costs`` adds, as array operations and for every form of the voltage cost."""
+    """What ``add_saved_costs`` adds without taps, as array operations and for every form of the voltage cost."""
     by, judged, cost, of = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
     charged = charges(scenario)
-    p_now, q_now = state.p_kw[:, of.agent], state.q_kvar[:, of.agent]
-    p_kw, q_kvar, nodes = _changed_powers(scenario, state, setpoints, default, drawn_kw, exogenous)
-    moved = _moved(by.by_p, by.by_q, p_kw - p_now, q_kvar - q_now, nodes)
+    params, p_now, q_now = parameters(scenario, default), state.p_kw[:, of.agent], state.q_kvar[:, of.agent]
+    p_kw = np.where(of.is_reactive, p_now, drawn_kw)
+    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
+    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], p_kw, asked)
+    if exogenous.available is not None:
+        available = exogenous.available[:, of.agent]
+        p_kw, q_kvar = p_kw * available, q_kvar * available
+    by_p, by_q = by.by_p[at[:, of.agent]], by.by_q[at[:, of.agent]]
+    moved = (q_kvar - q_now)[..., None] * by_q - (p_kw - p_now)[..., None] * by_p
     more = (np.abs(q_kvar) - np.abs(q_now)) * charged.effort[of.agent]
     moved, more = (np.add.reduceat(values, of.first[:-1], axis=1) for values in (moved, more))
     v = state.v_pu[:, None, judged]

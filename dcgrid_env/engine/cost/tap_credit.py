@@ -46,20 +46,26 @@ class TapTargets(NamedTuple):
     price: float
     """Cost of a tap, in units of the cost of a step."""
     by_p: np.ndarray
-    """Relay volts per kW injected at each node, (n_node, R)."""
+    """Change of ``ComingTaps.off_v`` per kW injected at each group of nodes of ``connections``, (n_group, R)."""
     by_q: np.ndarray
-    """Relay volts per kvar injected at each node, (n_node, R)."""
+    """Change of ``ComingTaps.off_v`` per kvar injected, (n_group, R)."""
 
 
-def tap_credit(
-    scenario: Scenario,
-    targets: TapTargets,
-    state: State,
-    moved_v: np.ndarray,
-    steps_left: np.ndarray,
-    offset_v: np.ndarray | None,
-) -> np.ndarray:
-    """Return what the entries of the joint action advance useful taps by, as a saved cost, (row, n_action).
+class ComingTaps(NamedTuple):
+    """What useful taps are worth after a step."""
+
+    off_v: np.ndarray
+    """Distance of the relay volts from the target, positive on the side of the useful tap, V, (row, R)."""
+    half_band_v: np.ndarray
+    """Half of the band, V, (R,)."""
+    worth: np.ndarray
+    """Payment for a step in which the timer advances, (row, R)."""
+
+
+def coming_taps(
+    scenario: Scenario, targets: TapTargets, state: State, steps_left: np.ndarray, offset_v: np.ndarray | None
+) -> ComingTaps:
+    """Return what useful taps are worth.
 
     Parameters
     ----------
@@ -67,8 +73,6 @@ def tap_credit(
         The scenario and its useful taps.
     state
         State after the step.
-    moved_v
-        Relay volts with the default in each entry less those with the action, V, (row, n_action, R).
     steps_left
         Steps of the episode after this one, (row,).
     offset_v
@@ -80,15 +84,10 @@ def tap_credit(
         getattr(regulators, name)[:, rows] for name in ("tap", "relay_v", "in_sequence", "moves")
     )
     target_v = settings.target_v[rows] if offset_v is None else settings.target_v[rows] + offset_v[:, rows]
-    half_v = settings.half_band_v[rows]
-    is_up = targets.direction > 0.0
-    is_due = (moves == 0.0) & np.where(is_up, tap < settings.highest[rows], tap > settings.lowest[rows])
+    is_due = (moves == 0.0) & np.where(
+        targets.direction > 0.0, tap < settings.highest[rows], tap > settings.lowest[rows]
+    )
     value = np.maximum(targets.saving * steps_left[:, None] - targets.price, 0.0) * is_due
     delay_s = np.where(in_sequence > 0.0, settings.tap_delay_s[rows], settings.delay_s[rows])
     worth = value * np.minimum(scenario.dt_s / np.maximum(delay_s, scenario.dt_s), 1.0)
-    off_v = -targets.direction * (relay_v - target_v)[:, None]
-    now, default = (
-        np.exp(np.minimum((volts / half_v - 1.0 - MARGIN) / WIDTH, 0.0))
-        for volts in (off_v, off_v - targets.direction * moved_v)
-    )
-    return ((now - default) * worth[:, None]).sum(-1)
+    return ComingTaps(targets.direction * (target_v - relay_v), settings.half_band_v[rows], worth)

@@ -19,7 +19,7 @@ import numpy as np
 from dcgrid_env.engine.cost.difference import charges, sensitivities
 from dcgrid_env.engine.cost.tap_credit import TapTargets
 from dcgrid_env.engine.physics.acting_relays import ActingRelays
-from dcgrid_env.engine.physics.connections import agent_nodes
+from dcgrid_env.engine.physics.connections import connections
 from dcgrid_env.engine.physics.relay_slopes import relay_slopes
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.scenario.costs.equipment_moves import price_of_move
@@ -46,7 +46,8 @@ def useful_taps(scenario: Scenario, relays: ActingRelays, state: State, buses: n
     moved = np.zeros((feeder.n_node, feeder.n_leg))
     moved[np.arange(feeder.n_node), feeder.first_device_leg + np.arange(feeder.n_node)] = _SPAN
     slopes = relay_slopes(scenario, relays, moved)
-    by_q = sensitivities(scenario).by_q[agent_nodes(scenario, buses)].mean(2)
+    groups = connections(scenario)
+    by_q = sensitivities(scenario).by_q[groups.group[np.arange(scenario.n_agents), buses]]
     taps, now = np.zeros(len(relays.rows)), _least_cost(scenario, state, by_q, 0.0 * slopes.v_by_tap[0])
     price, least, one = price_of_move(scenario), LEAST * now, np.eye(len(taps))
     tap, settings, rows = state.three_phase.equipment.regulators.tap, relays.settings, relays.rows  # pyright: ignore[reportOptionalMemberAccess]
@@ -70,8 +71,9 @@ def useful_taps(scenario: Scenario, relays: ActingRelays, state: State, buses: n
     if not len(useful):
         return None
     saving = np.array([cost(taps - taps * one[relay]) for relay in useful]) - now
-    by_p, by_q_v = (by[:, useful] / _SPAN for by in (-slopes.by_p, slopes.by_q))
-    return TapTargets(relays.rows[useful], taps[useful], saving, price, by_p, by_q_v)
+    # Per kW and kvar injected; slopes are by the draw of kW. A tap up is useful at low volts.
+    off_v = (-taps[useful] * by[groups.nodes][..., useful].mean(1) / _SPAN for by in (-slopes.by_p, slopes.by_q))
+    return TapTargets(relays.rows[useful], taps[useful], saving, price, *off_v)
 
 
 def _least_cost(scenario: Scenario, state: State, by_q: np.ndarray, moved_pu: np.ndarray) -> float:

@@ -52,6 +52,25 @@ def nodes_by_bus(scenario: Scenario) -> np.ndarray:
     return np.stack([widened[phases] for phases in agents])
 
 
+class Connections(NamedTuple):
+    """The different groups of nodes that agents may be connected to."""
+
+    nodes: np.ndarray
+    """Nodes of each group, int, (n_group, k), as in ``nodes_by_bus``."""
+    group: np.ndarray
+    """Group of each agent at each bus, int, (n_agent, n_bus)."""
+
+
+@cached_on_owner
+def connections(scenario: Scenario) -> Connections:
+    """Return the groups of nodes of all agents at all buses."""
+    by_bus = nodes_by_bus(scenario)
+    if isinstance(scenario.feeder, Feeder):
+        return Connections(by_bus[0], by_bus[..., 0])
+    nodes, group = np.unique(by_bus.reshape(-1, by_bus.shape[-1]), axis=0, return_inverse=True)
+    return Connections(nodes, group.reshape(by_bus.shape[:2]))
+
+
 def _nodes(feeder: AnyFeeder, bus: int, phases: str | None) -> tuple[int, ...]:
     try:
         return feeder.nodes_at(bus, phases)

@@ -39,7 +39,8 @@ def test_a_timer_is_paid_its_share_of_the_tap_by_hand(monkeypatch):
     assert relays is not None
     assert found is not None
     row = int(found.rows[0])
-    one = TapTargets(found.rows[:1], found.direction[:1], np.array([0.5]), 3.0, found.by_p[:, :1], found.by_q[:, :1])
+    by_p, by_q = (np.ascontiguousarray(by[:, :1]) for by in (found.by_p, found.by_q))
+    one = TapTargets(found.rows[:1], found.direction[:1], np.array([0.5]), 3.0, by_p, by_q)
     simulation, before, action, with_taps = paid(scenario, one, monkeypatch)
     *_, without = paid(scenario, None, monkeypatch)
     settings = relays.settings
