@@ -57,6 +57,7 @@ def test_the_weights_by_hand():
     controller = MessageMpc()
     controller.reset(scenario)
     known, points = controller._regression, controller._site.points
+    assert known is not None
     v_pu = np.empty((len(points.p_load_kw), 5))
     bus = scenario.feeder.index(scenario.datacenters.buses[0])
     for row, (p_kw, q_kvar, drawn_kw) in enumerate(
