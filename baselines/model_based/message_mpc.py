@@ -1,8 +1,8 @@
 """Model predictive control by agents that exchange their measurements, without sensors at other buses.
 
 Each second every agent sends its voltage, powers, backlog and coming work to all others, one round of messages. Every
-agent then computes the same estimate of all voltages and solves the same program as ``mpc``. U is what the voltages
-would be if all agents drew their mean power p' and injected no reactive power,
+agent then computes the same estimate of all voltages and solves the same program as ``mpc``. U are the voltages under
+the mean draw p' of all agents and without their reactive power,
 
     U_k = V_k - sum_a (X_ak q_a - R_ak (p_a - p'_a))
 
@@ -12,8 +12,8 @@ regression over moments of the training split (``operating_points``), which the 
     U^_k = mean U_k + sum_ij (U_i - mean U_i) (C + s^2 I)^-1_ij C_jk           i, j: agents
 
 with C the covariance over the moments and s^2 the variance of the measurement noise and of the model's error (S. M.
-Kay, "Fundamentals of statistical signal processing: estimation theory", 1993, chapter 12). With the
-agents' part added again it is V^_k, from which ``mpc`` predicts.
+Kay, "Fundamentals of statistical signal processing: estimation theory", 1993, chapter 12). With the agents' part
+added again it is V^_k, from which ``mpc`` predicts.
 """
 
 from __future__ import annotations
