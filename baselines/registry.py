@@ -26,6 +26,7 @@ from dcgrid_env.baselines.laws.switching import SwitchingReference
 from dcgrid_env.baselines.laws.volt_var import VoltVar
 from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
+from dcgrid_env.baselines.model_based.message_mpc import MessageMpc
 from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
@@ -102,6 +103,10 @@ CONTROLLERS: dict[str, tuple[str, Callable[[], Controller]]] = {
         FeedbackOptimisation,
     ),
     "mpc-one-step": ("model predictive control of the next step", lambda: Mpc(horizon=1)),
+    "mpc-messages": (
+        "the same with the voltages of the agents' buses alone, which the agents send to each other",
+        MessageMpc,
+    ),
     "mpc": ("model predictive control over 12 steps with preview and forecast", Mpc),
 }
 """Description and factory of each controller that does not depend on the scenario, by name."""

@@ -80,7 +80,8 @@ class Estimate(NamedTuple):
 class ModelController(LocalController):
     """Base of controllers with a model, which see all voltages; subclasses write ``plan``.
 
-    If buses are drawn, call ``place`` after ``reset``, as ``rollout`` does.
+    A subclass that sees less sets ``observe`` and computes the voltages of all buses in ``_measured``. If buses are
+    drawn, call ``place`` after ``reset``, as ``rollout`` does.
     """
 
     name: ClassVar[str]
@@ -98,8 +99,10 @@ class ModelController(LocalController):
         s = under_own_control(env_info)
         require_known_devices(self.name, s)
         require_draws_of_work(self.name, s)
-        if s.sensing.observe != "feeder":
-            raise ValueError(f"{self.name}: observe is {s.sensing.observe!r}; make the scenario with observe='feeder'")
+        if s.sensing.observe != self.observe:
+            raise ValueError(
+                f"{self.name}: observe is {s.sensing.observe!r}; make the scenario with observe={self.observe!r}"
+            )
         if not isinstance(s.datacenters.clock_law, LinearDvfs):
             raise ValueError(
                 f"{self.name}: datacenters.clock_law is {type(s.datacenters.clock_law).__name__}, under which power is "
@@ -116,7 +119,7 @@ class ModelController(LocalController):
         names = field_names(s)
         widths = [len(names[agent]) for agent in s.agents]
         self._limit_at = np.cumsum([0, *widths])[:-1] + names[s.agents[0]].index("q_limit")
-        self._bus_at = np.arange(widths[0] - len(s.feeder.load_nodes), widths[0])
+        self._width = widths[0]
         self._slopes: Slopes | None = None
         self._fixed_buses: np.ndarray | None = None
         if s.datacenters.buses is not None or not s.datacenters.count:
@@ -138,29 +141,36 @@ class ModelController(LocalController):
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
-        lead, n_env = local.v_pu.shape[:-1], len(self._v_measured_pu)
+        lead, n_env = local.v_pu.shape[:-1], len(self._flat)
         flat = Local(*(field.reshape(n_env, field.shape[-1]) for field in local))
         f_mhz, q_kvar = self.plan(self._estimate(flat))
         return f_mhz.reshape(*lead, f_mhz.shape[-1]), q_kvar.reshape(*lead, q_kvar.shape[-1])
 
     def _local(self, joint: np.ndarray) -> Local:
         # What these see beside the local fields is kept for ``control``, which is given the local ones alone.
-        flat = joint.reshape(-1, joint.shape[-1]).astype(np.float64)
-        self._v_measured_pu = 1.0 + (self.scenario.cost.band_pu or 1.0) * flat[:, self._bus_at]
-        self._q_limit_kvar = flat[:, self._limit_at] * self._q_scale
+        self._flat = joint.reshape(-1, joint.shape[-1]).astype(np.float64)
+        self._q_limit_kvar = self._flat[:, self._limit_at] * self._q_scale
         return super()._local(joint)
+
+    def _measured(self, local: Local, then: np.ndarray) -> np.ndarray:
+        """Voltage of every bus but the substation when it was measured, p.u., (row, n_load_node).
+
+        ``then`` has the agents' p and q at that time, kW and kvar, (2, row, n_agent).
+        """
+        of_buses = self._flat[:, self._width - len(self.scenario.feeder.load_nodes) : self._width]
+        return 1.0 + (self.scenario.cost.band_pu or 1.0) * of_buses
 
     def _estimate(self, local: Local) -> Estimate:
         """Voltages now, of a measurement that may be old and noisy."""
-        s, v = self.scenario, self._v_measured_pu
+        s, powers = self.scenario, np.stack((local.p_kw, local.q_kvar))
+        # Powers from the step before the measured one until now.
+        past = [*(self._past or [powers] * (s.sensing.delay_steps + 1)), powers]
+        v = self._measured(local, past[1])
         by_p, by_q = self._placed_slopes(len(v))
         if isinstance(s.feeder, Feeder):
             by_p, by_q = (by / np.maximum(v, _V_LEAST_PU)[:, None] for by in (by_p, by_q))
         else:
             by_p, by_q = (np.broadcast_to(by, (len(v), *by.shape[1:])) for by in (by_p, by_q))
-        powers = np.stack((local.p_kw, local.q_kvar))
-        # Powers from the step before the measured one until now.
-        past = [*(self._past or [powers] * (s.sensing.delay_steps + 1)), powers]
         if self._v_smooth_pu is not None:
             expected = self._v_smooth_pu + _moved(by_p, by_q, past[1] - past[0])
             v = expected + self._gain * (v - expected)

@@ -162,7 +162,7 @@ def test_a_picture_calls_it_by_its_own_kind_and_name():
     env.close()
 
 
-MADE_FOR_TWO_KINDS = ("feedback", "mpc-one-step", "mpc", "model-aided")
+MADE_FOR_TWO_KINDS = ("feedback", "mpc-one-step", "mpc-messages", "mpc", "model-aided")
 
 
 @pytest.mark.parametrize("name", [name for name in CONTROLLERS if name not in (*MADE_FOR_TWO_KINDS, *NEEDING_A_DEVICE)])

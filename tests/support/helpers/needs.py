@@ -47,6 +47,7 @@ NEEDS: dict[str, Callable[[Scenario], bool]] = {
     "two-timescale": has_set_points,
     "mpc": is_priced_by_models,
     "mpc-one-step": is_priced_by_models,
+    "mpc-messages": is_priced_by_models,
     "feedback": is_priced_by_models,
     "model-aided": is_known_to_models,
 }
