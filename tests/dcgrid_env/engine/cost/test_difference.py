@@ -129,12 +129,20 @@ def test_an_injection_by_hand() -> None:
     assert saved == pytest.approx(cost[0] - cost[1] - effort, rel=1e-9)
 
 
-@pytest.mark.parametrize("scenario", [("ieee33-weak", {}), ("mixed", {"reference": "profile"}), ("ieee13-3ph", {})])
-def test_kernel_and_arrays_agree(scenario: tuple[str, dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [
+        ("ieee33-weak", {}),
+        ("mixed", {"cost": {"reference": "profile"}}),
+        ("routing", {}),
+        ("ieee13-3ph", {}),
+        ("ieee13-3ph", {"datacenters": {"buses": None}}),  # other nodes in each environment
+    ],
+)
+def test_kernel_and_arrays_agree(name: str, fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the payment for taps, which only the kernel has."""
     monkeypatch.setattr(simulations, "tap_targets", lambda _: None)
-    name, cost = scenario
-    simulation, action = after_some_steps(make_scenario(name, reward="difference", cost=cost))
+    simulation, action = after_some_steps(make_scenario(name, reward="difference", **fields))
     before = simulation.now
     compiled = vector_of(simulation.step(action))
     monkeypatch.setattr(difference, "COMPILED", ())
