@@ -52,7 +52,7 @@ class TapTargets(NamedTuple):
 
 
 class ComingTaps(NamedTuple):
-    """What useful taps are worth after a step."""
+    """Worth of useful taps after a step."""
 
     off_v: np.ndarray
     """Distance of the relay volts from the target, positive on the side of the useful tap, V, (row, R)."""
@@ -65,7 +65,7 @@ class ComingTaps(NamedTuple):
 def coming_taps(
     scenario: Scenario, targets: TapTargets, state: State, steps_left: np.ndarray, offset_v: np.ndarray | None
 ) -> ComingTaps:
-    """Return what useful taps are worth.
+    """Return the worth of useful taps.
 
     Parameters
     ----------
