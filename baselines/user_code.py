@@ -124,17 +124,18 @@ def _from_module(dotted: str) -> ModuleType:
 
 def _from_file(path: Path) -> ModuleType:
     path = path.resolve()
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    text = path.read_bytes()
+    digest = hashlib.sha256(text).hexdigest()
     if path in _files and _files[path][0] == digest:
         return _files[path][1]
     # Named after the content, so that two files of the same name do not replace each other.
     spec = importlib.util.spec_from_file_location(f"dcgrid_user_{path.stem}_{digest[:16]}", path)
     assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # where dataclasses and pickle look for it
     try:
-        spec.loader.exec_module(module)
+        # Without Python's files of byte code, which miss a change of the same length within a second.
+        exec(compile(text, path, "exec"), vars(module))
     except BaseException:
         del sys.modules[spec.name]
         raise

@@ -90,4 +90,5 @@ def coming_taps(
     value = np.maximum(targets.saving * steps_left[:, None] - targets.price, 0.0) * is_due
     delay_s = np.where(in_sequence > 0.0, settings.tap_delay_s[rows], settings.delay_s[rows])
     worth = value * np.minimum(scenario.dt_s / np.maximum(delay_s, scenario.dt_s), 1.0)
-    return ComingTaps(targets.direction * (target_v - relay_v), settings.half_band_v[rows], worth)
+    off_v = np.ascontiguousarray(targets.direction * (target_v - relay_v))
+    return ComingTaps(off_v, settings.half_band_v[rows], np.ascontiguousarray(worth))

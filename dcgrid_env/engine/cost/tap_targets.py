@@ -72,7 +72,10 @@ def useful_taps(scenario: Scenario, relays: ActingRelays, state: State, buses: n
         return None
     saving = np.array([cost(taps - taps * one[relay]) for relay in useful]) - now
     # Per kW and kvar injected; slopes are by the draw of kW. A tap up is useful at low volts.
-    off_v = (-taps[useful] * by[groups.nodes][..., useful].mean(1) / _SPAN for by in (-slopes.by_p, slopes.by_q))
+    off_v = (
+        np.ascontiguousarray(-taps[useful] * by[groups.nodes][..., useful].mean(1) / _SPAN)
+        for by in (-slopes.by_p, slopes.by_q)
+    )
     return TapTargets(relays.rows[useful], taps[useful], saving, price, *off_v)
 
 

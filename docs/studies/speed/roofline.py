@@ -22,7 +22,10 @@ import numpy as np
 from dcgrid_env import make_scenario
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.settings import at_least
+from dcgrid_env.core.threads import n_threads
 from dcgrid_env.powerflow import distflow, solve_unbalanced
+from dcgrid_env.powerflow.balanced.compiled_blocks import BLOCK
+from dcgrid_env.powerflow.unbalanced.sweep_rows import WIDE
 from docs.studies.speed.measuring import ROOT, rate
 from docs.studies.speed.operation_counts import BALANCED, THREE_PHASE
 from docs.studies.speed.power_flow_rates import Case
@@ -83,6 +86,11 @@ def counts_per_sweep() -> dict[str, dict[str, int]]:
     return json.loads(done.stdout)
 
 
+def block_sweeps(iterations: np.ndarray, width: int) -> float:
+    """Mean sweeps of a row: those of a block of ``width`` rows end with its last row."""
+    return float(np.mean([iterations[first : first + width].max() for first in range(0, len(iterations), width)]))
+
+
 def moved_bytes(given: tuple[np.ndarray, ...], solution: Any) -> int:
     """Bytes of the inputs and the results of a batch, which each pass through memory once."""
     wholes = (part if part.base is None else part.base for part in solution if isinstance(part, np.ndarray))
@@ -108,6 +116,8 @@ class Roofline(Command):
         at_least(self, points=64)
         if not self.seconds > 0.0:
             raise ValueError(f"seconds: must be positive, got {self.seconds}")
+        if n_threads() != 1:
+            raise ValueError(f"DCGRID_NUM_THREADS: this study is for one thread, got {n_threads()}; set it to 1")
         most = ceilings(self.seconds)
         print(
             f"One core: {most.flops_per_s / 1e9:.1f} Gflop/s, {most.cache_bytes_per_s / 1e9:.0f} GB/s from the cache, "
@@ -119,23 +129,24 @@ class Roofline(Command):
         counts = counts_per_sweep()
         balanced, three = Case.draw(make_scenario(BALANCED), self.points), ThreePhaseCase.draw(self.points)
         loads, legs = (balanced.p_kw, balanced.q_kvar), (three.p_kw, three.q_kvar)
-        flows: dict[str, tuple[tuple[np.ndarray, ...], Callable[[], Any]]] = {
-            BALANCED: (loads, lambda: distflow(balanced.feeder, *loads, balanced.v0_pu)),
-            THREE_PHASE: (legs, lambda: solve_unbalanced(three.feeder, *legs, None, three.control)),
+        flows: dict[str, tuple[tuple[np.ndarray, ...], int, Callable[[], Any]]] = {
+            BALANCED: (loads, BLOCK, lambda: distflow(balanced.feeder, *loads, balanced.v0_pu)),
+            THREE_PHASE: (legs, len(WIDE), lambda: solve_unbalanced(three.feeder, *legs, None, three.control)),
         }
-        for name, (given, solve) in flows.items():
-            print(self._line(name, counts[name], given, solve, most))
+        for name, (given, width, solve) in flows.items():
+            print(self._line(name, counts[name], given, width, solve, most))
 
     def _line(
         self,
         name: str,
         per_sweep: dict[str, int],
         given: tuple[np.ndarray, ...],
+        width: int,
         solve: Callable[[], Any],
         most: Ceilings,
     ) -> str:
         solution = solve()
-        sweeps, moved = float(np.mean(solution.iterations)), moved_bytes(given, solution) / self.points
+        sweeps, moved = block_sweeps(solution.iterations, width), moved_bytes(given, solution) / self.points
         per_s = rate(solve, self.points, self.seconds)
         flops, in_cache = sweeps * per_sweep["flops"], sweeps * FIGURE * per_sweep["accesses"]
         amounts = (flops, sweeps * per_sweep["divisions and roots"], in_cache, moved)

@@ -76,7 +76,6 @@ def test_a_tiny_run_improves_and_writes_what_it_found(finished):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_the_saved_policy_is_the_best_of_the_curve(finished):
     from dcgrid_env.agents.training.validation import Validation
 

@@ -43,7 +43,6 @@ SLOW = ("shared", "riding")
     ],
 )
 @pytest.mark.slow
-@pytest.mark.slow
 def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
     learner = Learner(Analytic(num_envs=4, window=10, hidden=(8,), view=view), [SCENARIOS[name]])
     before = [weight.detach().clone() for weight in learner.networks.parameters()]

@@ -29,7 +29,6 @@ def test_the_environment_agrees_with_the_program(solved):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_nothing_beats_hindsight_and_storage_is_worth_something(solved):
     scenario, found = solved
     without = make_scenario("ieee33-weak", split="validation", horizon=60)

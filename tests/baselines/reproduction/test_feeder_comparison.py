@@ -106,7 +106,6 @@ def test_records_are_whole_and_the_same_for_each_form(records):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_figures_of_the_causes_are_those_of_the_runs(records, true):
     rows = {row["figure"]: row["values"] for row in records["causes"]}
     of_runs = [true.of(true.setting.scenario(n), NONE).deviation_pu for n in range(1, 6)]

@@ -120,10 +120,13 @@ def test_many_units_survive_three_killed_nodes(here, cluster):
     assert ended(begun(*words, "--workers", "2", "--out", "local"))[0] == 0
     process = begun(*words, "--ray", cluster.address, "--out", "ray")
     units = here / "ray" / "units"
+    until = time.monotonic() + 600.0
     for share in (0.1, 0.4, 0.7):
         while len(list(units.glob("*/*/*.json"))) < share * UNITS_OF_25:
             assert process.poll() is None, process.communicate()[0]
+            assert time.monotonic() < until
             time.sleep(0.05)
+        assert process.poll() is None
         assert cluster.kill_node()
         cluster.add_node()
     code, said = ended(process)

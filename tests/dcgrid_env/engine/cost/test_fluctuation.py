@@ -34,7 +34,6 @@ def test_pst_max_is_that_of_the_node_that_flickers_most(training):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_the_swing_of_training_jobs_lies_mostly_in_the_band(training):
     own_kw = training.p_kw[:, :3]
     band = swing(own_kw, 0.1)

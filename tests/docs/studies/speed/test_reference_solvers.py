@@ -56,7 +56,6 @@ def test_solves_agree_with_distflow(solver, feeder, loads):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_the_substation_voltage_is_the_feeders_own_unless_given(feeder):
     lacking = missing("pandapower, defaults")
     if lacking:

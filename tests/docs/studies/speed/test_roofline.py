@@ -9,7 +9,7 @@ import pytest
 from dcgrid_env.grid import load_feeder
 from docs.studies.commands import main
 from docs.studies.speed.operation_counts import Figure, Figures
-from docs.studies.speed.roofline import counts_per_sweep
+from docs.studies.speed.roofline import block_sweeps, counts_per_sweep
 
 
 def test_operations_and_accesses_of_a_row_are_counted_and_those_of_constants_are_not():
@@ -34,8 +34,13 @@ def test_a_sweep_has_the_operations_that_its_formulas_have():
     assert 0 < counts["ieee123-3ph"]["divisions and roots"] <= 2 * loads
 
 
+def test_a_block_ends_with_its_last_row():
+    assert block_sweeps(np.array([4, 6, 5, 5, 9]), 2) == pytest.approx((6 + 5 + 9) / 3)
+
+
 @pytest.mark.slow
-def test_the_command_prints_two_rows_and_refuses_too_few_points(capsys):
+def test_the_command_prints_two_rows_and_refuses_too_few_points(capsys, monkeypatch):
+    monkeypatch.setenv("DCGRID_NUM_THREADS", "1")
     main(["roofline", "--points", "64", "--seconds", "0.01"])
     printed = capsys.readouterr().out
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in printed.splitlines()[4:]]
@@ -44,3 +49,7 @@ def test_the_command_prints_two_rows_and_refuses_too_few_points(capsys):
     with pytest.raises(SystemExit):
         main(["roofline", "--points", "1"])
     assert "points" in capsys.readouterr().err
+    monkeypatch.setenv("DCGRID_NUM_THREADS", "2")
+    with pytest.raises(SystemExit):
+        main(["roofline"])
+    assert "DCGRID_NUM_THREADS" in capsys.readouterr().err

@@ -61,7 +61,6 @@ def children(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_time_is_limited(master, children, monkeypatch):
     monkeypatch.setattr(circuit_process, "LONGEST_S", 3.0)
     with pytest.raises(FeederError, match=r"Master.dss: reading it took more than 3 s; if you trust .* --trust"):
