@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from docs.studies.speed.roofline import block_sweeps, counts_per_sweep
 
 def test_operations_and_accesses_of_a_row_are_counted_and_those_of_constants_are_not():
     counts = Counter()
-    x = Figures(np.array([3.0, 4.0]), counts)
+    x: Any = Figures(np.array([3.0, 4.0]), counts)
     factor = np.float64(2.0)
     x[0] = -np.sqrt(x[0] * x[0] + factor * factor * x[1] / 0.5) + (1.0 - x[1])
     assert x.values[0] == pytest.approx(-math.sqrt(9.0 + 32.0) - 3.0)
