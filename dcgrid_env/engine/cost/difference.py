@@ -240,8 +240,8 @@ def differences(
     if targets is not None:
         slopes = (targets.by_p, targets.by_q)
         coming = coming_taps(scenario, targets, after, steps_left, exogenous.offset_v)
-    at = connections(scenario).group[np.arange(scenario.n_agents), buses]
-    add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, at, slopes, coming, saved)
+    group = connections(scenario).group[np.arange(scenario.n_agents), buses]
+    add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, group, slopes, coming, saved)
     return saved
 
 
@@ -315,7 +315,7 @@ def add_saved_costs(
     default: np.ndarray,
     drawn_kw: np.ndarray,
     exogenous: Exogenous,
-    at: np.ndarray,
+    group: np.ndarray,
     slopes: tuple[np.ndarray, np.ndarray],
     coming: ComingTaps,
     saved: np.ndarray,
@@ -332,7 +332,7 @@ def add_saved_costs(
         Draws with the default, kW, (row, n_change), in the order of ``changes``; any for a reactive set point.
     exogenous
         Exogenous inputs of the step.
-    at
+    group
         Group of nodes of each agent, (row, n_agent).
     slopes, coming
         Slopes of relay volts (``TapTargets.by_p``, ``by_q``) and worth of useful taps, without columns if none is paid.
@@ -340,7 +340,7 @@ def add_saved_costs(
         Array to add to.
     """
     if scenario.cost.voltage not in COMPILED:
-        saved += _saved_costs_arrays(scenario, state, setpoints, default, drawn_kw, exogenous, at)
+        saved += _saved_costs_arrays(scenario, state, setpoints, default, drawn_kw, exogenous, group)
         return
     from dcgrid_env.core.threads import over_rows  # brings the compiler with it, so not on import
     from dcgrid_env.engine.cost.difference_kernel import add_saved_costs_rows
@@ -349,7 +349,7 @@ def add_saved_costs(
     cost, params = scenario.cost, parameters(scenario, default)
     available = np.empty((0, 0)) if exogenous.available is None else np.ascontiguousarray(exogenous.available)
     given = (
-        np.ascontiguousarray(state.v_pu), at, by.by_p, by.by_q, by.is_squared, charged.targets_pu,
+        np.ascontiguousarray(state.v_pu), group, by.by_p, by.by_q, by.is_squared, charged.targets_pu,
         float(cost.uncharged_pu), float(cost.band_pu), charged.voltage, charged.violation, charged.effort, *of,
         params.converter_kva, params.q_scale_kvar, setpoints, default, np.ascontiguousarray(state.p_kw),
         np.ascontiguousarray(state.q_kvar), drawn_kw, available, *slopes, *coming, saved,
@@ -364,7 +364,7 @@ def _saved_costs_arrays(
     default: np.ndarray,
     drawn_kw: np.ndarray,
     exogenous: Exogenous,
-    at: np.ndarray,
+    group: np.ndarray,
 ) -> np.ndarray:
     """What ``add_saved_costs`` adds without taps, as array operations and for every form of the voltage cost."""
     by, judged, cost, of = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
@@ -376,7 +376,7 @@ def _saved_costs_arrays(
     if exogenous.available is not None:
         available = exogenous.available[:, of.agent]
         p_kw, q_kvar = p_kw * available, q_kvar * available
-    by_p, by_q = by.by_p[at[:, of.agent]], by.by_q[at[:, of.agent]]
+    by_p, by_q = by.by_p[group[:, of.agent]], by.by_q[group[:, of.agent]]
     moved = (q_kvar - q_now)[..., None] * by_q - (p_kw - p_now)[..., None] * by_p
     more = (np.abs(q_kvar) - np.abs(q_now)) * charged.effort[of.agent]
     moved, more = (np.add.reduceat(values, of.first[:-1], axis=1) for values in (moved, more))

@@ -33,7 +33,7 @@ def _nearness(off_v, half_v):
 
 @compiled(nogil=True)
 def add_saved_costs_rows(
-    begin, end, v_pu, connection, by_p, by_q, is_squared, targets, uncharged_pu, band_pu, w_voltage, w_violation,
+    begin, end, v_pu, group, by_p, by_q, is_squared, targets, uncharged_pu, band_pu, w_voltage, w_violation,
     effort, agent, first_change, is_reactive, reactive_entry, has_reactive, s_rated_kva, q_max_kvar, setpoints,
     default, p_kw, q_kvar, drawn_kw, available, relay_by_p, relay_by_q, relay_off_v, relay_half_v, relay_worth, saved,
 ):  # fmt: skip
@@ -66,7 +66,7 @@ def add_saved_costs_rows(
                 if len(available):
                     p, q = p * available[row, i], q * available[row, i]
                 more += effort[i] * (abs(q) - abs(q_kvar[row, i]))
-                p, q, at = p - p_now, q - q_kvar[row, i], connection[row, i]
+                p, q, at = p - p_now, q - q_kvar[row, i], group[row, i]
                 for k in range(n_relay):
                     moved_v[k] += relay_by_q[at, k] * q - relay_by_p[at, k] * p
                 if p == 0.0 and q == 0.0:
