@@ -19,6 +19,7 @@ from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.loads import drawn as with_loads
 from dcgrid_env.engine.physics.state import Exogenous, GridStep, State
 from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, voltage_figures
+from dcgrid_env.engine.plain_step import fits, plain_step
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.scenario import Scenario
@@ -36,6 +37,7 @@ class Simulation:
         self.scenario = scenario
         self.n_env = n_env
         trace_pool.check_traces(scenario)
+        self._is_plain = fits(scenario, n_env)
         self._now: Snapshot | None = None
 
     @property
@@ -106,19 +108,25 @@ class Simulation:
         now = self.now
         step = now.step + 1
         outside = episode.exogenous(self.scenario, now.episode, step, now.noise, now.p_ref_next_kw)
-        state, grid = dynamics.step(self.scenario, now.state, action, outside)
-        measured = (*now.measured[1:], self._measure(now.episode, step, state))
         p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
-        j_before = now.transition.j_so_far
-        transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
+        done = plain_step(self.scenario, now, action, outside, p_ref_next) if self._is_plain else None
+        if done is None:
+            state, grid = dynamics.step(self.scenario, now.state, action, outside)
+            measured = (*now.measured[1:], self._measure(now.episode, step, state))
+            j_before = now.transition.j_so_far
+            transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
+            noise = grid.noise
+        else:
+            state, noise, transition = done
+            measured = (now.measured[1], state.v_agent_pu)
         if self.scenario.cost.reward == "difference":
             vector = self._saved(now.state, state, action, outside) / difference_scale(self.scenario)
-            if not all_true(solved := grid.solution.converged):
+            if not all_true(solved := transition.converged):
                 vector = np.where(solved[:, None], vector, -transition.cost_j[:, None])
             paid = difference.sums_by_agent(self.scenario, vector)
             transition = transition._replace(reward=paid, reward_vector=vector)
         same = self.scenario, now.seeds, now.numbers, now.episode
-        self._now = Snapshot(*same, step, grid.noise, p_ref_next, state, measured, transition)
+        self._now = Snapshot(*same, step, noise, p_ref_next, state, measured, transition)
         return transition
 
     def _begin(

@@ -289,14 +289,25 @@ def _largest_distance(scenario: Scenario) -> tuple[float, float]:
     return float(distances[..., 0].max()), float(distances[..., 1].max())
 
 
-class _Layout(NamedTuple):
-    raw: tuple[Callable[[Seen], Array], ...]  # of the fields of the grid
-    scale: Array  # of each raw figure, (n_raw,)
-    column: Array  # raw figure behind each entry of the joint observation, (n_observation,)
+class Layout(NamedTuple):
+    """How raw figures become the joint observation."""
+
+    raw: tuple[Callable[[Seen], Array], ...]
+    """Functions of the fields of the grid."""
+    scale: Array
+    """Factor of each raw figure, (n_raw,)."""
+    column: Array
+    """Raw figure behind each entry of the joint observation, (n_observation,)."""
+
+
+def raw_layout(scenario: Scenario) -> Layout:
+    """The layout of the joint observation for NumPy arrays of float64."""
+    like = np.empty(0)
+    return _layout(scenario, namespace(like), like.dtype, like.device)
 
 
 @cached_on_owner
-def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object) -> _Layout:
+def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object) -> Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""
     n = scenario.n_agents
     near = min(N_NEIGHBOURS, n - 1) if scenario.sensing.observe == "neighbours" else 0
@@ -322,7 +333,7 @@ def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object
         scale = np.concatenate((scale, np.ones(3 * near * n)))
     elif scenario.sensing.observe == "feeder":
         scale = np.concatenate((scale, np.full(len(scenario.feeder.load_nodes), _per_band(scenario))))
-    return _Layout(
+    return Layout(
         tuple(field.raw for field in of_grid),
         xp.asarray(scale, dtype=dtype, device=device_of),
         xp.asarray(np.array(column, dtype=np.int64), device=device_of),
@@ -368,7 +379,7 @@ def _raw(
     given_next: Sequence[Any],
     v_measured_pu: Array,
     v_before_pu: Array,
-) -> tuple[Array, _Layout]:
+) -> tuple[Array, Layout]:
     """The raw figures, (row, n_raw), and how they become the joint observation."""
     xp = namespace(state.v_pu)
     layout, params = _layout(scenario, xp, state.v_pu.dtype, state.v_pu.device), parameters(scenario, state.v_pu)

@@ -65,12 +65,12 @@ def grid_pass(
     agents = (n_row, p_kw.shape[1])
     of_agents = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (n_row, n - 1)))
     drawing_and_loads = (*drawing[:4], *load_noise(scenario))
-    given = (*_fixed(scenario), *drawing_and_loads, nodes, *of_agents)
+    given = (*fixed(scenario), *drawing_and_loads, nodes, *of_agents)
     over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
     per_row, converged = np.empty((7, n_row)), np.empty(n_row, np.bool_)
     out = (over_buses, after, per_row, converged)
     if n_row <= FEW:
-        failed = _few_rows(0, n_row, *given, *out, np.zeros(n_row, np.int64))
+        failed = few_rows(0, n_row, *given, *out, np.zeros(n_row, np.int64))
     else:
         failed = over_rows(lambda first, last: _many_rows(first, last, *given, *out), n_row)
     if failed and not np.isfinite(p_kw + q_kvar).all():
@@ -82,7 +82,7 @@ def grid_pass(
 
 
 @cached_on_owner
-def _fixed(scenario: Scenario) -> tuple[Any, ...]:
+def fixed(scenario: Scenario) -> tuple[Any, ...]:
     """Return the constants of the scenario for a pass, in the form that the kernel takes."""
     feeder = scenario.feeder
     judged, source_pu, band_pu = (
@@ -111,7 +111,7 @@ def _draw(
 
 
 @compiled(nogil=True)
-def _few_rows(
+def few_rows(
     first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
     over_buses, restart, per_row, converged, sweeps,

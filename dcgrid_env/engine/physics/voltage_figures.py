@@ -21,47 +21,56 @@ class VoltageFigures(NamedTuple):
     highest_pu: np.ndarray
 
 
-@compiled(inner=True)
-def _sums(v_pu, row, first, n, band_pu):
-    """Sums of |V - 1| and of its excess over ``n`` nodes, in the order in which ``np.add.reduce`` adds up a row.
+MOST_AT_ONCE = 128
+"""Figures that ``np.add.reduce`` adds up without halving the row."""
 
-    That is pairwise: halves of more than 128, else eight sums side by side, and up to seven figures one by one.
+
+@compiled(inner=True)
+def sum_up(values, first, n):
+    """Sum of ``n`` figures of a row from ``first`` on, at most MOST_AT_ONCE, with the bits of ``np.add.reduce``.
+
+    It adds up eight sums side by side, and then up to seven figures one by one.
     """
-    if n > 128:
-        half = n // 2
-        half -= half % 8
-        d_0, e_0 = _sums(v_pu, row, first, half, band_pu)
-        d_1, e_1 = _sums(v_pu, row, first + half, n - half, band_pu)
-        return d_0 + d_1, e_0 + e_1
-    deviation, excess, whole = 0.0, 0.0, n - n % 8
+    total, whole = 0.0, n - n % 8
     if whole:
-        d, e = np.zeros(8), np.zeros(8)
+        s = np.zeros(8)
         for i in range(first, first + whole, 8):
             for j in range(8):
-                off = abs(v_pu[row, i + j] - 1.0)
-                beyond = off - band_pu
-                d[j] += off
-                e[j] += 0.0 if beyond < 0.0 else beyond
-        deviation = ((d[0] + d[1]) + (d[2] + d[3])) + ((d[4] + d[5]) + (d[6] + d[7]))
-        excess = ((e[0] + e[1]) + (e[2] + e[3])) + ((e[4] + e[5]) + (e[6] + e[7]))
+                s[j] += values[i + j]
+        total = ((s[0] + s[1]) + (s[2] + s[3])) + ((s[4] + s[5]) + (s[6] + s[7]))
     for i in range(first + whole, first + n):
-        off = abs(v_pu[row, i] - 1.0)
-        beyond = off - band_pu
-        deviation += off
-        excess += 0.0 if beyond < 0.0 else beyond
-    return deviation, excess
+        total += values[i]
+    return total
+
+
+@compiled(inner=True)
+def _pairwise_sum(values, first, n):
+    """Sum of any number of figures, with the bits of ``np.add.reduce``: halves of more than MOST_AT_ONCE.
+
+    A kernel that calls itself is cached with its caller alone, so only one module can use it.
+    """
+    if n > MOST_AT_ONCE:
+        half = n // 2
+        half -= half % 8
+        return _pairwise_sum(values, first, half) + _pairwise_sum(values, first + half, n - half)
+    return sum_up(values, first, n)
 
 
 @compiled(nogil=True)
 def fill_figures(v_pu, begin, end, first, band_pu, deviation, excess, lowest, highest):
     """Fill the figures, (row,) each, of the rows from ``begin`` up to ``end``, nodes from ``first`` on."""
+    n = v_pu.shape[1]
+    off, beyond = np.empty(n), np.empty(n)
     for row in range(begin, end):
-        deviation[row], excess[row] = _sums(v_pu, row, first, v_pu.shape[1] - first, band_pu)
         low = high = v_pu[row, first]
-        for i in range(first + 1, v_pu.shape[1]):
+        for i in range(first, n):
             v = v_pu[row, i]
             low = v if v < low else low
             high = v if v > high else high
+            off[i] = abs(v - 1.0)
+            over = off[i] - band_pu
+            beyond[i] = 0.0 if over < 0.0 else over
+        deviation[row], excess[row] = _pairwise_sum(off, first, n - first), _pairwise_sum(beyond, first, n - first)
         lowest[row], highest[row] = low, high
 
 
