@@ -14,7 +14,7 @@ import operator
 from collections import namedtuple
 from functools import cache, reduce
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,14 +24,11 @@ from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.physics.dynamics import device_slices
 from dcgrid_env.engine.physics.parameters import parameters
-from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.state import State, VoltageFigures
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step, voltage_cost
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation
 from dcgrid_env.scenario.scenario import Scenario
-
-if TYPE_CHECKING:
-    from dcgrid_env.engine.physics.voltage_figures import VoltageFigures
 
 Costs = Any
 """Weighted terms of a step's cost by name, a named tuple: each of shape (row,) for the team or (row, n_agent) for each
