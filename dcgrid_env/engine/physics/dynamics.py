@@ -28,6 +28,8 @@ from dcgrid_env.powerflow import (
     solver_for,
     three_phase_nodes,
 )
+from dcgrid_env.powerflow.inputs import substation_voltage
+from dcgrid_env.powerflow.unbalanced.sweep import solve_checked
 from dcgrid_env.scenario.costs.utility_limits import remembered_draws
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -208,12 +210,16 @@ def solve_rows_of(
 
     ``control`` are the devices' changes to the grid, ``connected`` is ``Exogenous.capacitor_on``.
     """
-    solve, _ = _grid(scenario)
+    feeder: Any = scenario.feeder
 
     def solve_rows(equipment: Equipment, rows: Any, start: Array | None) -> Any:
         present = None if connected is None else connected[rows]
-        changed = _with_equipment(_rows_of(control, rows), feeder_equipment.as_control(scenario, equipment, present))
-        return solve(scenario.feeder, p_net[rows], q_net[rows], scenario.source_voltage_pu, changed, start)
+        of_feeder, p_kw, q_kvar = feeder_equipment.as_control(scenario, equipment, present), p_net[rows], q_net[rows]
+        if control is None:
+            source_pu = substation_voltage(feeder, p_kw, scenario.source_voltage_pu)
+            return solve_checked(feeder, (p_kw, q_kvar, source_pu, of_feeder.tap_ratio, of_feeder.capacitor_on), start)
+        changed = _with_equipment(Control(*(None if change is None else change[rows] for change in control)), of_feeder)
+        return _grid(scenario)[0](feeder, p_kw, q_kvar, scenario.source_voltage_pu, changed, start)
 
     return solve_rows
 
@@ -278,17 +284,10 @@ def _equipment(
     return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on, exogenous.offset_v)
 
 
-def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
+def _with_equipment(control: Control, of_feeder: Control) -> Control:
     """Return the feeder's equipment for the power flow, with the shunts of devices, and taps where they set them."""
-    if control is None:
-        return of_feeder
     ratio = of_feeder.tap_ratio if control.tap_ratio is None else control.tap_ratio
     return Control(ratio, control.shunt_kvar, of_feeder.capacitor_on)
-
-
-def _rows_of(control: Control | None, rows: Any) -> Control | None:
-    """Return a control of some rows of a batch."""
-    return control and Control(*(None if values is None else values[rows] for values in control))
 
 
 @cached_on_owner
