@@ -43,15 +43,15 @@ def _step(
     nodes: Array | None = None,
 ) -> Step:
     t, v_pu, cost = terms(scenario), state.v_pu, scenario.cost
-    v_judged = v_pu[..., t.judged]
-    if cost.voltage == "l1" and cost.reference == "nominal" and figures is not None:
+    if figures is not None and cost.voltage == "l1" and cost.reference == "nominal":
         voltage = figures.deviation_pu
     else:
-        voltage = sum_last(voltage_cost(cost.voltage, voltage_deviation(scenario, v_judged, t.judged), cost.band_pu))
+        deviation = voltage_deviation(scenario, v_pu[..., t.judged], t.judged)
+        voltage = sum_last(voltage_cost(cost.voltage, deviation, cost.band_pu))
     if figures is not None:
         excess = figures.excess_pu
     else:
-        excess = sum_last(positive_part(namespace(v_pu).abs(v_judged - 1.0) - cost.band_pu))
+        excess = sum_last(positive_part(namespace(v_pu).abs(v_pu[..., t.judged] - 1.0) - cost.band_pu))
     params = parameters(scenario, v_pu)
     return Step(scenario, state, solution, params, t.judged, t.n_judged, t.n_converters, voltage, excess, nodes)
 
