@@ -115,15 +115,9 @@ def net_loads(rng):
     return p_load, q_load, at + n * np.arange(ROWS)[:, None, None], p, q
 
 
-def by_phase(rng):
-    re, im = rng.normal(0.0, 0.8, (2, ROWS, 12))
-    agents = rng.integers(0, 12, (ROWS, SLOTS, 3)) + 12 * np.arange(ROWS)[:, None, None]
-    return np.hypot(re, im), re, im, agents, rng.permutation(12).reshape(4, 3)
-
-
 INPUTS = [
     dispatch_rows, serve_linearly, serve_by_slack, step_rows, next_taps, advance_rows, counted, supplied,
-    relay_volts, setpoints, net_loads, by_phase,
+    relay_volts, setpoints, net_loads,
 ]  # fmt: skip
 """Random arguments of each pair, by the name of its kernel."""
 ROUNDED = {"serve_by_slack": 1e-9}

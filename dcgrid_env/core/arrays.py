@@ -57,6 +57,13 @@ def all_true(array: Array) -> bool:
     return bool(array[0] if array.shape == (1,) else np.logical_and.reduce(array))
 
 
+def any_true(array: Array) -> bool:
+    """Whether any entry of a one-dimensional bool array is True."""
+    if not isinstance(array, np.ndarray):
+        return bool(array.any())
+    return bool(array[0] if array.shape == (1,) else np.logical_or.reduce(array))
+
+
 def sum_last(array: Array) -> Array:
     """Sum over the last axis."""
     return np.add.reduce(array, -1) if isinstance(array, np.ndarray) else array.sum(-1)

@@ -25,9 +25,9 @@ from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.grid_pass import few_rows
 from dcgrid_env.engine.physics.loads import load_noise
 from dcgrid_env.engine.physics.parameters import parameters
-from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw, State
+from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw, State, VoltageFigures
 from dcgrid_env.engine.physics.step_kernels import joint_observation, setpoints
-from dcgrid_env.engine.physics.voltage_figures import MOST_AT_ONCE, VoltageFigures, sum_up
+from dcgrid_env.engine.physics.voltage_figures import MOST_AT_ONCE, sum_up
 from dcgrid_env.engine.snapshot import Snapshot, Transition
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW
 from dcgrid_env.scenario.scenario import Scenario

@@ -17,8 +17,8 @@ from dcgrid_env.engine.physics import dynamics
 from dcgrid_env.engine.physics.acting_relays import acting_relays
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.loads import drawn as with_loads
-from dcgrid_env.engine.physics.state import Exogenous, GridStep, State
-from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, voltage_figures
+from dcgrid_env.engine.physics.state import Exogenous, GridStep, State, VoltageFigures
+from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 from dcgrid_env.engine.plain_step import fits, plain_step
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
 from dcgrid_env.scenario.cost import Cost

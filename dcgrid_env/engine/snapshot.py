@@ -10,8 +10,7 @@ import numpy as np
 from dcgrid_env.engine.cost import reward
 from dcgrid_env.engine.exogenous import episode
 from dcgrid_env.engine.physics.connections import Placement
-from dcgrid_env.engine.physics.state import State
-from dcgrid_env.engine.physics.voltage_figures import VoltageFigures
+from dcgrid_env.engine.physics.state import State, VoltageFigures
 from dcgrid_env.scenario.scenario import Scenario
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.engine.cost.reward import constraint
 from dcgrid_env.engine.physics.state import Equipment
+from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.costs.load_requests import columns, missed, rated_kw
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -47,7 +50,7 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     figures["voltage_max_pu"] = transition.voltages.highest_pu
     if state.three_phase is not None:
         figures["unbalance_max_pct"] = 100.0 * np.maximum.reduce(state.three_phase.unbalance, -1, initial=0.0)
-        figures |= _of_equipment(scenario, state.three_phase.equipment)
+        figures.update(_of_equipment(scenario.feeder, state.three_phase.equipment))
     for i, its_state in enumerate(state.devices):
         if its_state:
             figures.update(scenario.devices[i].totals(its_state))
@@ -60,14 +63,15 @@ def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "
     return figures
 
 
-def _of_equipment(scenario: Scenario, equipment: Equipment) -> dict[str, np.ndarray]:
-    """Return the moves in the step, and the position of each regulator and capacitor bank of a three-phase feeder."""
-    feeder = scenario.feeder
-    (regulators, banks), network = equipment, feeder.network
-    figures = {
-        "tap_moves": np.add.reduce(regulators.moved, -1),
-        "capacitor_switchings": np.add.reduce(banks.switched, -1),
-    }
-    figures.update(zip([f"tap_{name}" for name in network.regulator.name], regulators.tap.T, strict=True))
-    figures.update(zip([f"capacitor_{name}" for name in network.capacitor.name], banks.on.T, strict=True))
-    return figures
+def _of_equipment(feeder: ThreePhaseFeeder, equipment: Equipment) -> Iterator[tuple[str, np.ndarray]]:
+    """Give the moves in the step, and the position of each regulator and capacitor bank of a three-phase feeder."""
+    regulators, banks = equipment
+    moves = np.add.reduce(regulators.moved, -1), np.add.reduce(banks.switched, -1)
+    return zip(_equipment_keys(feeder), (*moves, *regulators.tap.T, *banks.on.T), strict=True)
+
+
+@cached_on_owner
+def _equipment_keys(feeder: ThreePhaseFeeder) -> tuple[str, ...]:
+    taps = (f"tap_{name}" for name in feeder.network.regulator.name)
+    banks = (f"capacitor_{name}" for name in feeder.network.capacitor.name)
+    return ("tap_moves", "capacitor_switchings", *taps, *banks)

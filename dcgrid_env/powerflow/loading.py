@@ -25,7 +25,7 @@ from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 
-_NO_VOLTAGE = 1e-12
+NO_VOLTAGE_PU = 1e-12
 """Voltage that keeps a ratio finite where there is none, p.u."""
 _SHOWN = 12
 """Branches that a text names."""
@@ -95,7 +95,7 @@ def branch_loading(feeder: AnyFeeder | FeederBatch, solution: Any) -> Array:
         return loading
     if not isinstance(feeder, Feeder):
         return _three_phase_loading(feeder, solution)
-    per_a = as_like(_inverse_ratings(feeder), solution.v_pu)
+    per_a = as_like(inverse_ratings(feeder), solution.v_pu)
     xp, p, q = namespace(solution.v_pu), solution.p_branch_kw, solution.q_branch_kvar
     v_pu = solution.v_pu
     if feeder.voltage_ratio is not None:
@@ -109,19 +109,19 @@ def _three_phase_loading(feeder: ThreePhaseFeeder, solution: ThreePhaseSolution)
     """Of the rated nodes alone, which may be few, put among zeros."""
     v_pu = solution.v_pu
     xp = namespace(v_pu)
-    rated, regulated, before, place = _rated_places(feeder, xp, v_pu.device)
+    rated, regulated, before, place = rated_places(feeder, xp, v_pu.device)
     i_re, i_im = take_last(solution.i_re_a, rated), take_last(solution.i_im_a, rated)
-    loading = positive_sqrt(i_re * i_re + i_im * i_im) * as_like(_inverse_ratings(feeder), v_pu)[rated]
+    loading = positive_sqrt(i_re * i_re + i_im * i_im) * as_like(inverse_ratings(feeder), v_pu)[rated]
     plain = len(rated) - len(regulated)
     parts = [loading[..., :plain], 0.0 * v_pu[..., :1]]
     if len(regulated):
-        ratio = take_last(v_pu, regulated) / (take_last(v_pu, before) + _NO_VOLTAGE)
+        ratio = take_last(v_pu, regulated) / (take_last(v_pu, before) + NO_VOLTAGE_PU)
         parts.insert(1, loading[..., plain:] * (1.0 + positive_part(ratio - 1.0)))
     return take_last(xp.concat(parts, axis=-1), place)
 
 
 @cached_on_owner
-def _rated_places(feeder: ThreePhaseFeeder, xp: ModuleType, device: object) -> tuple[Array, ...]:
+def rated_places(feeder: ThreePhaseFeeder, xp: ModuleType, device: object) -> tuple[Array, ...]:
     """Rated nodes, the regulated ones last; these, and the nodes before them; the place of each node in that order.
 
     A node without a rating has the place behind all of them.
@@ -154,7 +154,8 @@ def _ratings_a(feeder: AnyFeeder) -> NDArray[np.float64]:
 
 
 @cached_on_owner
-def _inverse_ratings(feeder: AnyFeeder) -> NDArray[np.float64]:
+def inverse_ratings(feeder: AnyFeeder) -> NDArray[np.float64]:
+    """1 / rating of what has each position in the loading, 1/A, 0 where it is not known."""
     ratings = _ratings_a(feeder)
     return np.where(np.isnan(ratings), 0.0, 1.0 / ratings)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -55,7 +56,7 @@ class RegulatorControl:
                 self, "offset_v", f"give {volts}, or a mapping from banks or regulators to these or {schedules}"
             )
 
-    @property
+    @cached_property
     def has_schedules(self) -> bool:
         """Whether any offset follows a schedule."""
         return isinstance(self.offset_v, tuple) and any(isinstance(value, tuple) for _, value in self.offset_v)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace
-from dcgrid_env.engine.physics.dynamics import extremes_of_nodes, from_nodes
+from dcgrid_env.engine.physics.node_figures import extremes_of_nodes, from_nodes
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario

@@ -14,7 +14,7 @@ import operator
 from collections import namedtuple
 from functools import cache, reduce
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,14 +24,11 @@ from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.physics.dynamics import device_slices
 from dcgrid_env.engine.physics.parameters import parameters
-from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.state import State, VoltageFigures
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step, voltage_cost
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation
 from dcgrid_env.scenario.scenario import Scenario
-
-if TYPE_CHECKING:
-    from dcgrid_env.engine.physics.voltage_figures import VoltageFigures
 
 Costs = Any
 """Weighted terms of a step's cost by name, a named tuple: each of shape (row,) for the team or (row, n_agent) for each
@@ -46,15 +43,15 @@ def _step(
     nodes: Array | None = None,
 ) -> Step:
     t, v_pu, cost = terms(scenario), state.v_pu, scenario.cost
-    v_judged = v_pu[..., t.judged]
-    if cost.voltage == "l1" and cost.reference == "nominal" and figures is not None:
+    if figures is not None and cost.voltage == "l1" and cost.reference == "nominal":
         voltage = figures.deviation_pu
     else:
-        voltage = sum_last(voltage_cost(cost.voltage, voltage_deviation(scenario, v_judged, t.judged), cost.band_pu))
+        deviation = voltage_deviation(scenario, v_pu[..., t.judged], t.judged)
+        voltage = sum_last(voltage_cost(cost.voltage, deviation, cost.band_pu))
     if figures is not None:
         excess = figures.excess_pu
     else:
-        excess = sum_last(positive_part(namespace(v_pu).abs(v_judged - 1.0) - cost.band_pu))
+        excess = sum_last(positive_part(namespace(v_pu).abs(v_pu[..., t.judged] - 1.0) - cost.band_pu))
     params = parameters(scenario, v_pu)
     return Step(scenario, state, solution, params, t.judged, t.n_judged, t.n_converters, voltage, excess, nodes)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, namespace, take_at, take_last
+from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices import Work, converter
@@ -16,6 +16,7 @@ from dcgrid_env.devices.device import DeviceInput, DeviceParams
 from dcgrid_env.engine.physics import equipment as feeder_equipment
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.disconnection import connected_share, leaving, supply
+from dcgrid_env.engine.physics.node_figures import from_nodes, phase_figures
 from dcgrid_env.engine.physics.parameters import Parameters, parameters
 from dcgrid_env.engine.physics.state import Equipment, Exogenous, GridStep, State, ThreePhaseState, over_arrays
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -26,9 +27,9 @@ from dcgrid_env.powerflow import (
     has_ratings,
     solver_for,
     three_phase_nodes,
-    unbalance_factor,
 )
-from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
+from dcgrid_env.powerflow.inputs import substation_voltage
+from dcgrid_env.powerflow.unbalanced.sweep import solve_checked
 from dcgrid_env.scenario.costs.utility_limits import remembered_draws
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -123,13 +124,18 @@ def _step(
 
     grid, equipment = _solved(scenario, params, state, devices, exogenous, p_agent, q_agent)
     solution = grid.solution
-    v, restart, phases = solution.v_pu, solution.restart, None
+    v, restart, phases, nodes = solution.v_pu, solution.restart, None, exogenous.nodes
     if equipment is not None:
-        phases = _by_phase(scenario, solution, exogenous.nodes, equipment)
-    loading = branch_loading(scenario.feeder, solution) if has_ratings(scenario.feeder) else None
+        v_agent, lowest, highest, unbalance, loading, voltages = phase_figures(scenario, solution, nodes)
+        phases = ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, unbalance, equipment)
+        grid = GridStep(solution, grid.noise, voltages)
+    else:
+        v_agent = from_nodes(v, nodes)
+        loading = branch_loading(scenario.feeder, solution) if has_ratings(scenario.feeder) else None
     if not all_true(solution.converged):
         solved, last = solution.converged[..., None], 0.0 * restart if state.restart is None else state.restart
         v, restart = xp.where(solved, v, state.v_pu), xp.where(solved, restart, last)
+        v_agent = from_nodes(v, nodes)
         if loading is not None:
             loading = xp.where(solved, loading, 0.0 * loading if state.loading is None else state.loading)
         if phases is not None:
@@ -143,7 +149,7 @@ def _step(
     return State(
         v_pu=v,
         v_last_pu=state.v_pu,
-        v_agent_pu=from_nodes(v, exogenous.nodes),
+        v_agent_pu=v_agent,
         v_agent_last_pu=state.v_agent_pu,
         restart=restart,
         p_kw=p_agent,
@@ -204,12 +210,16 @@ def solve_rows_of(
 
     ``control`` are the devices' changes to the grid, ``connected`` is ``Exogenous.capacitor_on``.
     """
-    solve, _ = _grid(scenario)
+    feeder: Any = scenario.feeder
 
     def solve_rows(equipment: Equipment, rows: Any, start: Array | None) -> Any:
         present = None if connected is None else connected[rows]
-        changed = _with_equipment(_rows_of(control, rows), feeder_equipment.as_control(scenario, equipment, present))
-        return solve(scenario.feeder, p_net[rows], q_net[rows], scenario.source_voltage_pu, changed, start)
+        of_feeder, p_kw, q_kvar = feeder_equipment.as_control(scenario, equipment, present), p_net[rows], q_net[rows]
+        if control is None:
+            source_pu = substation_voltage(feeder, p_kw, scenario.source_voltage_pu)
+            return solve_checked(feeder, (p_kw, q_kvar, source_pu, of_feeder.tap_ratio, of_feeder.capacitor_on), start)
+        changed = _with_equipment(Control(*(None if change is None else change[rows] for change in control)), of_feeder)
+        return _grid(scenario)[0](feeder, p_kw, q_kvar, scenario.source_voltage_pu, changed, start)
 
     return solve_rows
 
@@ -274,17 +284,10 @@ def _equipment(
     return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on, exogenous.offset_v)
 
 
-def _with_equipment(control: Control | None, of_feeder: Control) -> Control:
+def _with_equipment(control: Control, of_feeder: Control) -> Control:
     """Return the feeder's equipment for the power flow, with the shunts of devices, and taps where they set them."""
-    if control is None:
-        return of_feeder
     ratio = of_feeder.tap_ratio if control.tap_ratio is None else control.tap_ratio
     return Control(ratio, control.shunt_kvar, of_feeder.capacitor_on)
-
-
-def _rows_of(control: Control | None, rows: Any) -> Control | None:
-    """Return a control of some rows of a batch."""
-    return control and Control(*(None if values is None else values[rows] for values in control))
 
 
 @cached_on_owner
@@ -342,37 +345,3 @@ def _to_nodes(values: Array, nodes: Array) -> Array:
     if nodes.shape[-1] == 1:
         return values[..., None]
     return namespace(values).broadcast_to((values / nodes.shape[-1])[..., None], nodes.shape)
-
-
-def from_nodes(v_pu: Array, nodes: Array) -> Array:
-    """Each agent's voltage, the mean of its nodes', (row, n_agent)."""
-    v_nodes = take_at(v_pu, nodes)
-    return v_nodes[..., 0] if nodes.shape[-1] == 1 else v_nodes.sum(-1) / nodes.shape[-1]
-
-
-def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
-    """Lowest and highest voltage of each agent's nodes, (row, n_agent) each."""
-    v_nodes = take_at(v_pu, nodes)
-    return (
-        (v_nodes.min(-1), v_nodes.max(-1)) if isinstance(v_nodes, np.ndarray) else (v_nodes.amin(-1), v_nodes.amax(-1))
-    )
-
-
-@compiled_as("dcgrid_env.engine.physics.step_kernels:by_phase", like="v_pu")
-def by_phase(
-    v_pu: Array, v_re_pu: Array, v_im_pu: Array, agent_nodes: Array, bus_nodes: np.ndarray
-) -> tuple[Array, Array, Array]:
-    """Each agent's lowest and highest phase, p.u., (row, n_agent), and each three-phase bus's unbalance factor.
-
-    ``agent_nodes`` (row, n_agent, k) are flat positions row * n_node + node, ``bus_nodes`` (n_bus, 3) nodes; the rest
-    are voltages, (row, n_node).
-    """
-    return *extremes_of_nodes(v_pu, agent_nodes), unbalance_factor(bus_nodes, v_re_pu, v_im_pu)
-
-
-def _by_phase(scenario: Scenario, solution: ThreePhaseSolution, nodes: Array, equipment: Equipment) -> ThreePhaseState:
-    """Return the state of a three-phase feeder other than its voltages."""
-    feeder = scenario.feeder
-    v = (solution.v_pu, solution.v_re_pu, solution.v_im_pu)
-    lowest, highest, factor = by_phase(*v, nodes, three_phase_nodes(feeder))
-    return ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, factor, equipment)

@@ -15,7 +15,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, all_true, as_like, min_last, namespace, put_rows, sum_last, take_last
+from dcgrid_env.core.arrays import (
+    Array,
+    all_true,
+    any_true,
+    as_like,
+    min_last,
+    namespace,
+    put_rows,
+    sum_last,
+    take_last,
+)
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices.capacitor_bank.bank_measurements import bank_settings
 from dcgrid_env.devices.capacitor_bank.bank_switching import (
@@ -161,7 +171,7 @@ def with_controls(
             left_s = xp.where(solution.converged[..., None], left_s, 0.0 * left_s)
         before = equipment
         equipment, left_s = _next_event(scenario, plan, before, set_points, left_s)
-        if not bool((left_s > 0.0).any()):
+        if not any_true(left_s[..., 0] > 0.0):
             break
         rows = xp.nonzero(_moved(before, equipment))[0]
         if len(rows):  # a control that looks again and finds its band moves nothing
@@ -191,7 +201,7 @@ def _next_event(
 ) -> tuple[Equipment, Array]:
     """The equipment after its next event, and the time then left of the step, s, (row, 1)."""
     (regulators, banks), of_banks = equipment, plan.banks
-    due_s, delay_s = 0.0 * left_s + np.inf, None
+    due_s, delay_s = left_s, None
     if of_banks.acts:
         delay_s = bank_delays(of_banks.settings, banks, of_banks.controlled, set_points.thresholds)
         due_s = min_last(delay_s)
@@ -264,6 +274,8 @@ def _band(
     scenario: Scenario, group: _Group, tap: Array, devices: Sequence[Any], offset_v: Array | None = None
 ) -> RelayBand:
     """The bands of the relays in force over a step, (row, n_regulator); ``offset_v`` are the offsets by schedules."""
+    if group.setters is None and offset_v is None and isinstance(tap, np.ndarray) and tap.dtype == np.float64:
+        return _bands_at_rest(scenario, len(tap))
     zero = 0.0 * tap
     target_v, half_band_v = (at_rest + zero for at_rest in (group.settings.target_v, group.settings.half_band_v))
     if offset_v is not None:
@@ -274,6 +286,13 @@ def _band(
     state = devices[group.setters]
     chosen_v = _of_pieces(group, zero, state.offset_v - as_like(setters.parameters.rest_offset_v, tap))
     return RelayBand(target_v + chosen_v, _of_pieces(group, half_band_v, state.half_band_v))
+
+
+@cached_on_owner
+def _bands_at_rest(scenario: Scenario, n_row: int) -> RelayBand:
+    """The bands without schedules and agents that choose set points, NumPy arrays."""
+    settings = _on_numpy(scenario).regulators.settings
+    return RelayBand(*(np.tile(values, (n_row, 1)) for values in (settings.target_v, settings.half_band_v)))
 
 
 def _of_pieces(group: _Group, at_rest: Array, chosen: Array) -> Array:

@@ -18,9 +18,9 @@ from dcgrid_env.core.random import load_step
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.engine.physics.loads import load_noise
-from dcgrid_env.engine.physics.state import GridStep, LoadsToDraw
+from dcgrid_env.engine.physics.state import GridStep, LoadsToDraw, VoltageFigures
 from dcgrid_env.engine.physics.step_kernels import net_loads
-from dcgrid_env.engine.physics.voltage_figures import VoltageFigures, fill_figures
+from dcgrid_env.engine.physics.voltage_figures import fill_figures
 from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.powerflow.balanced.batch import constants, rows

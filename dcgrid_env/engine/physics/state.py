@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from dcgrid_env.devices.capacitor_bank.bank_switching import BankState
 from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths
 from dcgrid_env.devices.tap_changer.regulator_state import RegulatorState
 from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView
-
-if TYPE_CHECKING:
-    from dcgrid_env.engine.physics.voltage_figures import VoltageFigures
 
 
 class LoadsToDraw(NamedTuple):
@@ -68,6 +65,17 @@ class Exogenous(NamedTuple):
     request: Array | None = None
     """The utility's request over the interval and what is announced at its end, ``load_requests.RequestColumns``,
     (row, n_column); None where a scenario has none."""
+
+
+class VoltageFigures(NamedTuple):
+    """Figures over the nodes other than the substation's, (row,) each, p.u."""
+
+    deviation_pu: np.ndarray
+    """Sum of |V - 1|."""
+    excess_pu: np.ndarray
+    """Sum of what of it lies beyond the band."""
+    lowest_pu: np.ndarray
+    highest_pu: np.ndarray
 
 
 class GridStep(NamedTuple):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
+from dcgrid_env.engine.physics.voltage_figures import fill_figures
+from dcgrid_env.powerflow.loading import NO_VOLTAGE_PU
 from dcgrid_env.powerflow.unbalance import TINY_PU
 
 
@@ -46,21 +48,26 @@ def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
     return p_net, q_net
 
 
-@compiled
-def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
-    """See ``dynamics.by_phase`` and ``powerflow.unbalance``."""
-    n_row, agents, parts = agent_nodes.shape
-    lowest, highest = np.empty((n_row, agents)), np.empty((n_row, agents))
-    factor = np.empty((n_row, bus_nodes.shape[0]))
-    flat, h = v_pu.reshape(-1), np.sqrt(0.75)
+@compiled(inner=True)
+def _fill_agents(v_pu, agent_nodes, agents):
+    """Fill the mean, lowest and highest voltage of the nodes of each agent, (3, row, n_agent)."""
+    flat, (n_row, n_agent, parts) = v_pu.reshape(-1), agent_nodes.shape
     for row in range(n_row):
-        for agent in range(agents):
-            low = high = flat[agent_nodes[row, agent, 0]]
+        for agent in range(n_agent):
+            low = high = total = flat[agent_nodes[row, agent, 0]]
             for part in range(1, parts):
                 v = flat[agent_nodes[row, agent, part]]
+                total += v
                 low = v if v < low else low
                 high = v if v > high else high
-            lowest[row, agent], highest[row, agent] = low, high
+            agents[0, row, agent], agents[1, row, agent], agents[2, row, agent] = total / parts, low, high
+
+
+@compiled(inner=True)
+def _fill_unbalance(v_re_pu, v_im_pu, bus_nodes, factor):
+    """See ``powerflow.unbalance_factor``, (row, n_bus)."""
+    h = np.sqrt(0.75)
+    for row in range(factor.shape[0]):
         for bus in range(bus_nodes.shape[0]):
             a, b, c = bus_nodes[bus, 0], bus_nodes[bus, 1], bus_nodes[bus, 2]
             sum_re = v_re_pu[row, a] - 0.5 * (v_re_pu[row, b] + v_re_pu[row, c])
@@ -69,7 +76,50 @@ def by_phase(v_pu, v_re_pu, v_im_pu, agent_nodes, bus_nodes):
             turn_im = h * (v_im_pu[row, b] - v_im_pu[row, c])
             positive = np.sqrt((sum_re - turn_im) ** 2 + (sum_im + turn_re) ** 2)
             factor[row, bus] = np.sqrt((sum_re + turn_im) ** 2 + (sum_im - turn_re) ** 2) / (positive + TINY_PU)
-    return lowest, highest, factor
+
+
+@compiled(inner=True)
+def _fill_loading(v_pu, i_re_a, i_im_a, rated, before, per_a, loading):
+    """See ``powerflow.branch_loading``; only entries of ``rated`` nodes are written."""
+    for row in range(loading.shape[0]):
+        for k, node in enumerate(rated):
+            i_re, i_im = i_re_a[row, node], i_im_a[row, node]
+            ratio = v_pu[row, node] / (v_pu[row, before[k]] + NO_VOLTAGE_PU)
+            loading[row, node] = np.sqrt(i_re * i_re + i_im * i_im) * per_a[k] * (1.0 + max(ratio - 1.0, 0.0))
+
+
+@compiled
+def phase_figures(
+    v_pu, v_re_pu, v_im_pu, i_re_a, i_im_a, agent_nodes, bus_nodes, rated, before, per_a, first, band_pu
+):  # fmt: skip
+    """Figures of a power flow, see ``node_figures.PhaseFigures``.
+
+    Parameters
+    ----------
+    v_pu, v_re_pu, v_im_pu, i_re_a, i_im_a
+        Voltages and currents of ``ThreePhaseSolution``, (row, n_node).
+    agent_nodes, bus_nodes
+        Nodes of each agent, flat positions (row, n_agent, k), and of each three-phase bus, (n_bus, 3).
+    rated, before, per_a
+        Nodes whose branch has a rating, what the ratio of the branch's voltages is to, which is the node itself except
+        behind a regulator, and 1 / rating, (n_rated,) each.
+    first, band_pu
+        First node whose voltage is judged, and the half width of its band.
+
+    Returns
+    -------
+    agents, unbalance, loading, per_row
+        Mean, lowest and highest voltage of each agent, (3, row, n_agent); (row, n_bus); (row, n_node); and
+        ``VoltageFigures``, (4, row).
+    """
+    n_row, n_node = v_pu.shape
+    agents, unbalance = np.empty((3, n_row, agent_nodes.shape[1])), np.empty((n_row, bus_nodes.shape[0]))
+    loading, per_row = np.zeros((n_row, n_node)), np.empty((4, n_row))
+    _fill_agents(v_pu, agent_nodes, agents)
+    _fill_unbalance(v_re_pu, v_im_pu, bus_nodes, unbalance)
+    _fill_loading(v_pu, i_re_a, i_im_a, rated, before, per_a, loading)
+    fill_figures(v_pu, 0, n_row, first, band_pu, per_row[0], per_row[1], per_row[2], per_row[3])
+    return agents, unbalance, loading, per_row
 
 
 @compiled

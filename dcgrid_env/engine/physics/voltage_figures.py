@@ -2,24 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.compiled import compiled
-
-
-class VoltageFigures(NamedTuple):
-    """Figures over the nodes other than the substation's, (row,) each, p.u."""
-
-    deviation_pu: np.ndarray
-    """Sum of |V - 1|."""
-    excess_pu: np.ndarray
-    """Sum of what of it lies beyond the band."""
-    lowest_pu: np.ndarray
-    highest_pu: np.ndarray
-
+from dcgrid_env.engine.physics.state import VoltageFigures
 
 MOST_AT_ONCE = 128
 """Figures that ``np.add.reduce`` adds up without halving the row."""

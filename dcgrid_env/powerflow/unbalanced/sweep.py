@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from array_api_compat import is_torch_array
 
-from dcgrid_env.core.arrays import Array, namespace
+from dcgrid_env.core.arrays import Array, all_true
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.inputs import check_stop
@@ -87,15 +87,42 @@ def solve_unbalanced(
     source_pu = source_voltage(feeder, p_kw, source_voltage_pu)
     q_kvar, ratio, state = control_inputs(feeder, q_kvar, control)
     start = voltages_to_start_from(feeder, p_kw, start)
-    given = (p_kw, q_kvar, source_pu, ratio, state)
+    return solve_checked(feeder, (p_kw, q_kvar, source_pu, ratio, state), start, float(tolerance_pu), int(max_sweeps))
+
+
+def solve_checked(
+    feeder: ThreePhaseFeeder,
+    inputs: tuple[Array, ...],
+    start: Array | None,
+    tolerance_pu: float = TOLERANCE_PU,
+    max_sweeps: int = MAX_SWEEPS,
+) -> ThreePhaseSolution:
+    """Solve the power flow under inputs that are known to be valid, other than that powers are finite.
+
+    Parameters
+    ----------
+    feeder
+        The feeder.
+    inputs
+        Draw of each leg, kW and kvar, (..., n_leg); voltage of the source, p.u., (...); ratios of the regulators,
+        (..., n_regulator); states of the capacitors, (..., n_capacitor). All of one kind and precision.
+    start, tolerance_pu, max_sweeps
+        As in ``solve_unbalanced``; ``start`` is an array or None.
+
+    Raises
+    ------
+    PowerFlowError
+        For a power that is not finite.
+    """
+    p_kw, q_kvar = inputs[:2]
     if isinstance(p_kw, np.ndarray):
         from dcgrid_env.powerflow.unbalanced.sweep_batch import solve_batch as solve
     elif is_torch_array(p_kw) and p_kw.device.type == "cpu":
         from dcgrid_env.powerflow.unbalanced.sweep_tensors import sweep_tensors as solve
     else:
         from dcgrid_env.powerflow.unbalanced.array_form import sweep_arrays as solve
-    solution = solve(feeder, given, start, float(tolerance_pu), int(max_sweeps))
-    if not bool(namespace(p_kw).all(solution.converged)):
+    solution = solve(feeder, inputs, start, tolerance_pu, max_sweeps)
+    if not (all_true(solution.converged) if p_kw.ndim == 2 else bool(solution.converged.all())):
         raise_leg_not_finite(feeder, p_kw, q_kvar)
     return solution
 

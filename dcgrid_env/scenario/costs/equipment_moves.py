@@ -34,8 +34,9 @@ def _n_moving(scenario: Any) -> int:
 
 def mean_switching(scenario: Any, equipment: Any) -> Array:
     """Mean number of taps and switchings in the step of the equipment that is not fixed, (row,)."""
-    moves = _moves(equipment)
-    return sum_last(moves * as_like(_moving(scenario), moves)) / _n_moving(scenario)
+    moved, switched, moving = equipment.regulators.moved, equipment.banks.switched, _moving(scenario)
+    n = moved.shape[-1]
+    return (moved @ as_like(moving[:n], moved) + switched @ as_like(moving[n:], moved)) / _n_moving(scenario)
 
 
 def price_of_move(scenario: Any) -> float:
