@@ -95,7 +95,7 @@ def plain_step(
     set_up, grid, charged, seen = _fixed(scenario)
     joint = np.empty((n_row, len(seen[1])), np.float32)
     failed = _step_rows(
-        action, *set_up, sites.backlog_kws, sites.f_mhz, outside.p_ref_kw, outside.p_inverter_kw,
+        0, n_row, action, *set_up, sites.backlog_kws, sites.f_mhz, outside.p_ref_kw, outside.p_inverter_kw,
         *grid, *loads[:4], *load_noise(scenario), placed.nodes, before.restart,
         *charged, now.transition.j_so_far, before.v_agent_pu, placed.r, placed.x, p_ref_next, *seen,
         over_buses, restart, over_sites, over_agents, per_row, flags, joint,
@@ -170,8 +170,8 @@ def _fixed(scenario: Scenario) -> tuple[tuple[Any, ...], ...]:
 
 @compiled
 def _step_rows(
-    action, middle, half_range, lowest, highest, clock_at, reactive_at, p_idle, p_dynamic, f_max, dt_s, boosts,
-    converter_kva, q_scale, backlog, f_before, p_ref, injection,
+    first, last, action, middle, half_range, lowest, highest, clock_at, reactive_at, p_idle, p_dynamic, f_max, dt_s,
+    boosts, converter_kva, q_scale, backlog, f_before, p_ref, injection,
     order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, warm,
     factor, share_of, span_mhz, horizon, j_before, v_before, r_seen, x_seen, p_ref_next, scale, column, least, most,
@@ -179,7 +179,8 @@ def _step_rows(
 ):  # fmt: skip
     """Step the rows; return how many have no solution, in which case the results of all rows are incomplete.
 
-    The places of ``factor``, ``share_of`` and the costs are those of ``COSTS``. Results are in the last seven arrays.
+    ``first`` and ``last`` are 0 and the number of rows: a literal 0 would compile further versions of callees. The
+    places of ``factor``, ``share_of`` and the costs are those of ``COSTS``. Results are in the last seven arrays.
     """
     (n_row, n_site), n_agent, n = p_ref.shape, len(reactive_at), noise.shape[1]
     asked = setpoints(action, middle, half_range, lowest, highest)
@@ -198,7 +199,7 @@ def _step_rows(
             p_agent[row, i] = p_site[row, i] if i < n_site else -injection[row, i - n_site]
     q_agent, q_limit = dispatch_rows(converter_kva, q_scale, p_agent, q_asked)
     failed = few_rows(
-        0, n_row, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
+        first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
         key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
         over_buses, restart, per_row, flags[0], np.zeros(n_row, np.int64),
     )  # fmt: skip
@@ -217,12 +218,12 @@ def _step_rows(
             raw[row, 4 * n_agent + i] = q_limit[row, i]
             raw[row, 5 * n_agent + i], raw[row, 6 * n_agent + i] = r_seen[row, i], x_seen[row, i]
             part[i] = abs(q_agent[row, i]) / converter_kva[i]
-        effort = sum_up(part, 0, n_agent)
+        effort = sum_up(part, first, n_agent)
         for i in range(n_site):
             raw[row, 7 * n_agent + i], raw[row, 7 * n_agent + n_site + i] = p_ref_next[row, i], queued[row, i]
             part[i] = abs(clock[row, i] - f_before[row, i]) / span_mhz
-        moved = sum_up(part, 0, n_site) / share_of[4]
-        waiting = sum_up(queued[row], 0, n_site)
+        moved = sum_up(part, first, n_site) / share_of[4]
+        waiting = sum_up(queued[row], first, n_site)
         costs = per_row[7:15, row]
         costs[0], costs[1] = per_row[0, row] * factor[0], per_row[1, row] * factor[1]
         costs[2], costs[3] = waiting / share_of[2] * factor[2], effort * factor[3]

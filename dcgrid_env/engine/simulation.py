@@ -16,7 +16,6 @@ from dcgrid_env.engine.exogenous.episode import EpisodeOptions
 from dcgrid_env.engine.physics import dynamics
 from dcgrid_env.engine.physics.acting_relays import acting_relays
 from dcgrid_env.engine.physics.actions import action_layout
-from dcgrid_env.engine.physics.loads import drawn as with_loads
 from dcgrid_env.engine.physics.state import Exogenous, GridStep, State, VoltageFigures
 from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 from dcgrid_env.engine.plain_step import fits, plain_step
@@ -149,7 +148,7 @@ class Simulation:
         step = np.zeros(len(seed), np.int64)
         quiet = np.zeros((len(seed), self.scenario.feeder.n_bus))
         p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))
-        outside, noise = with_loads(self.scenario, episode.exogenous(self.scenario, drawn, step, quiet, p_ref))
+        outside = episode.exogenous(self.scenario, drawn, step, quiet, p_ref)
         state, grid = dynamics.initial_state(self.scenario, outside)
         measured = (self._measure(drawn, step, state),) * remembered(self.scenario)
         zeros = np.zeros(len(seed))
@@ -159,7 +158,7 @@ class Simulation:
         if self.scenario.cost.reward == "difference":
             paid, vector = (np.zeros((len(seed), n)) for n in (self.scenario.n_agents, action_layout(self.scenario).n))
         transition = transition._replace(costs=free, cost_j=zeros, j_so_far=zeros, reward=paid, reward_vector=vector)
-        return Snapshot(self.scenario, seed, number, drawn, step, noise, p_ref_next, state, measured, transition)
+        return Snapshot(self.scenario, seed, number, drawn, step, grid.noise, p_ref_next, state, measured, transition)
 
     def _merged(self, now: Snapshot, drawn: Snapshot, env_indices: np.ndarray) -> Snapshot:
         """``now`` with the environments of ``drawn`` put in."""

@@ -37,13 +37,14 @@ from dcgrid_env.scenario.scenario import Scenario
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, GridStep]:
     """Solve t = 0 with every channel at its initial setpoint: highest clocks, no reactive power.
 
-    The loads of ``exogenous`` must be drawn. The taps of regulators that are controlled have settled.
+    The taps of regulators that are controlled have settled.
     """
-    xp = namespace(exogenous.p_load_kw)
-    params = parameters(scenario, exogenous.p_load_kw)
-    feeder = scenario.feeder
-    v = 0.0 * exogenous.p_load_kw[..., : feeder.n_node] + scenario.source_voltage_pu
-    agents = 0.0 * (exogenous.p_load_kw[..., :1] + params.p_scale_kw)
+    like, n_row, feeder = exogenous.p_ref_kw, exogenous.nodes.shape[0], scenario.feeder
+    xp, params = namespace(like), parameters(scenario, like)
+    v, agents = (
+        xp.full((n_row, width), start, dtype=like.dtype, device=like.device)
+        for width, start in ((feeder.n_node, float(scenario.source_voltage_pu)), (scenario.n_agents, 0.0))
+    )
     cuts = device_slices(scenario)
     devices = tuple(
         device.initial(device_params, agents[..., cut])

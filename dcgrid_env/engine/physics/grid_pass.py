@@ -54,16 +54,17 @@ def fits(scenario: Scenario) -> bool:
 
 
 def grid_pass(
-    scenario: Scenario, drawing: LoadsToDraw, nodes: Array, p_kw: Array, q_kvar: Array, restart: np.ndarray
+    scenario: Scenario, drawing: LoadsToDraw, nodes: Array, p_kw: Array, q_kvar: Array, restart: np.ndarray | None
 ) -> GridStep:
     """Draw the loads of an interval and solve the grid under the agents' powers, kW and kvar, (row, n_agent).
 
-    ``nodes`` are those of ``Exogenous``; the power flow starts from ``restart``. PowerFlowError for a power that is
-    not finite.
+    ``nodes`` are those of ``Exogenous``. The power flow starts from ``restart``, or without current. PowerFlowError
+    for a power that is not finite.
     """
     n_row, n = drawing.noise.shape
     agents = (n_row, p_kw.shape[1])
-    of_agents = (rows(p_kw, agents), rows(q_kvar, agents), rows(restart, (n_row, n - 1)))
+    start = np.zeros((n_row, n - 1)) if restart is None else rows(restart, (n_row, n - 1))
+    of_agents = (rows(p_kw, agents), rows(q_kvar, agents), start)
     drawing_and_loads = (*drawing[:4], *load_noise(scenario))
     given = (*fixed(scenario), *drawing_and_loads, nodes, *of_agents)
     over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
