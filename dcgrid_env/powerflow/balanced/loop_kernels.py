@@ -2,8 +2,7 @@
 
 After each sweep of the opened feeder, the power through each break point is corrected by the difference of its two
 voltages. Sweeps and compensation converge together. As in ``distflow_kernels``, there is a form for one row and one for
-blocks of rows, and a row has the same bits in both. ``load`` and ``flow`` are (n_bus, 2 width) as in
-``compiled_blocks``: active power in the first half of a row and reactive power in the second.
+blocks of rows, and a row has the same bits in both. Scratch arrays are those of ``compiled_blocks``.
 
 ``loops`` are the constants of ``looped.Loops`` in depth-first order of the opened feeder.
 """
@@ -18,33 +17,34 @@ from dcgrid_env.powerflow.balanced.compiled_blocks import (
     BLOCK,
     BLOCK_SWEEPS,
     NOT_IN_BLOCKS,
+    WIDTH,
     _load_block,
-    _store_block,
-    _store_flows,
+    _store_settled,
     _sweep,
+    _tree,
 )
 from dcgrid_env.powerflow.balanced.distflow_kernels import _add_change, _add_shunts, _clear, _load, _start, _store
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR
 
 
 @compiled(inner=True)
-def _start_power(b, row, loops, warm, load, power):
+def _start_power(b, row, loops, warm, p, q, power):
     """Add the power of a row's start, or none, to the loads of column b on both sides of each break point."""
-    end, to, width = loops[0], loops[1], load.shape[1] // 2
+    end, to = loops[0], loops[1]
     first = warm.shape[1] - 2 * end.shape[0]
     for m in range(end.shape[0]):
         active = reactive = 0.0
         if warm.shape[0] > 0:
             active, reactive = warm[row, first + 2 * m], warm[row, first + 2 * m + 1]
         power[m, 0, b], power[m, 1, b] = active, reactive
-        load[end[m], b] += active
-        load[end[m], width + b] += reactive
-        load[to[m], b] -= active
-        load[to[m], width + b] -= reactive
+        p[end[m], b] += active
+        q[end[m], b] += reactive
+        p[to[m], b] -= active
+        q[to[m], b] -= reactive
 
 
 @compiled(inner=True)
-def _turn(first, last, loops, parent, r, x, flow, v, re, im):
+def _turn(first, last, loops, parent, r, x, P, Q, v, re, im):
     """Fill ``re`` and ``im`` with the voltage at the end of a path, divided by the one at its beginning."""
     branch, width = loops[4], re.shape[0]
     for b in range(width):
@@ -53,14 +53,14 @@ def _turn(first, last, loops, parent, r, x, flow, v, re, im):
         k = branch[i]
         r_k, x_k, u = r[k], x[k], parent[k]
         for b in range(width):
-            p, q = flow[k, b], flow[k, width + b]
-            along = 1.0 - (r_k * p + x_k * q) / v[u, b]
-            across = (r_k * q - x_k * p) / v[u, b]
+            active, reactive = P[k, b], Q[k, b]
+            along = 1.0 - (r_k * active + x_k * reactive) / v[u, b]
+            across = (r_k * reactive - x_k * active) / v[u, b]
             re[b], im[b] = re[b] * along - im[b] * across, re[b] * across + im[b] * along
 
 
 @compiled(inner=True)
-def _compensate(loops, parent, r, x, load, flow, v, live, power, gap, turn, change):
+def _compensate(loops, parent, r, x, p, q, P, Q, v, live, power, gap, turn, change):
     """Change the power through the break points of the live columns, per unit; ``change`` is the largest of a column.
 
     ``power`` adds up the power through each break point. ``gap`` and ``turn`` are scratch.
@@ -68,8 +68,8 @@ def _compensate(loops, parent, r, x, load, flow, v, live, power, gap, turn, chan
     end, to, first, middle, _, meet, y_re, y_im = loops
     width = live.shape[0]
     for m in range(end.shape[0]):
-        _turn(first[m], middle[m], loops, parent, r, x, flow, v, turn[0], turn[1])
-        _turn(middle[m], first[m + 1], loops, parent, r, x, flow, v, turn[2], turn[3])
+        _turn(first[m], middle[m], loops, parent, r, x, P, Q, v, turn[0], turn[1])
+        _turn(middle[m], first[m + 1], loops, parent, r, x, P, Q, v, turn[2], turn[3])
         for b in range(width):
             square = v[meet[m], b]
             gap[m, 0, b] = (turn[0, b] * turn[2, b] + turn[1, b] * turn[3, b]) * square - v[to[m], b]
@@ -85,12 +85,12 @@ def _compensate(loops, parent, r, x, load, flow, v, live, power, gap, turn, chan
                 turn[0, b] += g * gap[i, 0, b] - h * gap[i, 1, b]
                 turn[1, b] -= g * gap[i, 1, b] + h * gap[i, 0, b]
         for b in range(width):
-            active = turn[0, b] if live[b] > 0.0 else 0.0
-            reactive = turn[1, b] if live[b] > 0.0 else 0.0
-            load[end[m], b] += active
-            load[end[m], width + b] += reactive
-            load[to[m], b] -= active
-            load[to[m], width + b] -= reactive
+            active = turn[0, b] if live[b] else 0.0
+            reactive = turn[1, b] if live[b] else 0.0
+            p[end[m], b] += active
+            q[end[m], b] += reactive
+            p[to[m], b] -= active
+            q[to[m], b] -= reactive
             power[m, 0, b] += active
             power[m, 1, b] += reactive
             change[b] = max(change[b], max(abs(active), abs(reactive)))
@@ -137,16 +137,17 @@ def _sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off):
 
 
 @compiled(inner=True)
-def _row(parent, r, x, shunt_g, shunt_b, loops, load, flow, scratch, power, work, tolerance, max_sweeps):
+def _row(parent, r, x, shunt_g, shunt_b, loops, scratch, power, work, tolerance, max_sweeps):
     """Sweep and compensate one feeder to the tolerance; (sweeps, residual), inf on a collapse."""
     before, live, off, change, gap, turn = work
-    live[0] = 1.0
+    p, q, P, Q, v, _ = scratch
+    live[0] = True
     residual = np.inf
     for sweep in range(1, max_sweeps + 1):
         residual = _sweep_row(parent, r, x, shunt_g, shunt_b, scratch, before, off)
         if residual == np.inf:
             return sweep, residual
-        _compensate(loops, parent, r, x, load, flow, scratch[4], live, power, gap, turn, change)
+        _compensate(loops, parent, r, x, p, q, P, Q, v, live, power, gap, turn, change)
         residual = max(residual, change[0])
         if residual <= tolerance:
             return sweep, residual
@@ -164,10 +165,11 @@ def looped_rows(
     """
     n_row, n = p_kw.shape
     n_loop = loops[0].shape[0]
-    load, flow, v, l = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 1)), np.empty((n, 1))
-    scratch = (load[:, :1], load[:, 1:], flow[:, :1], flow[:, 1:], v, l)
-    power, before, columns = np.empty((n_loop, 2, 1)), np.empty((shunt_g.shape[0], 1)), np.empty((3, 1))
-    work = (before, columns[0], columns[1], columns[2], np.empty((n_loop, 2, 1)), np.empty((4, 1)))
+    arrays = np.empty((6, n, 1))
+    scratch = (arrays[0], arrays[1], arrays[2], arrays[3], arrays[4], arrays[5])
+    p, q, l = scratch[0], scratch[1], scratch[5]
+    power, before, columns = np.empty((n_loop, 2, 1)), np.empty((shunt_g.shape[0], 1)), np.empty((2, 1))
+    work = (before, np.empty(1, np.bool_), columns[0], columns[1], np.empty((n_loop, 2, 1)), np.empty((4, 1)))
     cold = warm[:0]
     failed = 0
     for row in range(n_row):
@@ -177,18 +179,14 @@ def looped_rows(
         finite = _load(0, row, order, p_kw, q_kvar, v0_pu, scratch)
         if finite and out[6][row] != NOT_IN_BLOCKS:
             _start(0, row, order, warm, l)
-            _start_power(0, row, loops, warm, load, power)
+            _start_power(0, row, loops, warm, p, q, power)
             most = min(BLOCK_SWEEPS, max_sweeps)
-            sweeps, residual = _row(
-                parent, r, x, shunt_g, shunt_b, loops, load, flow, scratch, power, work, tolerance, most
-            )
+            sweeps, residual = _row(parent, r, x, shunt_g, shunt_b, loops, scratch, power, work, tolerance, most)
         if finite and not residual <= tolerance:
             _load(0, row, order, p_kw, q_kvar, v0_pu, scratch)
             _start(0, row, order, cold, l)
-            _start_power(0, row, loops, cold, load, power)
-            sweeps, residual = _row(
-                parent, r, x, shunt_g, shunt_b, loops, load, flow, scratch, power, work, tolerance, max_sweeps
-            )
+            _start_power(0, row, loops, cold, p, q, power)
+            sweeps, residual = _row(parent, r, x, shunt_g, shunt_b, loops, scratch, power, work, tolerance, max_sweeps)
         settled = residual <= tolerance
         failed += not settled
         if residual == np.inf:
@@ -207,48 +205,48 @@ def looped_blocks(
 
     Their iterations are then NOT_IN_BLOCKS.
     """
-    v_pu, p_branch_kw, q_branch_kvar, current_sq_pu, loss_kw, ok, iterations, residual_kva = out
+    ok, iterations, residual_kva = out[5], out[6], out[7]
     n_row, n = p_kw.shape
     n_loop = loops[0].shape[0]
-    powers, work, rows = np.empty((2, n, 2 * BLOCK)), np.empty((2, n, BLOCK)), np.empty((5, BLOCK))
-    load, flow, v, l = powers[0], powers[1], work[0], work[1]
-    live, off, v_up, collapsed, change = rows[0], rows[1], rows[2], rows[3], rows[4]
+    tree, work, rows = _tree(parent), np.empty((6, n, WIDTH)), np.empty((3, BLOCK))
+    p, q, P, Q, v, l = work[0], work[1], work[2], work[3], work[4], work[5]
+    off, v_up, change = rows[0], rows[1], rows[2]
     power, gap, turn = np.empty((n_loop, 2, BLOCK)), np.empty((n_loop, 2, BLOCK)), np.empty((4, BLOCK))
     before = np.empty((shunt_g.shape[0], BLOCK))
-    finite, settled = np.empty(BLOCK, np.bool_), np.empty(BLOCK, np.bool_)
-    most = min(BLOCK_SWEEPS, max_sweeps)
+    live, settled = np.empty(BLOCK, np.bool_), np.empty(BLOCK, np.bool_)
+    unsettled = 0
     for first in range(0, n_row, BLOCK):
-        left = count = min(BLOCK, n_row - first)
+        count = min(BLOCK, n_row - first)
         last = first + count - 1
-        _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, shunt_g.shape[0], load, v, l, finite)
+        _load_block(first, last, order, p_kw, q_kvar, v0_pu, warm, shunt_g.shape[0], p, q, v, l, live)
         for b in range(BLOCK):
-            live[b] = 1.0
-            _start_power(b, min(first + b, last), loops, warm, load, power)
+            _start_power(b, min(first + b, last), loops, warm, p, q, power)
+        live[count:] = False
         iterations[first : last + 1] = NOT_IN_BLOCKS
-        for sweep in range(1, most + 1):
-            _sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up)
+        left = live.sum()
+        unsettled += count
+        for sweep in range(1, min(BLOCK_SWEEPS, max_sweeps) + 1):
+            if left == 0:
+                break
+            _sweep(tree, r, x, shunt_g, shunt_b, p, q, P, Q, v, l, before, off, v_up)
             for b in range(BLOCK):
-                if live[b] > 0.0 and (collapsed[b] > 0.0 or not finite[b]):
-                    live[b] = 0.0
-                    left -= b < count
-            _compensate(loops, parent, r, x, load, flow, v, live, power, gap, turn, change)
+                if live[b] and off[b] == np.inf:
+                    live[b] = False
+                    left -= 1
+            _compensate(loops, parent, r, x, p, q, P, Q, v, live, power, gap, turn, change)
+            n_settled = 0
             for b in range(BLOCK):
                 off[b] = max(off[b], change[b])
-                settled[b] = live[b] > 0.0 and off[b] <= tolerance
+                settled[b] = live[b] and off[b] <= tolerance
                 if settled[b]:
-                    live[b] = 0.0
-                    left -= b < count
-                if settled[b] and b < count:
+                    live[b] = False
+                    left -= 1
+                    n_settled += 1
                     ok[first + b] = True
                     iterations[first + b] = sweep
                     residual_kva[first + b] = off[b] * S_BASE_KVA
-            _store_flows(first, settled[:count], order, flow, p_branch_kw, q_branch_kvar)
-            if left == 0:
-                break
-        _store_block(first, last, order, r, ratio, v, l, v_pu, current_sq_pu, loss_kw)
-        for b in range(count):
-            _store_restart(b, first + b, order, l, power, restart)
-    unsettled = 0
-    for row in range(n_row):
-        unsettled += iterations[row] == NOT_IN_BLOCKS
+                    _store_restart(b, first + b, order, l, power, restart)
+            if n_settled > 0:
+                _store_settled(first, settled, order, r, ratio, P, Q, v, l, out)
+                unsettled -= n_settled
     return unsettled

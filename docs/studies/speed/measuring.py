@@ -27,20 +27,20 @@ class Row:
     """Worst difference of a bus voltage, p.u., to a solve at a far finer tolerance; None where there is none."""
 
 
-def rate(work: Callable[[], object], amount: float, seconds: float) -> float:
+def rate(work: Callable[[], object], amount: float, seconds: float, clock: Callable[[], float] = perf_counter) -> float:
     """How much of something ``work`` does in a second if one call does ``amount``: the median of timed blocks."""
     work()
-    calls, start = 0, perf_counter()
-    while calls == 0 or perf_counter() - start < 0.1 * seconds:
+    calls, start = 0, clock()
+    while calls == 0 or clock() - start < 0.1 * seconds:
         work()
         calls += 1
-    once = (perf_counter() - start) / calls
+    once = (clock() - start) / calls
     blocks = int(np.clip(seconds / once, 3, BLOCKS))
     repeats = range(max(1, int(seconds / blocks / once)))
     spent = []
     for _ in range(blocks):
-        start = perf_counter()
+        start = clock()
         for _ in repeats:
             work()
-        spent.append(perf_counter() - start)
+        spent.append(clock() - start)
     return amount * len(repeats) / statistics.median(spent)

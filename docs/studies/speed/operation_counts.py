@@ -113,11 +113,11 @@ def balanced_counts(name: str = BALANCED) -> Counter[str]:
     _, parent, r, x, shunt_g, shunt_b, _ = constants(feeder, np.float64)
     n = feeder.n_bus
     compiled_blocks.BLOCK = 1
-    load, flow = (Figures(np.full((n, 2), 1e-3), counts) for _ in range(2))
-    v, l = Figures(np.ones((n, 1)), counts), Figures(np.zeros((n, 1)), counts)
-    before = Figures(np.ones((len(shunt_g), 1)), counts)
-    live, off, collapsed, v_up = (Figures(np.ones(1), counts) for _ in range(4))
-    compiled_blocks._sweep(parent, r, x, shunt_g, shunt_b, load, flow, v, l, before, live, off, collapsed, v_up)
+    p, q, P, Q, l = (Figures(np.full((n, 1), 1e-3), counts) for _ in range(5))
+    v, before = Figures(np.ones((n, 1)), counts), Figures(np.ones((len(shunt_g), 1)), counts)
+    off, v_up = (Figures(np.ones(1), counts) for _ in range(2))
+    tree = compiled_blocks._tree(parent)
+    compiled_blocks._sweep(tree, r, x, shunt_g, shunt_b, p, q, P, Q, v, l, before, off, v_up)
     return counts
 
 

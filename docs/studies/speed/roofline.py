@@ -1,6 +1,7 @@
 """The command ``python -m docs.studies roofline``: what limits a batch of power flows.
 
-Ceilings are measured on one thread: multiplications and additions of values in registers, and the triad
+Rates are per second of processor time, so other work on the machine hardly changes them. Ceilings are measured on one
+thread: multiplications and additions of values in registers, and the triad
 a = b + s c (J. D. McCalpin, "Memory bandwidth and machine balance in current high performance computers", 1995) on
 arrays that fit into the second-level cache and on arrays that do not. The model is that of S. Williams, A. Waterman and
 D. Patterson, "Roofline", Communications of the ACM 52(4), 2009.
@@ -14,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from time import process_time
 from typing import Any
 
 import numba
@@ -68,11 +70,11 @@ class Ceilings:
 def ceilings(seconds: float) -> Ceilings:
     """Measure them, ``seconds`` each."""
     x = np.ones(IN_REGISTERS)
-    flops = rate(lambda: _polynomial(x, 0.5, 10_000), 2.0 * DEGREE * IN_REGISTERS * 10_000, seconds)
+    flops = rate(lambda: _polynomial(x, 0.5, 10_000), 2.0 * DEGREE * IN_REGISTERS * 10_000, seconds, process_time)
 
     def triad(size: int, repeats: int) -> float:
         a, b, c = (np.ones(size) for _ in range(3))
-        return rate(lambda: _triad(a, b, c, 0.5, repeats), 3.0 * FIGURE * size * repeats, seconds)
+        return rate(lambda: _triad(a, b, c, 0.5, repeats), 3.0 * FIGURE * size * repeats, seconds, process_time)
 
     return Ceilings(flops, triad(IN_CACHE, 1_000), triad(IN_MEMORY, 1))
 
@@ -147,7 +149,7 @@ class Roofline(Command):
     ) -> str:
         solution = solve()
         sweeps, moved = block_sweeps(solution.iterations, width), moved_bytes(given, solution) / self.points
-        per_s = rate(solve, self.points, self.seconds)
+        per_s = rate(solve, self.points, self.seconds, process_time)
         flops, in_cache = sweeps * per_sweep["flops"], sweeps * FIGURE * per_sweep["accesses"]
         amounts = (flops, sweeps * per_sweep["divisions and roots"], in_cache, moved)
         shares = (
