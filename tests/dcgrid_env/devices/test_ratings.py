@@ -86,7 +86,7 @@ def test_phases_that_may_be(value):
 @pytest.mark.parametrize("value", ["d", "ba", ("a",), ("a", "d"), ("a", "b", "c")])
 def test_phases_that_cannot_be(value):
     with pytest.raises(
-        FieldError, match="Owner: phases is .*; give one of a, b, c, ab, bc, ac, abc, or one for each of"
+        FieldError, match=r"Owner: phases is .*; give one of a, b, c, ab, bc, ac, abc, or one for each of"
     ):
         check_phases(Owner(phases=value), 2)
 

@@ -62,13 +62,13 @@ def test_several_curves_are_one_for_each_slot():
 
 @pytest.mark.parametrize("curve", [(), None, 3, ("itic", 3)])
 def test_what_is_no_curve_is_refused(curve):
-    with pytest.raises(FieldError, match="RideThrough: curve is .*; give the name of a curve"):
+    with pytest.raises(FieldError, match=r"RideThrough: curve is .*; give the name of a curve"):
         RideThrough(curve=curve)
 
 
 def test_an_agent_returns_by_a_ramp():
     UpsRideThrough(curve="itic", walk_in_s=0.0)
-    with pytest.raises(FieldError, match="walk_in_s is 0.0; give more than 0 s where the agent"):
+    with pytest.raises(FieldError, match=r"walk_in_s is 0.0; give more than 0 s where the agent"):
         UpsRideThrough(curve="itic", walk_in_s=0.0, release="agent")
 
 
