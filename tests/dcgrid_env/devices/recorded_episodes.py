@@ -46,7 +46,8 @@ SMOOTHED = {"datacenters.smoothing": {"control": "agent", "hysteresis_s": 2.0, "
 
 def _all_features() -> Scenario:
     return routed(
-        horizon=30,
+        horizon=60,
+        dt_s=0.5,
         **LARGE,
         **SMOOTHED,
         **{"datacenters.cooling": {"time_constant_s": 5.0}, "datacenters.boost_share": 1.2},
@@ -56,18 +57,23 @@ def _all_features() -> Scenario:
 def _two_classes() -> Scenario:
     law = PrefillDecodeDvfs()
     service = {"target_s": 1.0, "deadline_s": 6.0, "order": "edf"}
-    return routed(horizon=30, **{"datacenters.clock_law": law, "datacenters.service": service})
+    return routed(horizon=30, dt_s=2.0, **{"datacenters.clock_law": law, "datacenters.service": service})
 
 
 def _power_cap() -> Scenario:
     smoothing = {"floor_share": 0.6, "hysteresis_s": 3.0, "ramp_up_w_per_s": 50_000.0}
     return make_scenario(
-        "ieee33-weak", horizon=30, **{"datacenters.clock_law": PowerCapDvfs(), "datacenters.smoothing": smoothing}
+        "ieee33-weak",
+        horizon=60,
+        dt_s=0.5,
+        **{"datacenters.clock_law": PowerCapDvfs(), "datacenters.smoothing": smoothing},
     )
 
 
 def _requests() -> Scenario:
-    return make_scenario("ieee33", horizon=60, trace="deepseek-v3", **{"datacenters.clock_law": PrefillDecodeDvfs()})
+    return make_scenario(
+        "ieee33", horizon=60, dt_s=0.5, trace="deepseek-v3", **{"datacenters.clock_law": PrefillDecodeDvfs()}
+    )
 
 
 def _leaving() -> Scenario:
@@ -75,7 +81,8 @@ def _leaving() -> Scenario:
     weights = {"trip_weight": 1.0, "away_weight": 0.5, "on_battery": "waits", "recharge_share": 0.3}
     inverters = {"curve": "itic", "return_delay_s": 4.0, "walk_in_s": 3.0, "trip_weight": 0.5}
     return riding(
-        horizon=110,
+        horizon=220,
+        dt_s=0.5,
         **{
             "datacenters.ride_through": rule | weights,
             "datacenters.cooling": {},
@@ -86,11 +93,11 @@ def _leaving() -> Scenario:
 
 
 def _leaving_by_agent() -> Scenario:
-    return ride_through_34(horizon=110)
+    return ride_through_34(horizon=60, dt_s=2.0)
 
 
 def _storages() -> Scenario:
-    return toy6_storage(30, {"energy_kwh": 1.0})
+    return toy6_storage(60, {"energy_kwh": 1.0, "initial_share": 0.9}, dt_s=0.5)
 
 
 def _three_phases(regulators: str, capacitors: str, capacitor_settings: Any) -> Scenario:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dcgrid_env import DataCenters, Inverters
+from dcgrid_env import Cooling, DataCenters, Inverters
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.phases import PHASES, check_phases, phases_of
 from dcgrid_env.devices.ratings import check_each, check_rating, per_device, read_only
@@ -48,7 +48,7 @@ def test_arrays_over_the_devices_are_floats_and_may_be_closed():
 def test_ratings_of_sites_worked_by_hand():
     sites = DataCenters(
         count=2, p_rated_kw=(100.0, 300.0), s_rated_share=1.5, q_max_share=0.5, idle_share=0.2, f_min_mhz=200.0,
-        cooling={"cooling_share": 0.4, "auxiliary_share": 0.1}, boost_share=1.2,
+        cooling=Cooling(cooling_share=0.4, auxiliary_share=0.1), boost_share=1.2,
     )  # fmt: skip
     p = sites.parameters
     np.testing.assert_allclose(

@@ -445,7 +445,7 @@ def test_charged_keeps_sound_environments_and_charges_the_rest_for_all_that_rema
 
 
 def test_a_collapse_is_charged_the_terms_of_devices_too_and_those_of_the_end_once():
-    rule = {"datacenters.ride_through": {"curve": "itic", "trip_weight": 2.0, "away_weight": 3.0}}
+    rule: dict[str, Any] = {"datacenters.ride_through": {"curve": "itic", "trip_weight": 2.0, "away_weight": 3.0}}
     scenario = riding(horizon=10, **rule)
     bound, fields = largest_costs(scenario), terms(scenario).kind._fields
     assert (bound.trips, bound.away, bound.recharge) == pytest.approx((2.0, 3.0, 9.0 * 300.0))
@@ -459,7 +459,7 @@ def test_a_collapse_is_charged_the_terms_of_devices_too_and_those_of_the_end_onc
 @pytest.mark.parametrize(("optional", "others"), [({}, []), ({"ramp_excess": 1.0}, ["ramp_excess"])])
 @pytest.mark.parametrize("rides", [False, True])
 def test_the_constraint_is_the_sum_of_its_terms(optional, others, rides):
-    limits = {"weights": optional, "cost.ramp_limit_kw_per_s": 10.0}
+    limits: dict[str, Any] = {"weights": optional, "cost.ramp_limit_kw_per_s": 10.0}
     scenario = riding(**limits) if rides else make_scenario("ieee33-weak", **limits)
     names = terms(scenario).kind._fields
     costs = terms(scenario).kind(*2.0 ** np.arange(len(names)))

@@ -1,6 +1,7 @@
 """The records of the grid's cost terms: default weights, flags, bounds and divisors; team and agents on one step."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,8 +35,8 @@ def test_flags_of_the_terms():
 
 @pytest.mark.parametrize(("factors", "charged"), [([[0.5, 2.0, 0.1]], (0.25 + 1.0 + 0.01) / 3), ([[]], 0.0)])
 def test_unbalance_is_squared_and_counts_as_one_at_most(factors, charged):
-    state = SimpleNamespace(three_phase=SimpleNamespace(unbalance=np.array(factors)))
-    assert mean_unbalance(SimpleNamespace(state=state)) == pytest.approx(charged)
+    step: Any = SimpleNamespace(state=SimpleNamespace(three_phase=SimpleNamespace(unbalance=np.array(factors))))
+    assert mean_unbalance(step) == pytest.approx(charged)
 
 
 def test_largest_amounts_worked_by_hand():
@@ -55,7 +56,7 @@ def test_terms_of_agents_and_of_the_team_on_a_played_step(three_phases):
     base = ieee13() if three_phases else make_scenario("ieee33-weak", datacenters={"p_rated_kw": (900.0, 300.0, 100.0)})
     scenario = base.replace(horizon=9, weights=weights | ({"unbalance": 5.0} if three_phases else {}), **limits)
     simulation = Simulation(scenario, 2)
-    simulation.reset([0, 1])
+    transition = simulation.reset([0, 1])
     for k in range(9):
         transition = simulation.step(np.full((2, action_layout(scenario).n), 0.3 if k % 2 else -0.7))
     sites, p_rated = scenario.datacenters.count, scenario.datacenters.parameters.p_rated_kw
