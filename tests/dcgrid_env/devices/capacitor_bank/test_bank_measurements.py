@@ -17,8 +17,8 @@ from dcgrid_env.devices.capacitor_bank.bank_measurements import (
 )
 from dcgrid_env.devices.capacitor_bank.bank_switching import Thresholds, bank_delays, initial_banks, next_switchings
 
-V = np.array([[1.0 + 0.1j, -0.5 - 0.8j, 0.2 + 0.9j]])
-I = np.array([[3.0 - 4.0j, 1.0 + 1.0j, -2.0 + 0.5j]])
+V: Any = np.array([[1.0 + 0.1j, -0.5 - 0.8j, 0.2 + 0.9j]])
+I: Any = np.array([[3.0 - 4.0j, 1.0 + 1.0j, -2.0 + 0.5j]])
 MEAN, HIGHEST, LOWEST = 0.0, 1.0, 2.0
 
 
@@ -150,7 +150,7 @@ def test_voltages_beyond_their_limits_switch_in_any_case_and_high_controls_the_o
     assert delays(by_power, [0], [5.1]) == [4.0]
     assert delays(by_power, [0], [4.9]) == [math.inf]
     assert delays(by_power, [1], [-5.1]) == [7.0]
-    limits = {"low_pu": np.array([-1.0]), "high_pu": np.array([2.0])}
+    limits: dict[str, Any] = {"low_pu": np.array([-1.0]), "high_pu": np.array([2.0])}
     limited = settings_of(is_low=-np.ones(1), on_at=np.array([5.0]), off_at=np.array([-5.0]), **limits)
     assert delays(limited, [0], [-1.5]) == [4.0]
     assert delays(limited, [1], [2.5]) == [7.0]

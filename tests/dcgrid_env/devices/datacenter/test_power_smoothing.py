@@ -23,7 +23,7 @@ RATED = np.array([1200.0, 600.0])
         ({"gpus": (10.0, 20.0)}, [10.0, 20.0]),
     ],
 )
-def test_gpus_and_ramps(fields, gpus):
+def test_gpus_and_ramps(fields: Any, gpus):
     settings = PowerSmoothing(ramp_up_w_per_s=100.0, ramp_down_w_per_s=50.0, **fields)
     np.testing.assert_allclose(settings.gpus_of(RATED), gpus)
     up, down = settings.ramps_kw_per_s(RATED)
@@ -46,20 +46,22 @@ def test_settings_that_cannot_be_are_refused(fields, message):
         PowerSmoothing(**fields).check_sites(2, 0.2)
 
 
-def test_the_ends_of_the_ranges_are_allowed():
-    for fields in (
-        {"gpu_rated_w": 1.0},
-        {"gpu_rated_w": 1e6},
-        {"gpus": 1.0},
-        {"floor_share": 0.0},
-        {"floor_share": 0.21},
-    ):
-        PowerSmoothing(**fields).check_sites(2, 0.2)
+@pytest.mark.parametrize(
+    "fields", [{"gpu_rated_w": 1.0}, {"gpu_rated_w": 1e6}, {"gpus": 1.0}, {"floor_share": 0.0}, {"floor_share": 0.21}]
+)
+def test_the_ends_of_the_ranges_are_allowed(fields):
+    PowerSmoothing(**fields).check_sites(2, 0.2)
 
 
 def stepped(states, p_kw, setpoints: Any = (), dt_s=1.0, **fields):
     """Draw and state of one site of 100 kW and 20 kW idle, of 100 GPUs with a ramp of 10 kW/s up and 5 kW/s down."""
-    rule = {"floor_share": 0.6, "ramp_up_w_per_s": 100.0, "ramp_down_w_per_s": 50.0, "hysteresis_s": 2.0, "gpus": 100.0}
+    rule: dict[str, Any] = {
+        "floor_share": 0.6,
+        "ramp_up_w_per_s": 100.0,
+        "ramp_down_w_per_s": 50.0,
+        "hysteresis_s": 2.0,
+        "gpus": 100.0,
+    }
     feature = SmoothedSite(PowerSmoothing(**rule | fields), 1.0)
     params = DataCenters(count=1, p_rated_kw=100.0, s_rated_share=1.1, q_max_share=0.3, idle_share=0.2).parameters
     zero = np.zeros((1, 1))

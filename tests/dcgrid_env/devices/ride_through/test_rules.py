@@ -1,5 +1,7 @@
 """Rules of disconnection and return: delays of the slots, caps of the counters, and what is refused."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough, plain_rule, rule_of
 from dcgrid_env.devices.ride_through.voltage_curve import CURVES, RideThroughCurve
 
-TIMES = {"return_delay_s": 4.0, "by_hand_s": 50.0, "stagger_s": 7.0, "lockout_window_s": 45.0}
+TIMES: dict[str, Any] = {"return_delay_s": 4.0, "by_hand_s": 50.0, "stagger_s": 7.0, "lockout_window_s": 45.0}
 
 
 @pytest.mark.parametrize(

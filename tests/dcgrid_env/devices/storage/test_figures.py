@@ -1,5 +1,7 @@
 """Figures of storages: defaults, ranges, cost terms and metrics, worked by hand."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.storage import figures
 from dcgrid_env.devices.storage.energy_balance import StorageState
 
-GIVEN = {"buses": (1, 2), "p_rated_kw": (100.0, 300.0), "energy_kwh": (50.0, 30.0)}
+GIVEN: dict[str, Any] = {"buses": (1, 2), "p_rated_kw": (100.0, 300.0), "energy_kwh": (50.0, 30.0)}
 RANGES = {
     "charge_efficiency": (0.95, 0.01, 1.0),
     "discharge_efficiency": (0.95, 0.01, 1.0),
