@@ -28,7 +28,8 @@ def test_delays_of_the_slots_worked_by_hand(release, delay_s, release_s, longest
 
 
 def test_a_release_by_hand_is_never_before_the_delay_and_no_slots_have_no_stagger():
-    rule = UpsRideThrough(curve="itic", **TIMES | {"by_hand_s": 1.0})
+    soon: dict[str, Any] = TIMES | {"by_hand_s": 1.0}
+    rule = UpsRideThrough(curve="itic", **soon)
     np.testing.assert_array_equal(rule.delays_s(2)[1], [4.0, 4.0])
     assert rule.longest_wait_s(0) == 1.0
     assert rule.longest_wait_s(1) == 4.0

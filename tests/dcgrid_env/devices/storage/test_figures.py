@@ -25,12 +25,17 @@ RANGES = {
 @pytest.mark.parametrize("name", RANGES)
 def test_default_and_range_of_a_figure(name):
     default, low, high = RANGES[name]
+
+    def with_value(value: Any) -> Any:
+        given: dict[str, Any] = GIVEN | {name: value}
+        return getattr(Storages(**given), name)
+
     assert getattr(Storages(**GIVEN), name) == default
     for value in (low, high, (low, high)):
-        assert getattr(Storages(**GIVEN | {name: value}), name) == value
+        assert with_value(value) == value
     for value in (low - 1e-4, high * 1.001, (low, high * 1.001)):
         with pytest.raises(FieldError, match=f"Storages: {name} is .*; give one finite number in "):
-            Storages(**GIVEN | {name: value})
+            with_value(value)
 
 
 def test_terms_and_fields_worked_by_hand():
