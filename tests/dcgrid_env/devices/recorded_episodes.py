@@ -17,7 +17,6 @@ import numpy as np
 
 from dcgrid_env import (
     METRICS,
-    DataCenters,
     Metric,
     PowerCapDvfs,
     PrefillDecodeDvfs,
@@ -97,7 +96,7 @@ def _leaving_by_agent() -> Scenario:
 
 
 def _storages() -> Scenario:
-    return toy6_storage(60, {"energy_kwh": 1.0, "initial_share": 0.9}, dt_s=0.5)
+    return toy6_storage(60, {"energy_kwh": 1.0, "initial_share": 0.9, "s_rated_kva": (350.0, 400.0)}, dt_s=0.5)
 
 
 def _three_phases(regulators: str, capacitors: str, capacitor_settings: Any) -> Scenario:
@@ -162,7 +161,7 @@ def _declared(device: Any, scenario: Scenario) -> dict[str, Any]:
         "fields": device.fields(*of_steps),
         "cost_terms": device.cost_terms(*of_steps),
     }
-    limits = [device.q_limit_kvar, device.converter_kva] if isinstance(device, DataCenters) else []
+    limits = [device.q_limit_kvar, device.converter_kva, device.p_scale_kw, device.largest_draw_share]
     return {part: [_plain(record) for record in of_part] for part, of_part in records.items()} | {
         "limits": _plain(limits)
     }

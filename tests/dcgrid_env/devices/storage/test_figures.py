@@ -90,3 +90,33 @@ def test_metrics_and_totals_of_a_history_worked_by_hand():
     state = StorageState(*(-values[:1] for values in history))
     np.testing.assert_allclose(figures.amount("ageing", params, state), [[0.4, 0.2]])
     np.testing.assert_allclose(figures.amount("site_missing", params, state), [[-27.0, -18.0]])
+
+
+def test_the_converter_of_a_storage_with_and_without_reactive_power():
+    without, with_q = Storages(**GIVEN), Storages(**GIVEN, s_rated_kva=(110.0, 400.0))
+    np.testing.assert_array_equal(without.converter_kva, [100.0, 300.0])
+    np.testing.assert_array_equal(without.q_limit_kvar, [0.0, 0.0])
+    for figures_kva in (with_q.converter_kva, with_q.q_limit_kvar):
+        np.testing.assert_array_equal(figures_kva, [110.0, 400.0])
+    assert Storages(**GIVEN, s_rated_kva=(100.0, 300.0)).count == 2
+    assert with_q.largest_draw_share == 1.0
+    (p,), (_, q) = without.channels, with_q.channels
+    np.testing.assert_array_equal([p.lowest, p.highest, p.rest], [[-100, -300], [100, 300], [0, 0]])
+    np.testing.assert_array_equal([q.lowest, q.highest, q.rest], [[-110, -400], [110, 400], [0, 0]])
+
+
+def test_sizes_have_the_figures_of_their_sources():
+    rack, ups, bess = Storages.supercapacitors((1,), 1000.0), Storages.ups((1,), 60.0), Storages.bess((1,), 60.0)
+    names = ("p_rated_kw", "energy_kwh", "charge_efficiency", "discharge_efficiency", "standby_share_per_h")
+    found = [[getattr(each.parameters, name).item() for name in names] for each in (rack, ups, bess)]
+    one_way = 0.85**0.5
+    np.testing.assert_allclose(
+        found,
+        [
+            [420.0, 65_000.0 / 3.6e6, 0.98, 0.98, 0.01],
+            [60.0, 5.0, 0.96, 0.96, 3e-5],
+            [60.0, 120.0, one_way, one_way, 3e-5],
+        ],
+    )
+    assert [each.initial_share for each in (rack, ups, bess)] == [0.5, 1.0, 0.5]
+    assert [each.ageing_price for each in (rack, ups, bess)] == [0.0, 0.05, 0.02]
