@@ -33,7 +33,9 @@ def test_flags_of_the_terms():
     assert CostWeights()._asdict() == {term.name: term.weight for term in TERMS}
 
 
-@pytest.mark.parametrize(("factors", "charged"), [([[0.5, 2.0, 0.1]], (0.25 + 1.0 + 0.01) / 3), ([[0.5]], 0.25), ([[]], 0.0)])
+@pytest.mark.parametrize(
+    ("factors", "charged"), [([[0.5, 2.0, 0.1]], (0.25 + 1.0 + 0.01) / 3), ([[0.5]], 0.25), ([[]], 0.0)]
+)
 def test_unbalance_is_squared_and_counts_as_one_at_most(factors, charged):
     step: Any = SimpleNamespace(state=SimpleNamespace(three_phase=SimpleNamespace(unbalance=np.array(factors))))
     assert mean_unbalance(step) == pytest.approx(charged)
