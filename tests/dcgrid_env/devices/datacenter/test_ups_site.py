@@ -74,7 +74,7 @@ def test_what_grid_and_battery_supply():
     np.testing.assert_allclose(SITE.supplied(state, np.array([[10.0, 0.0]])), [[1.0, 1.0]])
 
 
-def history():
+def history() -> Any:
     """Two sites over a beginning and four steps of 0.5 s."""
     state = connection.initial(RULE, np.zeros((5, 2)))
     share = np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.4, 0.0], [1.0, 1.0]])
@@ -85,14 +85,18 @@ def history():
     return UpsState(ups, BatteryState(stored, battery_kw, 0.0 * share, 0.5 * battery_kw))
 
 
+def cut(state: Any, begin: int, end: int) -> Any:
+    """Some of the states of a history."""
+    return UpsState(*(fields._make(figures[begin:end] for figures in fields) for fields in state))
+
+
 @pytest.mark.parametrize("parts", [[4], [2, 2], [1, 3]])
 def test_figures_of_an_episode_in_parts_worked_by_hand(parts):
     sites: Any = None
     whole, at = SITE.streaming(PARAMS, 0.5), 0
     state = history()
     for steps in parts:
-        part = UpsState(*(type(fields)(*(f[at : at + steps + 1] for f in fields)) for fields in state))
-        whole.add(sites, part)
+        whole.add(sites, cut(state, at, at + steps + 1))
         at += steps
     assert whole.figures() == pytest.approx(
         {
@@ -107,7 +111,7 @@ def test_figures_of_an_episode_in_parts_worked_by_hand(parts):
             "battery_missing_kws": 100.0,
         }
     )
-    totals = SITE.totals(UpsState(*(type(fields)(*(f[2:3] for f in fields)) for fields in state)))
+    totals = SITE.totals(cut(state, 2, 3))
     assert {name: value.item() for name, value in totals.items()} == {
         "ups_trips": 1.0,
         "ups_lost_kw": 80.0,

@@ -50,6 +50,11 @@ def test_a_sag_beyond_the_curve_trips_in_its_step(dip):
     assert [state.tripped.item() for state in states] == [0.0, 1.0, 0.0]
 
 
+@pytest.mark.parametrize("like", [None, torch.zeros(1, 1)], ids=["arrays", "tensors"])
+def test_a_sag_that_leaves_no_voltage_trips(like):
+    assert shares(course(ups(), 3, dips={1: (0.05, 0.0)}, like=like)) == [1.0, 0.0, 0.0]
+
+
 def test_a_site_returns_after_its_delay_by_a_ramp():
     assert shares(course(ups(), 9, dips={1: DIP})) == [1.0, 0.0, 0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0]
 

@@ -11,6 +11,7 @@ from dcgrid_env import CostWeights, Scenario, Solution, action_layout, distflow,
 from dcgrid_env.engine.cost import reward
 from dcgrid_env.engine.cost.reward import charged, constraint, largest_costs, local_costs, team_costs, terms, total
 from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from helpers.forms import FORMS
@@ -465,6 +466,18 @@ def test_the_constraint_is_the_sum_of_its_terms(optional, others, rides):
     costs = terms(scenario).kind(*2.0 ** np.arange(len(names)))
     expected = {"violation", *others, *(["trips", "inverter_trips"] if rides else [])}
     assert constraint(scenario, costs) == sum(getattr(costs, name) for name in expected)
+
+
+@pytest.mark.parametrize(
+    "cost", [*({"voltage": kind} for kind in KINDS), {"reference": "profile", "profile_pu": 1.02}], ids=str
+)
+def test_figures_of_the_voltages_that_are_given_change_no_cost(cost):
+    scenario = make_scenario("toy6", cost=cost)
+    state, solution = hand_made_state(), solution_with_loss(0.0)
+    given = voltage_figures(state.v_pu, scenario.feeder.load_slice.start, scenario.cost.band_pu)
+    found = figures(team_costs(scenario, state, solution, NOT_LAST, given))
+    assert found == pytest.approx(figures(team_costs(scenario, state, solution, NOT_LAST)), rel=1e-12)
+    assert found["voltage"] > 0.0
 
 
 def test_effort_of_a_single_converter_is_its_own():
