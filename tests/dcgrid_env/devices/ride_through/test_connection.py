@@ -180,3 +180,21 @@ def test_the_speed_of_the_ramp_has_a_derivative():
 def test_a_rule_that_cannot_be_is_refused(kind, changes, said):
     with pytest.raises(FieldError, match=said):
         kind(**changes)
+
+
+@pytest.mark.parametrize("like", [np.zeros((1, 1)), torch.zeros(1, 1, dtype=torch.float64)], ids=["arrays", "tensors"])
+@pytest.mark.parametrize("dt_s", [1.0, 0.5])
+@pytest.mark.parametrize(("early", "counts"), [(0.9e-3, True), (1.1e-3, False)])
+def test_times_are_compared_to_a_thousandth_of_a_step(like, dt_s, early, counts):
+    """A delay of 2 s before a return, 8 s before a release, and 10 s to a slow trip below 0.9 p.u."""
+
+    def after(v, **fields):
+        full = connection.initial(ups(release="staggered", stagger_s=0.0), like)
+        before = full._replace(**{name: like + value for name, value in fields.items()})
+        if "timer_s" in fields:
+            before = before._replace(timer_s=0.0 * full.timer_s + fields["timer_s"])
+        return connection.advance(ups(), before, Supply(None, like + v, like + v, None), 0.25, dt_s)
+
+    assert after(1.0, share=0.0, wait_s=2.0 - early * dt_s).share.item() == (0.25 if counts else 0.0)
+    assert after(1.0, share=0.0, locked=1.0, wait_s=8.0 - early * dt_s).locked.item() == (0.0 if counts else 1.0)
+    assert after(0.89, timer_s=10.0 - dt_s - early * dt_s).tripped.item() == (1.0 if counts else 0.0)

@@ -90,3 +90,29 @@ def test_bad_widths_and_arrays_without_derivatives():
     env = TensorEnv(make_scenario("ride-through", horizon=3), like=np.empty(0), trip_widths=TripWidths())
     env.reset([0])
     assert np.isfinite(env.step(np.zeros((1, 14))).cost_j).all()
+
+
+@pytest.mark.parametrize("name", TripWidths._fields)
+def test_range_and_defaults_of_the_widths(name):
+    assert TripWidths() == (0.01, 1.0, 0.3)
+    for width in (1e-9, 1e9):
+        TripWidths(**{name: width}).check()
+    for width in (0.9e-9, 1.1e9):
+        with pytest.raises(FieldError, match=f"TripWidths: {name} is .*; give a finite number above 0"):
+            TripWidths(**{name: width}).check()
+
+
+def test_slopes_of_a_slow_trip_worked_by_hand():
+    """Each of the 6 elements of ITIC has counted 9.5 s; the mildest, at 0.9 p.u., counts 10 s."""
+    v = torch.full((1, 1), 0.905, dtype=torch.float64, requires_grad=True)
+    timer_s = torch.zeros(1, 1, 6, dtype=torch.float64)
+    timer_s[..., 0] = 9.5
+    before = connection.initial(RULE, torch.zeros(1, 1, dtype=torch.float64))._replace(timer_s=timer_s)
+    widths = TripWidths(v_pu=0.002, time_s=0.5)
+    state = connection.advance(RULE, before, Supply(None, v, v.detach(), None, widths), 0.0, 1.0)
+    near = 1.0 / (1.0 + np.exp(2.5))
+    slope = -near * (1.0 - near) / 0.002
+    late = 1.0 / (1.0 + np.exp(-1.0))
+    timer = torch.autograd.grad(state.timer_s[..., 0].sum(), v, retain_graph=True)[0].item()
+    assert timer == pytest.approx(10.5 * slope)
+    assert torch.autograd.grad(state.tripped.sum(), v)[0].item() == pytest.approx(late * slope, rel=1e-6)
