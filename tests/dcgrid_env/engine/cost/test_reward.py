@@ -1,6 +1,7 @@
 """The cost, term by term, against figures worked by hand; and that ending early never pays."""
 
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -478,6 +479,13 @@ def test_figures_of_the_voltages_that_are_given_change_no_cost(cost):
     found = figures(team_costs(scenario, state, solution, NOT_LAST, given))
     assert found == pytest.approx(figures(team_costs(scenario, state, solution, NOT_LAST)), rel=1e-12)
     assert found["voltage"] > 0.0
+
+
+def test_costs_survive_a_pickle():
+    costs = Costs(*np.arange(8.0)[:, None])
+    again = pickle.loads(pickle.dumps(costs))
+    assert type(again) is type(costs)
+    assert again == costs
 
 
 def test_effort_of_a_single_converter_is_its_own():
