@@ -10,7 +10,7 @@ from dcgrid_env import TensorEnv, action_layout, make_scenario
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.connection import Supply
-from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths, smooth_step, softplus
+from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths, smooth_step, smoothed_pace, softplus
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 from helpers.riding import ride_through_34
 
@@ -116,3 +116,13 @@ def test_slopes_of_a_slow_trip_worked_by_hand():
     timer = torch.autograd.grad(state.timer_s[..., 0].sum(), v, retain_graph=True)[0].item()
     assert timer == pytest.approx(10.5 * slope)
     assert torch.autograd.grad(state.tripped.sum(), v)[0].item() == pytest.approx(late * slope, rel=1e-6)
+
+
+def test_the_slope_of_a_return_by_its_rate():
+    rate = torch.tensor([[-0.03, 0.0, 0.06]], dtype=torch.float64, requires_grad=True)
+    pace = smoothed_pace(torch.clip(rate, 0.0) * 2.0, rate, 0.1, 2.0, TripWidths(rate_share=0.3))
+    np.testing.assert_allclose(pace.detach(), [[0.0, 0.0, 0.12]])
+    slope = torch.autograd.grad(pace.sum(), rate)[0]
+    np.testing.assert_allclose(slope, [[2.0 / (1.0 + np.e), 1.0, 2.0 / (1.0 + np.exp(-2.0))]])
+    far = softplus(torch.tensor([4.0, 0.0, -4.0], dtype=torch.float64), 0.1)
+    np.testing.assert_allclose(far, [4.0, 0.1 * np.log(2.0), 0.0], atol=1e-12)
