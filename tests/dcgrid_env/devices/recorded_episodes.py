@@ -17,6 +17,7 @@ import numpy as np
 
 from dcgrid_env import (
     METRICS,
+    Fault,
     Metric,
     PowerCapDvfs,
     PrefillDecodeDvfs,
@@ -95,6 +96,13 @@ def _leaving_by_agent() -> Scenario:
     return ride_through_34(horizon=60, dt_s=2.0)
 
 
+def _leaving_with_routing() -> Scenario:
+    rule = {"curve": "itic", "return_delay_s": 2.0, "by_hand_s": 10.0, "battery_s": 8.0}
+    lost = Fault(("datacenter", "inverter"), begin_s=(5.0, 30.0), duration_s=(10.0, 20.0))
+    changes: dict[str, Any] = {"datacenters.ride_through": rule, "weights": {"clock": 1.0}}
+    return routed(horizon=70, sags="virginia-2024", faults=(lost,), **changes)
+
+
 def _storages() -> Scenario:
     return toy6_storage(60, {"energy_kwh": 1.0, "initial_share": 0.9, "s_rated_kva": (350.0, 400.0)}, dt_s=0.5)
 
@@ -114,6 +122,7 @@ SCENARIOS: dict[str, Callable[[], Scenario]] = {
     "requests": _requests,
     "leaving": _leaving,
     "leaving by agent": _leaving_by_agent,
+    "leaving with routing": _leaving_with_routing,
     "storages": _storages,
     "agents of equipment": lambda: _three_phases("agent", "agent", {}),
     "set points of equipment": lambda: _three_phases("setpoint", "setpoint", {"measures": "voltage", "delay_s": 2.0}),
