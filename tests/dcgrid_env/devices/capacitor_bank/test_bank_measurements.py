@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from dcgrid_env.devices.capacitor_bank.bank_measurements import (
     CURRENT,
@@ -16,6 +17,7 @@ from dcgrid_env.devices.capacitor_bank.bank_measurements import (
     measured,
 )
 from dcgrid_env.devices.capacitor_bank.bank_switching import Thresholds, bank_delays, initial_banks, next_switchings
+from dcgrid_env.devices.tap_changer.relay import settings_like
 
 V: Any = np.array([[1.0 + 0.1j, -0.5 - 0.8j, 0.2 + 0.9j]])
 I: Any = np.array([[3.0 - 4.0j, 1.0 + 1.0j, -2.0 + 0.5j]])
@@ -179,3 +181,28 @@ def test_time_passes_for_banks_that_wait_and_ends_for_those_that_switch():
     waits = next_switchings(state, delay_s, np.array([[3.0]]), np.array([[False]]))
     np.testing.assert_array_equal(waits.on, state.on)
     np.testing.assert_array_equal(waits.beyond_s, [[4.0, 5.0, 0.0]])
+
+
+def solution_of(fields) -> Any:
+    """A solution with some of its fields."""
+    return SimpleNamespace(**dict(fields))
+
+
+@pytest.mark.parametrize("measures", [VOLTAGE, CURRENT, KVAR, POWER_FACTOR])
+def test_tensors_measure_the_same(measures):
+    settings = settings_of(
+        3, measures=np.full(3, float(measures)), node=np.arange(3), other=np.array([1, 1, 2]),
+        is_between=np.array([[1.0], [0.0], [0.0]]), meter_node=np.arange(3), fed_node=np.arange(3),
+        charging_node=np.arange(9) % 3, charging_a_per_pu=np.arange(9.0).reshape(3, 1, 3), least_kvar=np.full(3, 2.0),
+        volts_of=np.array([MEAN, HIGHEST, LOWEST]), amps_of=np.array([LOWEST, MEAN, HIGHEST]),
+    )  # fmt: skip
+    v: Any = np.vstack((V, 0.9 * V))
+    i: Any = np.vstack((I, 1.1j * I))
+    arrays = v.real, v.imag, np.abs(v), i.real, i.imag
+    on, names = np.array([[0.0, 1.0, 0.0]] * 2), ("v_re_pu", "v_im_pu", "v_pu", "i_re_a", "i_im_a")
+    found = measured(settings, solution_of(zip(names, arrays, strict=True)), on)
+    tensors = solution_of((name, torch.from_numpy(values.copy())) for name, values in zip(names, arrays, strict=True))
+    like = torch.zeros(0, dtype=torch.float64)
+    on_tensors = measured(settings_like(settings, like), tensors, torch.from_numpy(on))
+    for tensor, array in zip(on_tensors, found, strict=True):
+        np.testing.assert_allclose(tensor.numpy(), array, rtol=1e-14)
