@@ -57,7 +57,7 @@ def _all_features() -> Scenario:
 def _two_classes() -> Scenario:
     law = PrefillDecodeDvfs()
     service = {"target_s": 1.0, "deadline_s": 6.0, "order": "edf"}
-    return routed(horizon=30, dt_s=2.0, **{"datacenters.clock_law": law, "datacenters.service": service})
+    return routed(horizon=60, dt_s=0.5, **{"datacenters.clock_law": law, "datacenters.service": service})
 
 
 def _power_cap() -> Scenario:
@@ -100,7 +100,7 @@ def _leaving_with_routing() -> Scenario:
     rule = {"curve": "itic", "return_delay_s": 2.0, "by_hand_s": 10.0, "battery_s": 8.0}
     lost = Fault(("datacenter", "inverter"), begin_s=(5.0, 30.0), duration_s=(10.0, 20.0))
     changes: dict[str, Any] = {"datacenters.ride_through": rule, "weights": {"clock": 1.0}}
-    return routed(horizon=70, sags="virginia-2024", faults=(lost,), **changes)
+    return routed(horizon=140, dt_s=0.5, sags="virginia-2024", faults=(lost,), **changes)
 
 
 def _storages() -> Scenario:

@@ -24,7 +24,13 @@ recorded = _load()
 RECORDED = json.loads(recorded.FILE.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("name", recorded.SCENARIOS)
+SLOW = ("all features", "two classes of work")
+"""Episodes whose traces are generated first."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in recorded.SCENARIOS]
+)
 def test_figures_are_the_recorded_ones(name):
     found = json.loads(json.dumps(recorded.of_scenario(recorded.SCENARIOS[name]())))
     expected = RECORDED[name]
