@@ -154,6 +154,7 @@ def test_voltages_beyond_their_limits_switch_in_any_case_and_high_controls_the_o
     assert delays(by_power, [1], [-5.1]) == [7.0]
     limits: dict[str, Any] = {"low_pu": np.array([-1.0]), "high_pu": np.array([2.0])}
     limited = settings_of(is_low=-np.ones(1), on_at=np.array([5.0]), off_at=np.array([-5.0]), **limits)
+    assert delays(limited, [0], [-1.0]) == delays(limited, [1], [2.0]) == [math.inf]
     assert delays(limited, [0], [-1.5]) == [4.0]
     assert delays(limited, [1], [2.5]) == [7.0]
 
