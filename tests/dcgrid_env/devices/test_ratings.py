@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dcgrid_env import Cooling, DataCenters, Inverters, RideThrough
+from dcgrid_env import Cooling, DataCenters, Inverters
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.phases import PHASES, check_phases, phases_of
 from dcgrid_env.devices.ratings import check_each, check_rating, per_device, read_only
@@ -124,13 +124,3 @@ def test_figures_of_inverters():
     )
     assert state == ()
     np.testing.assert_array_equal(draw, [[-3.0, -3.0]])
-
-
-@pytest.mark.parametrize(("slots", "team_scale"), [(0, 1.0), (1, 1.0), (2, 2.0)])
-def test_trips_of_inverters_are_a_mean_over_them(slots, team_scale):
-    rule = RideThrough(curve="itic", trip_weight=3.0, return_delay_s=40.0)
-    inverters = Inverters(buses=tuple(range(1, slots + 1)), s_rated_kva=50.0, ride_through=rule)
-    (trips,) = inverters.cost_terms(10, 1.0)
-    assert (trips.team_scale, trips.largest, trips.weight) == (team_scale, 1.0, 3.0)
-    assert (trips.at_end, trips.is_constraint) == (False, True)
-    assert [field.share_of.tolist() for field in inverters.fields(10, 1.0)] == [[1.0] * slots] * 2 + [[40.0] * slots]
