@@ -8,6 +8,8 @@ from pathlib import Path
 
 from operators import Mutant, mutants_of
 
+TOO_SLOW = "against_opendss"
+
 
 @dataclass(frozen=True)
 class Room:
@@ -16,19 +18,31 @@ class Room:
     name: str
     modules: tuple[str, ...]
     tests: tuple[str, ...]
+    near: dict[str, tuple[str, ...]]
+    """More tests for the modules of a folder, or for one module."""
     private_cache: bool
 
     def asked(self, root: Path, module: str) -> list[str]:
-        """Test files in the order in which they are asked about a module, its own first."""
+        """Return the test files in the order in which they run for a module.
+
+        First the module's own file, then those next to it, those listed for the module or its folder, and the room's.
+        Files whose tests need another program's simulation are too slow for a trial, unless a list names them.
+        """
         path = Path(module)
-        own = Path("tests") / path.parent / f"test_{path.stem}.py"
+        folder = Path("tests") / path.parent
+        beside = sorted(file for file in (root / folder).glob("test_*.py") if not file.stem.endswith(TOO_SLOW))
+        listed = (*self.near.get(module, ()), *self.near.get(str(path.parent), ()), *self.tests)
         found: dict[str, None] = {}
-        for given in (own, *map(Path, self.tests)):
-            if (root / given).is_dir():
-                found |= {str(file.relative_to(root)): None for file in sorted((root / given).rglob("test_*.py"))}
-            elif (root / given).is_file():
-                found[str(given)] = None
+        for file in (root / folder / f"test_{path.stem}.py", *beside, *(root / test for test in listed)):
+            if file.is_dir():
+                found |= {str(test.relative_to(root)): None for test in sorted(file.rglob("test_*.py"))}
+            elif file.is_file():
+                found[str(file.relative_to(root))] = None
         return list(found)
+
+    def all_asked(self, root: Path) -> list[str]:
+        """Return every test file that runs for some module of the room."""
+        return list(dict.fromkeys(test for module in self.modules for test in self.asked(root, module)))
 
 
 def read_rooms(file: Path, root: Path, names: list[str]) -> list[Room]:
@@ -43,11 +57,13 @@ def read_rooms(file: Path, root: Path, names: list[str]) -> list[Room]:
         modules = tuple(
             str(path.relative_to(root)) for pattern in given["modules"] for path in sorted(root.glob(pattern))
         )
-        missing = [test for test in given["tests"] if not (root / test).exists()]
+        near = {place: tuple(tests) for place, tests in given.get("near", {}).items()}
+        listed = [*near, *given["tests"], *(test for tests in near.values() for test in tests)]
+        missing = [path for path in listed if not (root / path).exists()]
         if not modules or missing:
             what = missing[0] if missing else ", ".join(given["modules"])
             raise ValueError(f"room {name!r} of {file.name}: there is no {what}")
-        found.append(Room(name, modules, tuple(given["tests"]), given.get("private_cache", False)))
+        found.append(Room(name, modules, tuple(given["tests"]), near, given.get("private_cache", False)))
     return found
 
 

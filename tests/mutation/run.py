@@ -120,7 +120,7 @@ def _baseline(root: Path, copies: list[Path], rooms: list[Room], grace_s: float)
     limits_s = {}
     for room in rooms:
         print(f"{room.name}: the tests on the unchanged tree", file=sys.stderr)
-        trial = begin(copies[0], room.asked(copies[0], ""), BASELINE_LIMIT_S, None, first=True)
+        trial = begin(copies[0], room.all_asked(copies[0]), BASELINE_LIMIT_S, None, first=True)
         (ended,) = _each_end([trial])
         if ended != "passed":
             raise ValueError(f"room {room.name!r}: on the unchanged tree the tests {ended}: {trial.failure()}")

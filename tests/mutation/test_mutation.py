@@ -165,6 +165,20 @@ def test_every_change_listed_as_equivalent_is_there(tool):
     assert rooms.stale(ROOT, rooms.read_equivalents(HERE / "equivalents.toml")) == []
 
 
+def test_tests_run_from_the_nearest_to_those_of_the_room(tool, toy):
+    for name in ("inner/figures", "inner/other", "inner/against_opendss", "far", "room"):
+        file = toy / "tests" / Path(name).with_name(f"test_{Path(name).name}.py")
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("")
+    near = {"inner": ("tests/test_far.py",)}
+    room = tool("rooms").Room("figures", ("inner/figures.py", "inner/other.py"), ("tests/test_room.py",), near, False)
+    rest = ["tests/test_far.py", "tests/test_room.py"]
+    own, other = "tests/inner/test_figures.py", "tests/inner/test_other.py"
+    assert room.asked(toy, "inner/figures.py") == [own, other, *rest]
+    assert room.asked(toy, "inner/other.py") == [other, own, *rest]
+    assert sorted(room.all_asked(toy)) == sorted([own, other, *rest])
+
+
 def test_every_room_is_there(tool):
     found = tool("rooms").read_rooms(HERE / "rooms.toml", ROOT, [])
     assert [room.name for room in found] == ["powerflow", "devices", "engine", "reward"]

@@ -20,6 +20,8 @@ LEFT_OUT = (".*", "__pycache__", "*.egg-info", "build", "dist", "results", "shar
 OLD_S = 946_684_800
 """Time of change of every file of a copy, so that a compiled file is never taken for that of a mutant made later."""
 MEMORY_BYTES = 24 * 2**30
+TEST_CPU_S = 120.0
+"""Limit of one test in CPU time, so that an endless loop does not run for the time limit of all tests."""
 
 _fork: Any = multiprocessing.get_context("fork")
 
@@ -80,7 +82,7 @@ class Trial:
             self.kill()
             return "timed out"
         self.process.join()
-        return "passed" if self.process.exitcode == 0 else "failed"
+        return {0: "passed", -signal.SIGVTALRM: "timed out"}.get(self.process.exitcode, "failed")
 
 
 def begin(copy: Path, tests: list[str], limit_s: float, cache: Path | None, *, first: bool = False) -> Trial:
@@ -113,7 +115,13 @@ def _child(copy: Path, tests: list[str], cache: Path | None, output: Path, first
     sys.dont_write_bytecode = not first
     import pytest
 
+    class Limit:
+        """Kill the process in a test that computes for too long."""
+
+        def pytest_runtest_logstart(self) -> None:
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0.0 if first else TEST_CPU_S)
+
     options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--rootdir", str(copy), "--no-header", "--tb=line"]
-    code = int(pytest.main([*options, *tests]))
+    code = int(pytest.main([*options, *tests], plugins=[Limit()]))
     sys.stdout.flush()
     os._exit(code)

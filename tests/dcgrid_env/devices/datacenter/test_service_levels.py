@@ -6,7 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcgrid_env import DcgridVectorEnv, Recorder, ServiceLevels, action_layout
+from dcgrid_env import DcgridVectorEnv, Recorder, Routing, ServiceLevels, action_layout
+from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.datacenter.lateness import lateness
 from dcgrid_env.devices.datacenter.service_levels import serve_by_slack
 from helpers.routing import routed
@@ -113,3 +114,29 @@ def test_a_price_on_lateness_has_a_derivative_by_what_is_served():
     assert overdue.item() == pytest.approx(1.0)
     assert served.grad is not None
     assert served.grad.item() == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize(("target_s", "deadline_s", "dt_s", "slack"), [
+    (2.0, 30.0, 1.0, (2, 30)), (0.3, 0.7, 0.1, (3, 7)), (0.0, 1.9, 1.0, (0, 1)), (2.99, 5.01, 1.0, (2, 5)),
+])  # fmt: skip
+def test_slack_is_in_whole_steps(target_s, deadline_s, dt_s, slack):
+    assert ServiceLevels(target_s=target_s, deadline_s=deadline_s).slack(dt_s) == slack
+
+
+def test_a_deadline_is_one_step_to_600_steps_away():
+    for deadline_s in (0.5, 300.0):
+        ServiceLevels(target_s=0.0, deadline_s=deadline_s).check_step(0.5)
+    with pytest.raises(
+        FieldError, match=r"service.deadline_s is 300.1; give at most 600 steps, 300 s, or longer steps"
+    ):
+        ServiceLevels(deadline_s=300.1).check_step(0.5)
+    with pytest.raises(FieldError, match=r"service.deadline_s is 0.49; give at least one step, 0.5 s"):
+        ServiceLevels(target_s=0.0, deadline_s=0.49).check_step(0.5)
+    with pytest.raises(FieldError, match=r"deadline_s is 2.0; give more than target_s = 2"):
+        ServiceLevels(target_s=2.0, deadline_s=2.0)
+
+
+def test_a_move_takes_one_step_at_most():
+    Routing(move_latency_s=0.5).check_step(0.5)
+    with pytest.raises(FieldError, match=r"routing.move_latency_s is 0.51; give at most one step, dt_s = 0.5, or 0"):
+        Routing(move_latency_s=0.51).check_step(0.5)

@@ -1,5 +1,6 @@
 """Work moved between sites: conserved over all of them, alike in every form, and refused where it cannot be."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from dcgrid_env import DcgridVectorEnv, Fault, Routing, ScenarioError, TensorEnv
 from dcgrid_env.devices import DataCenterParams, DataCenters, Work
 from dcgrid_env.devices.datacenter.moved_requests import by_site
 from dcgrid_env.devices.datacenter.site_features import Load
+from dcgrid_env.devices.datacenter.ups_site import UpsState
 from dcgrid_env.devices.datacenter.work_routing import RoutedSites
 from dcgrid_env.traces import RequestTimes
 from helpers.routing import routed
@@ -74,6 +76,38 @@ def test_what_is_moved_goes_to_the_room_there_is():
     assert own.work_share[0] == pytest.approx(load.arrived_kw[0] / 250.0)
     lost = np.array([[1.0, 1.0, 0.0]])
     assert np.array_equal(moved(np.array([[-1.0, 0.0, 0.1]]), arrived, available=lost)[1].arrived_kw, arrived)
+
+
+@pytest.mark.parametrize(
+    ("share", "available", "room"),
+    [(None, None, 1.0), (None, 0.0, 0.0), (0.5, None, 0.5), (0.5, 1.0, 0.5), (0.5, 0.0, 0.0), (0.0, 1.0, 0.0)],
+)
+def test_a_site_takes_work_by_the_share_of_it_that_is_on_the_grid(share, available, room):
+    one, zero = np.ones((1, 3)), np.zeros((1, 3))
+    link: Any = SimpleNamespace(share=one * [1.0, 1.0, 1.0 if share is None else share])
+    battery: Any = None
+    ups = UpsState(link, battery)
+    state: Any = SimpleNamespace(features=() if share is None else (ups,))
+    work = Work(one, None, None if available is None else one * [1.0, 1.0, available])
+    feature = RoutedSites(Routing())
+    load, route = Load(zero, one * [900.0, 0.0, 0.0], None), one * [-1.0, 0.0, 0.5]
+    own, load = feature.admit(params(), state, feature.initial(params(), zero), load, (route,), work, 1.0)
+    assert own.received_kw[0, 2] == pytest.approx(room * 0.5 * params().p_dynamic_kw[2])
+    assert load.arrived_kw.sum() == pytest.approx(900.0)
+    assert load.moved_kw is own.received_kw
+
+
+def test_moved_work_keeps_its_compute_bound_share():
+    zero, feature = np.zeros((1, 3)), RoutedSites(Routing())
+    load = Load(zero, np.array([[100.0, 60.0, 40.0]]), np.array([[0.8, 0.2, 0.5]]))
+    route, state = np.array([[-1.0, -0.5, 1.0]]), SimpleNamespace(features=())
+    figures: Any = params(), state, feature.initial(params(), zero), load, (route,), Work(zero, None), 1.0
+    own, after = feature.admit(*figures)
+    np.testing.assert_allclose(own.sent_kw, [[100.0, 30.0, 0.0]])
+    assert after.compute_share is not None
+    np.testing.assert_allclose(after.arrived_kw, [[0.0, 30.0, 170.0]], atol=1e-9)
+    np.testing.assert_allclose(after.compute_share[0, 1:], [0.2, (0.5 * 40.0 + 0.8 * 100.0 + 0.2 * 30.0) / 170.0])
+    np.testing.assert_allclose(own.work_share, [[0.0, 0.15, 0.85]], atol=1e-9)
 
 
 def test_it_has_a_derivative_by_what_is_given_and_taken():

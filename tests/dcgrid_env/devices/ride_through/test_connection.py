@@ -50,6 +50,11 @@ def test_a_sag_beyond_the_curve_trips_in_its_step(dip):
     assert [state.tripped.item() for state in states] == [0.0, 1.0, 0.0]
 
 
+@pytest.mark.parametrize("like", [None, torch.zeros(1, 1)], ids=["arrays", "tensors"])
+def test_a_sag_that_leaves_no_voltage_trips(like):
+    assert shares(course(ups(), 3, dips={1: (0.05, 0.0)}, like=like)) == [1.0, 0.0, 0.0]
+
+
 def test_a_site_returns_after_its_delay_by_a_ramp():
     assert shares(course(ups(), 9, dips={1: DIP})) == [1.0, 0.0, 0.0, 0.0, 0.25, 0.5, 0.75, 1.0, 1.0]
 
@@ -175,3 +180,21 @@ def test_the_speed_of_the_ramp_has_a_derivative():
 def test_a_rule_that_cannot_be_is_refused(kind, changes, said):
     with pytest.raises(FieldError, match=said):
         kind(**changes)
+
+
+@pytest.mark.parametrize("like", [np.zeros((1, 1)), torch.zeros(1, 1, dtype=torch.float64)], ids=["arrays", "tensors"])
+@pytest.mark.parametrize("dt_s", [1.0, 0.5])
+@pytest.mark.parametrize(("early", "counts"), [(0.9e-3, True), (1.1e-3, False)])
+def test_times_are_compared_to_a_thousandth_of_a_step(like, dt_s, early, counts):
+    """A delay of 2 s before a return, 8 s before a release, and 10 s to a slow trip below 0.9 p.u."""
+
+    def after(v, **fields):
+        full = connection.initial(ups(release="staggered", stagger_s=0.0), like)
+        before = full._replace(**{name: like + value for name, value in fields.items()})
+        if "timer_s" in fields:
+            before = before._replace(timer_s=0.0 * full.timer_s + fields["timer_s"])
+        return connection.advance(ups(), before, Supply(None, like + v, like + v, None), 0.25, dt_s)
+
+    assert after(1.0, share=0.0, wait_s=2.0 - early * dt_s).share.item() == (0.25 if counts else 0.0)
+    assert after(1.0, share=0.0, locked=1.0, wait_s=8.0 - early * dt_s).locked.item() == (0.0 if counts else 1.0)
+    assert after(0.89, timer_s=10.0 - dt_s - early * dt_s).tripped.item() == (1.0 if counts else 0.0)

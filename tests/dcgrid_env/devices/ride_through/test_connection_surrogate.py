@@ -10,7 +10,7 @@ from dcgrid_env import TensorEnv, action_layout, make_scenario
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.connection import Supply
-from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths, smooth_step, softplus
+from dcgrid_env.devices.ride_through.connection_surrogate import TripWidths, smooth_step, smoothed_pace, softplus
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 from helpers.riding import ride_through_34
 
@@ -90,3 +90,39 @@ def test_bad_widths_and_arrays_without_derivatives():
     env = TensorEnv(make_scenario("ride-through", horizon=3), like=np.empty(0), trip_widths=TripWidths())
     env.reset([0])
     assert np.isfinite(env.step(np.zeros((1, 14))).cost_j).all()
+
+
+@pytest.mark.parametrize("name", TripWidths._fields)
+def test_range_and_defaults_of_the_widths(name):
+    assert TripWidths() == (0.01, 1.0, 0.3)
+    for width in (1e-9, 1e9):
+        TripWidths(**{name: width}).check()
+    for width in (0.9e-9, 1.1e9):
+        with pytest.raises(FieldError, match=f"TripWidths: {name} is .*; give a finite number above 0"):
+            TripWidths(**{name: width}).check()
+
+
+def test_slopes_of_a_slow_trip_worked_by_hand():
+    """Each of the 6 elements of ITIC has counted 9.5 s; the mildest, at 0.9 p.u., counts 10 s."""
+    v = torch.full((1, 1), 0.905, dtype=torch.float64, requires_grad=True)
+    timer_s = torch.zeros(1, 1, 6, dtype=torch.float64)
+    timer_s[..., 0] = 9.5
+    before = connection.initial(RULE, torch.zeros(1, 1, dtype=torch.float64))._replace(timer_s=timer_s)
+    widths = TripWidths(v_pu=0.002, time_s=0.5)
+    state = connection.advance(RULE, before, Supply(None, v, v.detach(), None, widths), 0.0, 1.0)
+    near = 1.0 / (1.0 + np.exp(2.5))
+    slope = -near * (1.0 - near) / 0.002
+    late = 1.0 / (1.0 + np.exp(-1.0))
+    timer = torch.autograd.grad(state.timer_s[..., 0].sum(), v, retain_graph=True)[0].item()
+    assert timer == pytest.approx(10.5 * slope)
+    assert torch.autograd.grad(state.tripped.sum(), v)[0].item() == pytest.approx(late * slope, rel=1e-6)
+
+
+def test_the_slope_of_a_return_by_its_rate():
+    rate = torch.tensor([[-0.03, 0.0, 0.06]], dtype=torch.float64, requires_grad=True)
+    pace = smoothed_pace(torch.clip(rate, 0.0) * 2.0, rate, 0.1, 2.0, TripWidths(rate_share=0.3))
+    np.testing.assert_allclose(pace.detach(), [[0.0, 0.0, 0.12]])
+    slope = torch.autograd.grad(pace.sum(), rate)[0]
+    np.testing.assert_allclose(slope, [[2.0 / (1.0 + np.e), 1.0, 2.0 / (1.0 + np.exp(-2.0))]])
+    far = softplus(torch.tensor([4.0, 0.0, -4.0], dtype=torch.float64), 0.1)
+    np.testing.assert_allclose(far, [4.0, 0.1 * np.log(2.0), 0.0], atol=1e-12)

@@ -53,3 +53,27 @@ def test_recharging_keeps_to_its_share_and_to_the_rating():
     low, _, _ = ups_battery.step(rule, one(0.0), one(1.0), one(50.0), one(23.0), one(27.0), RATED, 1.0)
     high, grid_kw, _ = ups_battery.step(rule, one(0.0), one(1.0), one(97.0), one(23.0), one(27.0), RATED, 1.0)
     assert (low.recharge_kw.item(), high.recharge_kw.item(), grid_kw.item()) == (10.0, 3.0, 100.0)
+
+
+def test_a_step_on_grid_and_battery_worked_by_hand():
+    rule = UpsRideThrough(curve="itic", battery_s=10.0, recharge_share=0.1, charge_efficiency=0.8)
+    after, grid_kw, works = ups_battery.step(rule, one(500.0), one(0.25), one(40.0), one(20.0), one(12.0), RATED, 2.0)
+    assert (grid_kw.item(), works.item()) == (10.0, 1.0)
+    assert [field.item() for field in after] == [440.0, 30.0, 0.0, 9.0]
+    waits = UpsRideThrough(curve="itic", battery_s=10.0, on_battery="waits")
+    after, grid_kw, works = ups_battery.step(waits, one(500.0), one(0.25), one(40.0), one(20.0), one(12.0), RATED, 2.0)
+    assert (grid_kw.item(), works.item()) == (10.0, 0.25)
+    assert [field.item() for field in after] == [470.0, 15.0, 0.0, 0.0]
+    back, grid_kw, _ = ups_battery.step(rule, one(995.0), one(1.0), one(40.0), one(20.0), one(12.0), RATED, 2.0)
+    assert (back.recharge_kw.item(), grid_kw.item()) == (pytest.approx(3.125), pytest.approx(43.125))
+    assert back.stored_kws.item() == pytest.approx(1000.0)
+
+
+def test_a_site_that_a_fault_has_taken_has_recharged_nothing():
+    rule = UpsRideThrough(curve="itic", charge_efficiency=0.8)
+    state = ups_battery.BatteryState(
+        np.array([[100.0, 100.0]]), np.zeros((1, 2)), np.array([[10.0, 10.0]]), np.ones((1, 2))
+    )
+    found = ups_battery.without_grid(rule, state, np.array([[0.0, 1.0]]), 2.0)
+    np.testing.assert_allclose(found.stored_kws, [[84.0, 100.0]])
+    np.testing.assert_allclose(found.recharge_kw, [[0.0, 10.0]])

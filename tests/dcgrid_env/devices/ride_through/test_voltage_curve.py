@@ -83,3 +83,43 @@ def test_a_curve_that_cannot_be_is_refused_by_field_value_and_remedy(tables, sai
 def test_an_unknown_name_lists_those_there_are():
     with pytest.raises(FieldError, match=r"curve is 'cbema'; choose one of itic, ercot-2026"):
         curves_of("cbema")
+
+
+def test_the_tables_of_the_named_curves():
+    assert {name: (curve.under, curve.over) for name, curve in CURVES.items()} == {
+        "itic": (((0.9, 10.0), (0.8, 0.5), (0.7, 0.02)), ((1.1, 0.5), (1.2, 0.003), (1.4, 0.001))),
+        "ercot-2026": (((0.9, 2.0), (0.8, 0.5), (0.5, 0.25), (0.2, 0.15)), ((1.1, 2.0), (1.2, 0.0))),
+        "ieee1547-cat2": (((0.88, 10.0), (0.45, 0.16)), ((1.1, 2.0), (1.2, 0.16))),
+        "caiso-proposal": (((0.9, 6.0), (0.7, 3.0), (0.5, 1.2), (0.25, 0.15)), ((1.1, 2.0), (1.2, 0.0))),
+    }
+
+
+@pytest.mark.parametrize(
+    "tables", [{"under": ((0.9, 1.0), (0.8, 1.0))}, {"over": ((10.0, 0.0),)}, {"under": ((0.0, 0.0),)}]
+)
+def test_equal_times_and_the_ends_of_the_ranges_are_allowed(tables):
+    curve = RideThroughCurve(**tables)
+    assert {"under": curve.under, "over": curve.over} == {"under": (), "over": ()} | tables
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [{"under": ((1.0, 1.0),)}, {"over": ((1.0, 1.0),)}, {"under": ((0.9, 1.0), (0.9, 0.5))}, {"over": ((10.1, 1.0),)},
+     {"over": ((1.2, 1.0), (1.2, 1.0))}, {"under": [(0.9, 1.0, 2.0)]}, {"under": 0.9}],
+)  # fmt: skip
+def test_edges_of_a_curve_that_cannot_be(tables):
+    with pytest.raises(FieldError, match="RideThroughCurve: "):
+        RideThroughCurve(**tables)
+
+
+def test_a_mapping_with_another_field_is_refused():
+    with pytest.raises(FieldError, match="'above' is no field; give under, over"):
+        curves_of({"under": [[0.9, 1.0]], "above": []})
+
+
+def test_shorter_curves_never_pick_up_in_their_missing_elements():
+    elements = Elements((RideThroughCurve(under=((0.9, 1.0), (0.5, 0.1))), RideThroughCurve(over=((1.2, 2.0),))))
+    np.testing.assert_array_equal(elements.sign, [1.0, 1.0, -1.0])
+    np.testing.assert_array_equal(elements.threshold, [[0.9, 0.5, -np.inf], [-np.inf, -np.inf, -1.2]])
+    np.testing.assert_array_equal(elements.time_s, [[1.0, 0.1, np.inf], [np.inf, np.inf, 2.0]])
+    assert (elements.count, elements.n_under) == (3, 2)

@@ -3,8 +3,10 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from dcgrid_env import load_feeder
+from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 
 TABLE = load_feeder("ieee123-3ph").network.regulator
@@ -26,3 +28,24 @@ def test_a_schedule_is_no_part_of_the_constant_offsets():
     everywhere = RegulatorControl(offset_v=3.0)
     assert not everywhere.has_schedules
     assert everywhere.offsets_v(TABLE).tolist() == [3.0] * 7
+
+
+@pytest.mark.parametrize(
+    "value", [12.0, -12, 0, {"reg4": -12.0}, {"reg4": [[0.0, 12.0]]}, {"reg4": [[0, 1], [23.9, 2]]}]
+)
+def test_offsets_up_to_12_v_and_hours_of_a_day_are_allowed(value):
+    RegulatorControl(offset_v=value)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [12.1, -12.1, "1", {"reg4": 12.1}, {"reg4": []}, {"reg4": [[24.0, 1.0]]}, {"reg4": [[-0.1, 1.0]]}, {4: 1.0},
+     {"reg4": [[True, 1.0]]}, {"reg4": [[1.0, 1.0], [1.0, 2.0]]}, {"reg4": [[2.0, 1.0], [1.0, 2.0]]},
+     {"reg4": [[1.0, -12.1]]}, {"reg4": [[1.0, 1.0, 1.0]]}, [["reg4"]], {"reg4": [1.0, 2.0]}],
+    ids=str,
+)  # fmt: skip
+def test_other_offsets_are_refused(value):
+    with pytest.raises(
+        FieldError, match=r"RegulatorControl: offset_v is .*; give volts between -12 and 12, or a mapping"
+    ):
+        RegulatorControl(offset_v=value)

@@ -1,6 +1,7 @@
 """The cost, term by term, against figures worked by hand; and that ending early never pays."""
 
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,13 @@ import torch
 
 from dcgrid_env import CostWeights, Scenario, Solution, action_layout, distflow, make_scenario
 from dcgrid_env.engine.cost import reward
-from dcgrid_env.engine.cost.reward import charged, largest_costs, local_costs, team_costs, terms, total
+from dcgrid_env.engine.cost.reward import charged, constraint, largest_costs, local_costs, team_costs, terms, total
 from dcgrid_env.engine.physics.state import State
+from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 from dcgrid_env.engine.simulation import Simulation, Transition
 from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from helpers.forms import FORMS
+from helpers.riding import riding
 from helpers.states import state_of, with_fields
 
 Costs = terms(make_scenario("toy6")).kind
@@ -441,6 +444,56 @@ def test_charged_keeps_sound_environments_and_charges_the_rest_for_all_that_rema
     tensors = charged(scenario, Costs(*map(torch.tensor, costs)), torch.tensor(step), torch.tensor(converged))
     for a, b in zip(found, tensors, strict=True):
         np.testing.assert_allclose(b.numpy(), a, rtol=1e-7)
+
+
+def test_a_collapse_is_charged_the_terms_of_devices_too_and_those_of_the_end_once():
+    rule: dict[str, Any] = {"datacenters.ride_through": {"curve": "itic", "trip_weight": 2.0, "away_weight": 3.0}}
+    scenario = riding(horizon=10, **rule)
+    bound, fields = largest_costs(scenario), terms(scenario).kind._fields
+    assert (bound.trips, bound.away, bound.recharge) == pytest.approx((2.0, 3.0, 9.0 * 300.0))
+    assert bound.inverter_trips == 0.0
+    found = charged(scenario, terms(scenario).kind(*[np.zeros(1)] * len(fields)), np.array([4]), np.array([False]))
+    for name in fields:
+        steps = 1 if name in ("leftover", "recharge") else 7
+        assert getattr(found, name) == pytest.approx(steps * getattr(bound, name)), name
+
+
+@pytest.mark.parametrize(("optional", "others"), [({}, []), ({"ramp_excess": 1.0}, ["ramp_excess"])])
+@pytest.mark.parametrize("rides", [False, True])
+def test_the_constraint_is_the_sum_of_its_terms(optional, others, rides):
+    limits: dict[str, Any] = {"weights": optional, "cost.ramp_limit_kw_per_s": 10.0}
+    scenario = riding(**limits) if rides else make_scenario("ieee33-weak", **limits)
+    names = terms(scenario).kind._fields
+    costs = terms(scenario).kind(*2.0 ** np.arange(len(names)))
+    expected = {"violation", *others, *(["trips", "inverter_trips"] if rides else [])}
+    assert constraint(scenario, costs) == sum(getattr(costs, name) for name in expected)
+
+
+@pytest.mark.parametrize(
+    "cost", [*({"voltage": kind} for kind in KINDS), {"reference": "profile", "profile_pu": 1.02}], ids=str
+)
+def test_figures_of_the_voltages_that_are_given_change_no_cost(cost):
+    scenario = make_scenario("toy6", cost=cost)
+    state, solution = hand_made_state(), solution_with_loss(0.0)
+    given = voltage_figures(state.v_pu, scenario.feeder.load_slice.start, scenario.cost.band_pu)
+    found = figures(team_costs(scenario, state, solution, NOT_LAST, given))
+    assert found == pytest.approx(figures(team_costs(scenario, state, solution, NOT_LAST)), rel=1e-12)
+    assert found["voltage"] > 0.0
+
+
+def test_costs_survive_a_pickle():
+    costs = Costs(*np.arange(8.0)[:, None])
+    again = pickle.loads(pickle.dumps(costs))
+    assert type(again) is type(costs)
+    assert again == costs
+
+
+def test_effort_of_a_single_converter_is_its_own():
+    scenario = make_scenario("toy6", inverters={"buses": (), "s_rated_kva": 100.0})
+    state = play(scenario, 1, lambda k: np.array([[1.0, 0.5]]))[-1].state
+    costs = team_costs(scenario, state, solution_with_loss(0.0), NOT_LAST)
+    assert costs.effort[0] == pytest.approx(0.02 * abs(state.q_kvar[0, 0]) / 2750.0)
+    assert costs.effort[0] > 0.0
 
 
 def weak_site(**overrides: Any) -> Scenario:
