@@ -11,6 +11,9 @@ from dcgrid_env.scenario.presets import make_scenario
 from helpers.intervals import interval
 
 
+SCHEDULED = {"offset_v": {"reg1": ((6.0, -2.0), (20.0, 1.0))}}
+
+
 def begun(preset, **overrides):
     simulation = Simulation(make_scenario(preset, split="test", **overrides), 1)
     simulation.reset([0])
