@@ -89,10 +89,11 @@ def plain_figures(
     """
     sites = state.devices[0]
     regulators, banks = state.three_phase.equipment  # pyright: ignore[reportOptionalMemberAccess]
+    f_mhz, f_last_mhz = np.ascontiguousarray(sites.f_mhz), np.ascontiguousarray(sites.f_last_mhz)  # views of actions
     charges, seen = _charge_and_observe(
-        figures.deviation_pu, figures.excess_pu, regulators.moved, banks.switched, sites.f_mhz, sites.f_last_mhz,
-        sites.backlog_kws, last, measured[1], measured[0], state.p_kw, state.q_kvar, state.q_limit_kvar, placed.r,
-        placed.x, p_ref_next, *_constants(scenario),
+        figures.deviation_pu, figures.excess_pu, regulators.moved, banks.switched, f_mhz, f_last_mhz, sites.backlog_kws,
+        last, measured[1], measured[0], state.p_kw, state.q_kvar, state.q_limit_kvar, placed.r, placed.x, p_ref_next,
+        *_constants(scenario),
     )  # fmt: skip
     *costs, total = charges
     return PlainFigures(reward.terms(scenario).kind._make(costs), total, seen)

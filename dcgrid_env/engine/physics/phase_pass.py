@@ -95,7 +95,10 @@ def _before(
     load_step(key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, drawn[0], drawn[1], drawn[2])
     p_load, q_load = leg_loads(drawn[1], leg_bus, p_leg, q_leg)
     p_net, q_net = net_loads(p_load, q_load, legs, p_kw, q_kvar)
-    return drawn[0], p_net, q_net, 1.0 + tap_step * tap
+    ratio = np.empty(tap.shape)
+    for i in range(tap.shape[1]):  # a loop compiles faster than an operation on arrays
+        ratio[0, i] = 1.0 + tap_step[i] * tap[0, i]
+    return drawn[0], p_net, q_net, ratio
 
 
 @compiled
@@ -115,7 +118,7 @@ def _after(
         highest, volts_per_tap,
     )  # fmt: skip
     volts = relay_volts(settings, v_re_pu, v_im_pu, i_re_a, i_im_a)
-    state = RegulatorState(tap, volts, out_of_band_s, in_sequence, since_s, 0.0 * moved, moves)
+    state = RegulatorState(tap, volts, out_of_band_s, in_sequence, since_s, np.zeros(moved.shape), moves)
     after = next_taps(settings, state, RelayBand(band_v, half_v), left_s, left_s, integrating, controlled)
     agents, unbalance, loading, per_row = phase_figures(
         v_pu, v_re_pu, v_im_pu, i_re_a, i_im_a, agent_nodes, bus_nodes, rated, before, per_a, first, band_pu

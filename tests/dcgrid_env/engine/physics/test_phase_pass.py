@@ -10,7 +10,6 @@ from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.scenario.presets import make_scenario
 from helpers.intervals import interval
 
-
 SCHEDULED = {"offset_v": {"reg1": ((6.0, -2.0), (20.0, 1.0))}}
 
 
