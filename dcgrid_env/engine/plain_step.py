@@ -202,8 +202,8 @@ def _step_rows(
             raw[row, 7 * n_agent + i], raw[row, 7 * n_agent + n_site + i] = p_ref_next[row, i], queued[row, i]
     costs, total = per_row[7:15], per_row[15]
     charge(
-        per_row[0], per_row[1], q_agent, converter_kva, clock, f_before, queued, flags[2], factor, share_of, span_mhz,
-        costs,
+        first, per_row[0], per_row[1], q_agent, converter_kva, clock, f_before, queued, flags[2], factor, share_of,
+        span_mhz, costs,
     )  # fmt: skip
     sum_of_terms(costs, total)
     for row in range(n_row):

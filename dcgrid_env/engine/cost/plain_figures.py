@@ -91,9 +91,9 @@ def plain_figures(
     regulators, banks = state.three_phase.equipment  # pyright: ignore[reportOptionalMemberAccess]
     f_mhz, f_last_mhz = np.ascontiguousarray(sites.f_mhz), np.ascontiguousarray(sites.f_last_mhz)  # views of actions
     charges, seen = _charge_and_observe(
-        figures.deviation_pu, figures.excess_pu, regulators.moved, banks.switched, f_mhz, f_last_mhz, sites.backlog_kws,
-        last, measured[1], measured[0], state.p_kw, state.q_kvar, state.q_limit_kvar, placed.r, placed.x, p_ref_next,
-        *_constants(scenario),
+        0, figures.deviation_pu, figures.excess_pu, regulators.moved, banks.switched, f_mhz, f_last_mhz,
+        sites.backlog_kws, last, measured[1], measured[0], state.p_kw, state.q_kvar, state.q_limit_kvar, placed.r,
+        placed.x, p_ref_next, *_constants(scenario),
     )  # fmt: skip
     *costs, total = charges
     return PlainFigures(reward.terms(scenario).kind._make(costs), total, seen)
@@ -119,9 +119,12 @@ def _constants(scenario: Scenario) -> tuple[Any, ...]:
 
 
 @compiled(inner=True)
-def charge(deviation, excess, q_kvar, converter_kva, clock, f_before, queued, last, factor, share_of, span_mhz, costs):
+def charge(
+    first, deviation, excess, q_kvar, converter_kva, clock, f_before, queued, last, factor, share_of, span_mhz, costs
+):  # fmt: skip
     """Fill the terms of COSTS, (n_term, row).
 
+    ``first`` is 0, as a variable: a literal would compile further versions of callees.
     ``deviation`` and ``excess`` are sums over nodes, (row,), ``q_kvar`` is (row, n_agent), clocks before and after and
     the queued work are (row, n_site), ``factor`` and ``share_of`` (n_term,).
     """
@@ -130,11 +133,11 @@ def charge(deviation, excess, q_kvar, converter_kva, clock, f_before, queued, la
     for row in range(n_row):
         for i in range(n_agent):
             part[i] = abs(q_kvar[row, i]) / converter_kva[i]
-        effort = sum_up(part, 0, n_agent)
+        effort = sum_up(part, first, n_agent)
         for i in range(n_site):
             part[i] = abs(clock[row, i] - f_before[row, i]) / span_mhz
-        moved = sum_up(part, 0, n_site) / share_of[4]
-        waiting = sum_up(queued[row], 0, n_site)
+        moved = sum_up(part, first, n_site) / share_of[4]
+        waiting = sum_up(queued[row], first, n_site)
         costs[0, row], costs[1, row] = deviation[row] * factor[0], excess[row] * factor[1]
         costs[2, row], costs[3, row] = waiting / share_of[2] * factor[2], effort * factor[3]
         costs[4, row], costs[5, row], costs[6, row] = moved * factor[4], 0.0, 0.0
@@ -152,8 +155,8 @@ def sum_of_terms(costs, total):
 
 @compiled
 def _charge_and_observe(
-    deviation, excess, moved, switched, clock, f_before, queued, last, v_pu, v_before, p_kw, q_kvar, q_limit, r_seen,
-    x_seen, p_ref_next, converter_kva, moving, factor, share_of, span_mhz, scale, column, least, most,
+    first, deviation, excess, moved, switched, clock, f_before, queued, last, v_pu, v_before, p_kw, q_kvar, q_limit,
+    r_seen, x_seen, p_ref_next, converter_kva, moving, factor, share_of, span_mhz, scale, column, least, most,
 ):  # fmt: skip
     """Return the costs of COSTS_OF_PHASES and their sum, (n_term + 1, row), and the joint observation.
 
@@ -162,7 +165,8 @@ def _charge_and_observe(
     (n_row, n_agent), n_term, n_site = p_kw.shape, len(factor), queued.shape[1]
     charges, raw = np.zeros((n_term + 1, n_row)), np.empty((n_row, len(scale)))
     charge(
-        deviation, excess, q_kvar, converter_kva, clock, f_before, queued, last, factor, share_of, span_mhz, charges
+        first, deviation, excess, q_kvar, converter_kva, clock, f_before, queued, last, factor, share_of, span_mhz,
+        charges,
     )  # fmt: skip
     n_regulator = moved.shape[1]
     for row in range(n_row):

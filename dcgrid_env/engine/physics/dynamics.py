@@ -187,7 +187,7 @@ def _solved(
         if in_one_pass := _grid_pass(scenario):
             grid = in_one_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart)
             return grid, None, None
-        if len(p_kw) == 1 and (around := _phase_pass(scenario)):
+        if len(p_kw) == 1 and state.restart is not None and (around := _phase_pass(scenario)):
             passed = around(scenario, exogenous, state, p_kw, q_kvar)
             if passed.end is not None:
                 return GridStep(passed.solution, passed.noise), *passed.end
