@@ -14,12 +14,18 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
-from dcgrid_env.devices import DataCenters, Inverters
 from dcgrid_env.devices.converter_kernel import dispatch_rows
-from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.linear_kernel import serve_linearly
 from dcgrid_env.engine.cost import observation, reward
+from dcgrid_env.engine.cost.plain_figures import (
+    COSTS,
+    charge,
+    charge_constants,
+    has_plain_cost,
+    has_plain_devices,
+    sum_of_terms,
+)
 from dcgrid_env.engine.physics import grid_pass
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.grid_pass import few_rows
@@ -27,13 +33,9 @@ from dcgrid_env.engine.physics.loads import load_noise
 from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw, State, VoltageFigures
 from dcgrid_env.engine.physics.step_kernels import joint_observation, setpoints
-from dcgrid_env.engine.physics.voltage_figures import MOST_AT_ONCE, sum_up
 from dcgrid_env.engine.snapshot import Snapshot, Transition
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW
 from dcgrid_env.scenario.scenario import Scenario
-
-COSTS = ("voltage", "violation", "backlog", "effort", "clock", "step", "loss", "leftover")
-"""The terms of a plain scenario, in order; ``step`` and ``loss`` have no weight."""
 
 
 def fits(scenario: Scenario, n_env: int) -> bool:
@@ -43,25 +45,10 @@ def fits(scenario: Scenario, n_env: int) -> bool:
     features, and inverters without ride-through. Agents observe their own voltages without noise or delay, and the
     cost has its default form, of any weights.
     """
-    few = n_env <= FEW and scenario.n_agents <= MOST_AT_ONCE
-    return few and grid_pass.fits(scenario) and _has_plain_devices(scenario) and _has_plain_figures(scenario)
-
-
-def _has_plain_devices(scenario: Scenario) -> bool:
-    groups: Any = scenario.devices
-    if [type(group) for group in groups] not in ([DataCenters], [DataCenters, Inverters]):
-        return False
-    return type(groups[0].clock_law) is LinearDvfs and not groups[0].features and groups[-1].ride_through is None
-
-
-def _has_plain_figures(scenario: Scenario) -> bool:
-    cost, sensing, request = scenario.cost, scenario.sensing, scenario.grid_request
-    weights = cost.weights._asdict()
-    of_weights = {name for name, weight in weights.items() if weight} <= {*COSTS} - {"step", "loss"}
-    of_costs = of_weights and reward.terms(scenario).kind._fields == COSTS and cost.reward != "local"
-    of_voltage = cost.voltage == "l1" and cost.reference == "nominal"
+    sensing = scenario.sensing
     seen = sensing.observe == "local" and sensing.noise_pu == 0.0 and sensing.delay_steps == 0
-    return of_costs and of_voltage and seen and not request.targets
+    plain = n_env <= FEW and grid_pass.fits(scenario) and has_plain_devices(scenario)
+    return plain and has_plain_cost(scenario) and seen
 
 
 def plain_step(
@@ -153,17 +140,11 @@ def _fixed(scenario: Scenario) -> tuple[tuple[Any, ...], ...]:
         np.arange(layout.n)[layout.columns[0][0]], params.reactive, of_sites.p_idle_kw, of_sites.p_dynamic_kw,
         of_sites.f_max_mhz, float(scenario.dt_s), sites.boost_share > 1.0, params.converter_kva, params.q_scale_kvar,
     )  # fmt: skip
-    terms, factor, share_of = reward.terms(scenario), np.zeros(len(COSTS)), np.ones(len(COSTS))
-    for place, _, of_amount in terms.of_grid:
-        factor[place] = of_amount
-    for _, term, weight, place in terms.charged:
-        factor[place], share_of[place] = weight, term.team_scale
-    span_mhz = float(sites.f_max_mhz - sites.f_min_mhz) or 1.0
     seen = observation.raw_layout(scenario)
     return (
         devices,
         grid_pass.fixed(scenario),
-        (factor, share_of, span_mhz, scenario.horizon),
+        (*charge_constants(scenario), scenario.horizon),
         (seen.scale, seen.column, *observation.joint_bounds(scenario)),
     )
 
@@ -206,7 +187,7 @@ def _step_rows(
     if failed:
         return failed
     raw = np.empty((n_row, len(scale)))
-    part, v_pu = np.empty(n_agent), over_buses[1]
+    v_pu = over_buses[1]
     for row in range(n_row):
         is_last = step[row] >= horizon
         flags[1, row], flags[2, row] = False, is_last
@@ -217,22 +198,16 @@ def _step_rows(
             raw[row, 2 * n_agent + i], raw[row, 3 * n_agent + i] = p_agent[row, i], q_agent[row, i]
             raw[row, 4 * n_agent + i] = q_limit[row, i]
             raw[row, 5 * n_agent + i], raw[row, 6 * n_agent + i] = r_seen[row, i], x_seen[row, i]
-            part[i] = abs(q_agent[row, i]) / converter_kva[i]
-        effort = sum_up(part, first, n_agent)
         for i in range(n_site):
             raw[row, 7 * n_agent + i], raw[row, 7 * n_agent + n_site + i] = p_ref_next[row, i], queued[row, i]
-            part[i] = abs(clock[row, i] - f_before[row, i]) / span_mhz
-        moved = sum_up(part, first, n_site) / share_of[4]
-        waiting = sum_up(queued[row], first, n_site)
-        costs = per_row[7:15, row]
-        costs[0], costs[1] = per_row[0, row] * factor[0], per_row[1, row] * factor[1]
-        costs[2], costs[3] = waiting / share_of[2] * factor[2], effort * factor[3]
-        costs[4], costs[5], costs[6] = moved * factor[4], 0.0, 0.0
-        costs[7] = waiting / share_of[7] * factor[7] * is_last
-        total = costs[0]
-        for i in range(1, len(costs)):
-            total += costs[i]
-        per_row[15, row], per_row[16, row], per_row[17, row] = total, -total, j_before[row] + total / horizon
+    costs, total = per_row[7:15], per_row[15]
+    charge(
+        first, per_row[0], per_row[1], q_agent, converter_kva, clock, f_before, queued, flags[2], factor, share_of,
+        span_mhz, costs,
+    )  # fmt: skip
+    sum_of_terms(costs, total)
+    for row in range(n_row):
+        per_row[16, row], per_row[17, row] = -total[row], j_before[row] + total[row] / horizon
     observed = joint_observation(raw, scale, column, least, most)
     for row in range(n_row):  # a loop compiles in a tenth of the time of a slice
         for i in range(len(column)):

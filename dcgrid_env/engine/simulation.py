@@ -10,6 +10,8 @@ from dcgrid_env.core.arrays import all_true
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.engine.cost import difference, observation, reward
 from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remembered
+from dcgrid_env.engine.cost.plain_figures import fits as has_plain_figures
+from dcgrid_env.engine.cost.plain_figures import plain_figures
 from dcgrid_env.engine.cost.tap_credit import TapTargets
 from dcgrid_env.engine.exogenous import episode, trace_pool
 from dcgrid_env.engine.exogenous.episode import EpisodeOptions
@@ -37,6 +39,7 @@ class Simulation:
         self.n_env = n_env
         trace_pool.check_traces(scenario)
         self._is_plain = fits(scenario, n_env)
+        self._has_plain_figures = has_plain_figures(scenario)
         self._now: Snapshot | None = None
 
     @property
@@ -186,20 +189,24 @@ class Simulation:
         j_before: np.ndarray,
     ) -> Transition:
         s, solution = self.scenario, grid.solution
-        coming = episode.given_next(s, drawn, step, p_ref_next)
         last = step >= s.horizon
         solved = all_true(solution.converged)
         figures = grid.figures if solved and grid.figures else _figures(s, state)
-        costs = reward.team_costs(s, state, solution, last, figures)
-        costs = costs if solved else reward.charged(s, costs, step, solution.converged)
-        cost_j = reward.total(costs)
+        if solved and self._has_plain_figures:
+            costs, cost_j, seen = plain_figures(s, state, figures, last, drawn.placed, p_ref_next, measured)
+        else:
+            costs = reward.team_costs(s, state, solution, last, figures)
+            costs = costs if solved else reward.charged(s, costs, step, solution.converged)
+            cost_j = reward.total(costs)
+            coming = episode.given_next(s, drawn, step, p_ref_next)
+            seen = observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0])
         if s.cost.reward != "local":
             paid = -cost_j
         else:
             local_costs = reward.local_costs(s, state, solution, last, drawn.placed.nodes)
             paid = -reward.total(reward.charged(s, local_costs, step, solution.converged))
         return Transition(
-            observation=observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0]),
+            observation=seen,
             reward=paid,
             terminated=np.zeros(len(last), np.bool_) if solved else ~solution.converged & (step > 0),
             truncated=last if solved else solution.converged & last,

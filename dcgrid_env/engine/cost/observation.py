@@ -21,8 +21,7 @@ from dcgrid_env.devices import Device, Field
 from dcgrid_env.devices.tap_changer.regulator_view import RegulatorView, upstream_view
 from dcgrid_env.engine.cost.measurement import of_agents
 from dcgrid_env.engine.physics.connections import N_NEIGHBOURS, Placement, distance_in_bands
-from dcgrid_env.engine.physics.dynamics import step_kernels
-from dcgrid_env.engine.physics.node_figures import from_nodes
+from dcgrid_env.engine.physics.node_figures import from_nodes, step_kernels
 from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder

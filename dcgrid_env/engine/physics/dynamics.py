@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from dcgrid_env.devices.device import DeviceInput, DeviceParams
 from dcgrid_env.engine.physics import equipment as feeder_equipment
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.disconnection import connected_share, leaving, supply
-from dcgrid_env.engine.physics.node_figures import from_nodes, phase_figures
+from dcgrid_env.engine.physics.node_figures import PhaseFigures, from_nodes, phase_figures
 from dcgrid_env.engine.physics.parameters import Parameters, parameters
 from dcgrid_env.engine.physics.state import Equipment, Exogenous, GridStep, State, ThreePhaseState, over_arrays
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -32,6 +31,9 @@ from dcgrid_env.powerflow.inputs import substation_voltage
 from dcgrid_env.powerflow.unbalanced.sweep import solve_checked
 from dcgrid_env.scenario.costs.utility_limits import remembered_draws
 from dcgrid_env.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from dcgrid_env.engine.physics.phase_pass import PhasePass
 
 
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, GridStep]:
@@ -123,11 +125,12 @@ def _step(
     if exogenous.available is not None:
         p_agent, q_agent, q_limit = (values * exogenous.available for values in (p_agent, q_agent, q_limit))
 
-    grid, equipment = _solved(scenario, params, state, devices, exogenous, p_agent, q_agent)
+    grid, equipment, figures = _solved(scenario, params, state, devices, exogenous, p_agent, q_agent)
     solution = grid.solution
     v, restart, phases, nodes = solution.v_pu, solution.restart, None, exogenous.nodes
     if equipment is not None:
-        v_agent, lowest, highest, unbalance, loading, voltages = phase_figures(scenario, solution, nodes)
+        figures = figures or phase_figures(scenario, solution, nodes)
+        v_agent, lowest, highest, unbalance, loading, voltages = figures
         phases = ThreePhaseState(solution.v_re_pu, solution.v_im_pu, lowest, highest, unbalance, equipment)
         grid = GridStep(solution, grid.noise, voltages)
     else:
@@ -173,35 +176,48 @@ def _solved(
     exogenous: Exogenous,
     p_kw: Array,
     q_kvar: Array,
-) -> tuple[GridStep, Equipment | None]:
-    """The power flow under the agents' powers (row, n_agent), and the equipment of a three-phase feeder behind it."""
-    noise = None
+) -> tuple[GridStep, Equipment | None, PhaseFigures | None]:
+    """The power flow under the agents' powers (row, n_agent), and the equipment of a three-phase feeder behind it.
+
+    The third value are figures of the power flow, where they are known.
+    """
+    noise = passed = None
+    legs = exogenous.nodes if exogenous.legs is None else exogenous.legs
     if exogenous.to_draw is not None:
         if in_one_pass := _grid_pass(scenario):
-            return in_one_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart), None
-        from dcgrid_env.engine.physics.loads import drawn  # brings the compiler with it
+            grid = in_one_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart)
+            return grid, None, None
+        if len(p_kw) == 1 and state.restart is not None and (around := _phase_pass(scenario)):
+            passed = around(scenario, exogenous, state, p_kw, q_kvar)
+            if passed.end is not None:
+                return GridStep(passed.solution, passed.noise), *passed.end
+            noise = passed.noise
+        else:
+            from dcgrid_env.engine.physics.loads import drawn  # brings the compiler with it
 
-        exogenous, noise = drawn(scenario, exogenous)
+            exogenous, noise = drawn(scenario, exogenous)
+    if passed is None:
+        p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
+    else:
+        p_net, q_net = passed.p_net_kw, passed.q_net_kvar
     solve, changing = _grid(scenario)
-    legs = exogenous.nodes if exogenous.legs is None else exogenous.legs
-    p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
     control = _control(scenario, params.devices, devices, exogenous) if changing else None
     if state.three_phase is None:
         solution = solve(scenario.feeder, p_net, q_net, scenario.source_voltage_pu, control, state.restart)
-        return GridStep(solution, noise), None
+        return GridStep(solution, noise), None, None
     before, solve_rows = (
         state.three_phase.equipment,
         solve_rows_of(scenario, control, p_net, q_net, exogenous.capacitor_on),
     )
     equipment = _equipment(scenario, before, devices, exogenous, p_net, q_net, control)
-    solution = solve_rows(equipment, slice(None), state.restart)
+    solution = solve_rows(equipment, slice(None), state.restart) if passed is None else passed.solution
     if before is None:
         equipment = feeder_equipment.measured(scenario, equipment, solution)
     else:
         equipment, solution = feeder_equipment.with_controls(
             scenario, equipment, devices, exogenous.offset_v, solution, solve_rows
         )
-    return GridStep(solution, noise), equipment
+    return GridStep(solution, noise), equipment, None
 
 
 def solve_rows_of(
@@ -333,12 +349,12 @@ def _grid_pass(scenario: Scenario) -> Callable[..., GridStep] | None:
     return grid_pass.grid_pass if grid_pass.fits(scenario) else None
 
 
-@cache
-def step_kernels() -> Any:
-    """The compiled kernels of a step, imported on first use: they bring the compiler with them."""
-    from dcgrid_env.engine.physics import step_kernels as kernels
+@cached_on_owner
+def _phase_pass(scenario: Scenario) -> Callable[..., PhasePass] | None:
+    """The passes around the power flow of a three-phase feeder, where they fit; they bring the compiler with them."""
+    from dcgrid_env.engine.physics import phase_pass
 
-    return kernels
+    return phase_pass.phase_pass if phase_pass.fits(scenario) else None
 
 
 def _to_nodes(values: Array, nodes: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,23 +41,36 @@ def phase_figures(scenario: Scenario, solution: ThreePhaseSolution, nodes: Array
         unbalance = unbalance_factor(three_phase_nodes(feeder), v_re_pu, v_im_pu)
         loading = branch_loading(feeder, solution) if has_ratings(feeder) else None
         return PhaseFigures(from_nodes(v_pu, nodes), *extremes_of_nodes(v_pu, nodes), unbalance, loading, None)
-    kernel, is_rated, constants = _compiled(scenario)
-    agents, unbalance, loading, per_row = kernel(v_pu, v_re_pu, v_im_pu, i_re_a, i_im_a, nodes, *constants)
+    kernel = step_kernels().phase_figures
+    return as_figures(scenario, *kernel(v_pu, v_re_pu, v_im_pu, i_re_a, i_im_a, nodes, *constants(scenario)))
+
+
+def as_figures(
+    scenario: Scenario, agents: np.ndarray, unbalance: np.ndarray, loading: np.ndarray, per_row: np.ndarray
+) -> PhaseFigures:
+    """Return what the kernel ``step_kernels.phase_figures`` gives by name."""
     voltages = VoltageFigures(per_row[0], per_row[1], per_row[2], per_row[3])
-    return PhaseFigures(agents[0], agents[1], agents[2], unbalance, loading if is_rated else None, voltages)
+    loading_or_none = loading if has_ratings(scenario.feeder) else None
+    return PhaseFigures(agents[0], agents[1], agents[2], unbalance, loading_or_none, voltages)
 
 
 @cached_on_owner
-def _compiled(scenario: Scenario) -> tuple[Any, bool, tuple[Any, ...]]:
-    """The compiled form of ``phase_figures``, whether branches have ratings, and the constants of the scenario."""
-    from dcgrid_env.engine.physics.step_kernels import phase_figures as kernel  # brings the compiler with it
-
+def constants(scenario: Scenario) -> tuple[Any, ...]:
+    """Return the last arguments of the kernel ``step_kernels.phase_figures``, which are constants of a scenario."""
     feeder: Any = scenario.feeder
     rated, regulated, before, _ = rated_places(feeder, np, "cpu")
     before = np.concatenate((rated[: len(rated) - len(regulated)], before))
     ratings = rated, before, inverse_ratings(feeder)[rated]
     judged = feeder.load_slice.start, float(scenario.cost.band_pu)
-    return kernel, has_ratings(feeder), (three_phase_nodes(feeder), *ratings, *judged)
+    return (three_phase_nodes(feeder), *ratings, *judged)
+
+
+@cache
+def step_kernels() -> Any:
+    """The compiled kernels of a step, imported on first use: they bring the compiler with them."""
+    from dcgrid_env.engine.physics import step_kernels as kernels
+
+    return kernels
 
 
 def from_nodes(v_pu: Array, nodes: Array) -> Array:

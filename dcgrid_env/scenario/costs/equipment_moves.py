@@ -21,7 +21,7 @@ def _deciders(scenario: Any) -> np.ndarray:
 
 
 @cached_on_owner
-def _moving(scenario: Any) -> np.ndarray:
+def moving_equipment(scenario: Any) -> np.ndarray:
     """1 for equipment that is not fixed, else 0, (n_regulator + n_capacitor,)."""
     return (_deciders(scenario) != "fixed").astype(np.float64)
 
@@ -29,12 +29,12 @@ def _moving(scenario: Any) -> np.ndarray:
 @cached_on_owner
 def _n_moving(scenario: Any) -> int:
     """Number of regulators and capacitor banks that are not fixed, at least 1."""
-    return max(int(_moving(scenario).sum()), 1)
+    return max(int(moving_equipment(scenario).sum()), 1)
 
 
 def mean_switching(scenario: Any, equipment: Any) -> Array:
     """Mean number of taps and switchings in the step of the equipment that is not fixed, (row,)."""
-    moved, switched, moving = equipment.regulators.moved, equipment.banks.switched, _moving(scenario)
+    moved, switched, moving = equipment.regulators.moved, equipment.banks.switched, moving_equipment(scenario)
     n = moved.shape[-1]
     return (moved @ as_like(moving[:n], moved) + switched @ as_like(moving[n:], moved)) / _n_moving(scenario)
 
@@ -63,7 +63,7 @@ def largest_switching(scenario: Any) -> float:
     """Upper bound of the mean: every regulator from end to end, every bank switched."""
     settings = relay_settings(scenario.feeder)
     most = np.concatenate((settings.highest - settings.lowest, np.ones(scenario.feeder.n_capacitor)))
-    return float((most * _moving(scenario)).sum() / _n_moving(scenario))
+    return float((most * moving_equipment(scenario)).sum() / _n_moving(scenario))
 
 
 def _moves(equipment: Any) -> Array:

@@ -131,6 +131,7 @@ def run():
     for preset in ("toy6", "ieee13-3ph"):
         steps(make_scenario(preset, reward="difference"))
     steps(make_scenario("toy6"), WIDTHS[-1])
+    steps(make_scenario("ieee13-3ph"), WIDTHS[0])
     steps(three_phase.one_phase())
     set_points = {"grid_control.regulators": "setpoint", "grid_control.regulator_settings": {"timer": "reset"}}
     steps(make_scenario("ieee13-3ph", **set_points))
