@@ -106,8 +106,12 @@ def solve_checked(
     inputs
         Draw of each leg, kW and kvar, (..., n_leg); voltage of the source, p.u., (...); ratios of the regulators,
         (..., n_regulator); states of the capacitors, (..., n_capacitor). All of one kind and precision.
-    start, tolerance_pu, max_sweeps
-        As in ``solve_unbalanced``; ``start`` is an array or None.
+    start
+        Voltages to start from, p.u., the ``restart`` of a solution, or None.
+    tolerance_pu
+        Largest change of a voltage in the last sweep, p.u.
+    max_sweeps
+        Sweeps after which a point is given up.
 
     Raises
     ------
