@@ -109,9 +109,9 @@ def solve_checked(
     start
         Voltages to start from, p.u., the ``restart`` of a solution, or None.
     tolerance_pu
-        Largest change of a voltage in the last sweep, p.u.
+        Largest estimated error of a voltage of a converged solution, p.u., the sum over the phases of a bus.
     max_sweeps
-        Sweeps after which a point is given up.
+        Sweeps after which Newton's method is tried, at least 1.
 
     Raises
     ------
