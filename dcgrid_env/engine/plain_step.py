@@ -79,10 +79,11 @@ def plain_step(
     over_buses, restart = np.empty((4, n_row, n)), np.empty((n_row, n - 1))
     over_sites, over_agents = np.empty((4, n_row, n_site)), np.empty((4, n_row, n_agent))
     per_row, flags = np.empty((7 + len(COSTS) + 3, n_row)), np.empty((3, n_row), np.bool_)
+    f_before = np.ascontiguousarray(sites.f_mhz)  # a view of actions behind ``dynamics.step``
     set_up, grid, charged, seen = _fixed(scenario)
     joint = np.empty((n_row, len(seen[1])), np.float32)
     failed = _step_rows(
-        0, n_row, action, *set_up, sites.backlog_kws, sites.f_mhz, outside.p_ref_kw, outside.p_inverter_kw,
+        0, n_row, action, *set_up, sites.backlog_kws, f_before, outside.p_ref_kw, outside.p_inverter_kw,
         *grid, *loads[:4], *load_noise(scenario), placed.nodes, before.restart,
         *charged, now.transition.j_so_far, before.v_agent_pu, placed.r, placed.x, p_ref_next, *seen,
         over_buses, restart, over_sites, over_agents, per_row, flags, joint,

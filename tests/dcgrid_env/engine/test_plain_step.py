@@ -108,3 +108,9 @@ def test_environments_of_which_one_has_no_solution():
     assert together.observation[0].tobytes() == alone.observation[0].tobytes()
     assert together.cost_j[0] == alone.cost_j[0]
     assert together.cost_j[1] > 100.0
+    versions = len(plain_step._step_rows.signatures)
+    three.reset([None] * 3, mask=together.terminated)
+    three.step(action)
+    one.step(action[:1])
+    assert three.transition.observation[0].tobytes() == one.transition.observation[0].tobytes()
+    assert len(plain_step._step_rows.signatures) == versions
