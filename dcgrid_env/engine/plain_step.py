@@ -14,21 +14,24 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.devices.converter_kernel import dispatch_rows
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.linear_kernel import serve_linearly
 from dcgrid_env.engine.cost import observation, reward
 from dcgrid_env.engine.cost.plain_figures import (
+    ARRAYS,
     COSTS,
+    SETTINGS,
     charge,
     charge_constants,
-    has_plain_cost,
-    has_plain_devices,
+    is_plain,
     sum_of_terms,
 )
 from dcgrid_env.engine.physics import grid_pass
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.grid_pass import few_rows
+from dcgrid_env.engine.physics.known_fields import OUTSIDE
 from dcgrid_env.engine.physics.loads import load_noise
 from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw, State, VoltageFigures
@@ -36,19 +39,29 @@ from dcgrid_env.engine.physics.step_kernels import joint_observation, setpoints
 from dcgrid_env.engine.snapshot import Snapshot, Transition
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.sensing import Sensing
+
+COVERED = Coverage(
+    SETTINGS | {Sensing: "preview regulator_delay_s r_model_share x_model_share model_open* model_closed*"},
+    {
+        **OUTSIDE,
+        **ARRAYS,
+        Transition: """
+            observation reward terminated truncated costs voltages cost_j j_so_far state loss_kw converged trace_start
+            buses fault reward_vector
+        """,
+    },
+)
+"""What the compiled step covers."""
 
 
 def fits(scenario: Scenario, n_env: int) -> bool:
     """Whether steps of so many environments can be one call.
 
-    The grid must be one of ``grid_pass.fits``. The devices are data centres with the linear clock law and without
-    features, and inverters without ride-through. Agents observe their own voltages without noise or delay, and the
-    cost has its default form, of any weights.
+    The grid must be one of ``grid_pass.fits``, and devices, cost and observations those of
+    ``plain_figures.is_plain``. Agents observe voltages without noise or delay.
     """
-    sensing = scenario.sensing
-    seen = sensing.observe == "local" and sensing.noise_pu == 0.0 and sensing.delay_steps == 0
-    plain = n_env <= FEW and grid_pass.fits(scenario) and has_plain_devices(scenario)
-    return plain and has_plain_cost(scenario) and seen
+    return n_env <= FEW and grid_pass.fits(scenario) and is_plain(scenario, COVERED)
 
 
 def plain_step(

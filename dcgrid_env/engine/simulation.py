@@ -273,10 +273,10 @@ TAP_EPISODES = 8
 def tap_targets(scenario: Scenario) -> TapTargets | None:
     """Return the useful taps of the regulators whose relays act, in the first training episodes; None without any.
 
-    The search is for a voltage cost of the form l1; with another form there are none.
+    The search is for costs that ``difference.has_kernel`` accepts; with others there are none.
     """
     relays = acting_relays(scenario)
-    if relays is None or scenario.cost.voltage != "l1":
+    if relays is None or not difference.has_kernel(scenario):
         return None
     from dcgrid_env.engine.cost.tap_targets import useful_taps  # for scenarios with such relays alone
 

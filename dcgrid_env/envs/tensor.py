@@ -7,9 +7,9 @@ that led to it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from array_api_compat import is_array_api_obj, is_torch_array
@@ -41,20 +41,22 @@ class TensorStep(NamedTuple):
     state: State
 
 
+NOT_SERIES = ("nodes", "legs", "trip_widths", "to_draw")
+"""Fields of ``Exogenous`` that are the same in all steps of an episode, or None."""
+
+
 class Outside(NamedTuple):
     """Exogenous series of some episodes, (0 .. T, episode, ..) each."""
 
-    p_load_kw: Array
-    q_load_kvar: Array
-    p_ref_kw: Array  # one step more: the preview at the end
-    p_inverter_kw: Array
-    compute_share: Array | None  # one step more
-    available: Array | None
+    inputs: dict[str, Array | None]
+    """Fields of ``Exogenous`` by name. The work has one step more: the preview at the end."""
     noise_pu: Array | None
-    capacitor_on: Array | None
-    sags: Array | None
-    offset_v: Array | None
-    request: Array | None
+    """Noise of the measurements."""
+
+    def map(self, function: Callable[[Array], Array]) -> Outside:
+        """The series with every array put through a function."""
+        inputs = {name: None if series is None else function(series) for name, series in self.inputs.items()}
+        return Outside(inputs, None if self.noise_pu is None else function(self.noise_pu))
 
 
 class TensorEnv:
@@ -115,7 +117,7 @@ class TensorEnv:
             raise ValueError(f"{len(seeds)} seeds and {copies} copies; give at least 1 of each")
         self._on = self.scenario.member(seeds)
         outside, buses = drawn_outside(self._on, np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64))
-        self._outside = Outside(*(None if a is None else as_like(a, self.like) for a in outside))
+        self._outside = outside.map(lambda series: as_like(series, self.like))
         episode = np.arange(len(buses) * copies) % len(buses)
         self._copied = None if copies == 1 else self._index(episode)
         placed = connections.placement(self._on, buses[episode])
@@ -200,18 +202,14 @@ class TensorEnv:
         return now if self._copied is None else now[self._copied]
 
     def _exogenous(self) -> Exogenous:
-        o, now = self._outside, self._now
-        return Exogenous(
-            now(o.p_load_kw), now(o.q_load_kvar), now(o.p_ref_kw), now(o.p_inverter_kw), self._placed.nodes,
-            now(o.compute_share), now(o.available), self._placed.legs, now(o.capacitor_on),
-            now(o.sags), self._trip_widths, offset_v=now(o.offset_v), request=now(o.request),
-        )  # fmt: skip
+        inputs: dict[str, Any] = {name: self._now(series) for name, series in self._outside.inputs.items()}
+        return Exogenous(**inputs, nodes=self._placed.nodes, legs=self._placed.legs, trip_widths=self._trip_widths)
 
     def _measure(self) -> Array:
         return measure(self._on, self.state, self._now(self._outside.noise_pu))
 
     def _observe(self) -> Array:
-        work = Work(self._now(self._outside.p_ref_kw, 1), self._now(self._outside.compute_share, 1))
+        work = Work(*(self._now(self._outside.inputs[name], 1) for name in ("p_ref_kw", "compute_share")))
         coming = [work if device.input == "workload" else None for device in self.scenario.devices]
         return observation.observe(self._on, self.state, self._placed, coming, self._measured[1], self._measured[0])
 
@@ -265,10 +263,9 @@ def drawn_outside(scenario: Scenario, seeds: np.ndarray) -> tuple[Outside, np.nd
             return None
         return np.stack(rows if last is None else [*rows, last])
 
-    course = Outside(
-        stacked("p_load_kw"), stacked("q_load_kvar"), stacked("p_ref_kw", episode.p_ref_kw(s, drawn, after)),
-        stacked("p_inverter_kw"), stacked("compute_share", episode.compute_share(s, drawn, after)),
-        stacked("available"), np.stack(noise_pu) if noise_pu else None, stacked("capacitor_on"),
-        stacked("sags"), stacked("offset_v"), stacked("request"),
-    )  # fmt: skip
-    return course, drawn.buses
+    preview = {
+        "p_ref_kw": episode.p_ref_kw(s, drawn, after),
+        "compute_share": episode.compute_share(s, drawn, after),
+    }
+    inputs = {name: stacked(name, preview.get(name)) for name in Exogenous._fields if name not in NOT_SERIES}
+    return Outside(inputs, np.stack(noise_pu) if noise_pu else None), drawn.buses

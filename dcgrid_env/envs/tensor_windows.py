@@ -8,6 +8,7 @@ gradient of a window by its initial state is the value of the final state of the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from dcgrid_env.core.arrays import Array, as_like, namespace
 from dcgrid_env.engine.cost import reward
 from dcgrid_env.engine.physics import connections, dynamics
 from dcgrid_env.engine.physics.state import Exogenous, State, over_arrays
-from dcgrid_env.envs.tensor import Outside, drawn_outside
+from dcgrid_env.envs.tensor import drawn_outside
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -37,7 +38,7 @@ class TensorWindows:
     def __init__(self, scenario: Scenario, seeds: Sequence[int], starts: Sequence[int], like: Array):
         self.scenario, self.like = scenario.member(seeds), like
         outside, buses = drawn_outside(self.scenario, np.asarray(seeds, np.uint64))
-        self._outside = Outside(*(None if a is None else as_like(a, like) for a in outside))
+        self._outside = outside.map(lambda series: as_like(series, like))
         self._starts = np.repeat(np.asarray(starts), len(seeds))
         self._episodes = np.tile(np.arange(len(seeds)), len(starts))
         placed = connections.placement(self.scenario, buses[self._episodes])
@@ -69,11 +70,8 @@ class TensorWindows:
         return reward.total(reward.team_costs(s, self.state, grid.solution, last)) * live
 
     def _exogenous(self, step_and_episode: tuple[Array, Array]) -> Exogenous:
-        o = Outside(*(None if field is None else field[step_and_episode] for field in self._outside))
-        return Exogenous(
-            o.p_load_kw, o.q_load_kvar, o.p_ref_kw, o.p_inverter_kw, self._nodes, o.compute_share, o.available,
-            self._legs, o.capacitor_on, o.sags, offset_v=o.offset_v, request=o.request,
-        )  # fmt: skip
+        now: dict[str, Any] = self._outside.map(lambda series: series[step_and_episode]).inputs
+        return Exogenous(**now, nodes=self._nodes, legs=self._legs)
 
     def _as_like(self, values: np.ndarray) -> Array:
         return as_like(values, self.like) if values.dtype.kind == "f" else self._index(values)

@@ -14,6 +14,7 @@ import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, choice, count, number, settle
+from dcgrid_env.core.equality import alike
 from dcgrid_env.devices import DataCenters, Device, Inverters
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
@@ -25,7 +26,6 @@ from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.difference_reward import check_difference_reward
 from dcgrid_env.scenario.costs.voltage_reference import check_profile
-from dcgrid_env.scenario.equality import alike
 from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.events import check_events
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment

@@ -17,9 +17,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs
 from dcgrid_env.devices.ratings import DataCenterParams
+
+COVERED = Coverage({LinearDvfs: ""})
+"""The clock law that ``_serve_linearly`` covers."""
 
 
 class DataCenterState(NamedTuple):
@@ -89,7 +94,7 @@ def step(
     boost
         Whether ``p_ref_kw`` may exceed the rating.
     """
-    if type(dvfs) is LinearDvfs:
+    if type(dvfs) is LinearDvfs and _is_compiled(dvfs):
         ratings = params.p_idle_kw, params.p_dynamic_kw, params.f_max_mhz
         after = _serve_linearly(*ratings, class_backlog_kws, p_ref_kw, f_mhz, dt_s, boost)
         return DataCenterStep(*after, *after[:3])
@@ -99,6 +104,11 @@ def step(
         params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
     base = xp.minimum(p_ref_kw, params.p_idle_kw)
     return serve_arrived(params, dvfs, class_backlog_kws, base, arrived, f_mhz, dt_s, compute_share)
+
+
+@cached_on_owner
+def _is_compiled(dvfs: LinearDvfs) -> bool:
+    return COVERED.includes(dvfs)
 
 
 @compiled_as("dcgrid_env.devices.datacenter.linear_kernel:serve_linearly", like="p_ref_kw", views=("f_mhz",))

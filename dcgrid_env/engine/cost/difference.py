@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.devices import DataCenters, Q, converter
 from dcgrid_env.engine.cost.reward import terms
 from dcgrid_env.engine.cost.tap_credit import ComingTaps, TapTargets, coming_taps
@@ -35,12 +36,20 @@ from dcgrid_env.engine.physics.dynamics import device_slices, device_step
 from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.grid import Feeder
+from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
 from dcgrid_env.scenario.scenario import Scenario
 
-COMPILED = ("l1",)
-"""Forms of the voltage cost that the kernel has."""
+COVERED = Coverage(
+    {
+        Cost: """
+            weights* band_pu reference profile_pu* profile_band_pu reward default_action default_gains
+            ramp_limit_kw_per_s ramp_window_s voltage_step_limit_pu
+        """
+    }
+)
+"""Costs that the kernel covers: those with the default form of the voltage cost."""
 
 
 class Sensitivities(NamedTuple):
@@ -308,6 +317,12 @@ def charges(scenario: Scenario) -> Charges:
     return Charges(targets, weights.voltage / t.n_judged, weights.violation / t.n_judged, effort)
 
 
+@cached_on_owner
+def has_kernel(scenario: Scenario) -> bool:
+    """Return whether the kernel covers the cost; otherwise array operations compare it, and no taps are paid."""
+    return COVERED.includes(scenario.cost)
+
+
 def add_saved_costs(
     scenario: Scenario,
     state: State,
@@ -339,7 +354,7 @@ def add_saved_costs(
     saved
         Array to add to.
     """
-    if scenario.cost.voltage not in COMPILED:
+    if not has_kernel(scenario):
         saved += _saved_costs_arrays(scenario, state, setpoints, default, drawn_kw, exogenous, group)
         return
     from dcgrid_env.core.threads import over_rows  # brings the compiler with it, so not on import

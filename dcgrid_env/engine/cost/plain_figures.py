@@ -12,22 +12,84 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.devices import DataCenters, Inverters
 from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.engine.cost import observation, reward
 from dcgrid_env.engine.physics.connections import Placement
+from dcgrid_env.engine.physics.known_fields import SCENARIO
 from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.engine.physics.state import State, VoltageFigures
 from dcgrid_env.engine.physics.step_kernels import joint_observation
 from dcgrid_env.engine.physics.voltage_figures import MOST_AT_ONCE, sum_up
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.equipment_moves import moving_equipment
+from dcgrid_env.scenario.grid_request import GridRequest
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.sensing import Sensing
 
 COSTS = ("voltage", "violation", "backlog", "effort", "clock", "step", "loss", "leftover")
 """The terms of a plain scenario, in order; ``step`` and ``loss`` have no weight."""
 COSTS_OF_PHASES = (*COSTS, "unbalance", "switching")
 """Those on a three-phase feeder; ``unbalance`` has no weight."""
+FIELDS = ("v_deviation", "v_change", "p", "q", "q_limit", "r", "x")
+"""Fields of the grid that agents of a plain scenario observe, in order."""
+FIELDS_OF_PHASES = (*FIELDS, "v_lowest", "v_highest")
+
+
+class Declared(NamedTuple):
+    """What the class of a group of plain devices states, in order."""
+
+    channels: tuple[str, ...]
+    fields: tuple[str, ...]
+    cost_terms: tuple[tuple[str, str, bool], ...]
+    """Name, amount, and whether it is charged at the end."""
+
+
+DECLARED = {
+    DataCenters: Declared(
+        ("clock", "q"),
+        ("p_ref_next", "backlog"),
+        (("backlog", "backlog_kws", False), ("clock", "clock_movement", False), ("leftover", "backlog_kws", True)),
+    ),
+    Inverters: Declared(("q",), (), ()),
+}
+"""That of each class of plain devices."""
+SETTINGS = SCENARIO | {
+    Scenario: """
+        name feeder* source_voltage_pu devices workload background sensing cost grid_control grid_request load_profiles
+        faults* sags* horizon dt_s power_flow split
+    """,
+    Cost: """
+        weights* band_pu reward default_action default_gains ramp_limit_kw_per_s ramp_window_s voltage_step_limit_pu
+    """,
+    GridRequest: "notice_s tolerance_share",
+    DataCenters: """
+        count buses* p_rated_kw* idle_share f_max_mhz f_min_mhz s_rated_share q_max_share clock_law boost_share phases*
+    """,
+    LinearDvfs: "",
+    Inverters: "buses* s_rated_kva* injection* phases*",
+}
+"""Settings of a plain scenario."""
+ARRAYS: dict[type, str] = {
+    State: """
+        v_pu v_last_pu v_agent_pu v_agent_last_pu restart p_kw q_kvar q_limit_kvar devices three_phase p_window_kw
+        loading regulator_views request
+    """,
+    DataCenterState: """
+        backlog_kws f_mhz f_last_mhz arrived_kw served_kw class_backlog_kws class_arrived_kw class_served_kw
+    """,
+    VoltageFigures: "deviation_pu excess_pu lowest_pu highest_pu",
+}
+"""State of a plain scenario."""
+COVERED = Coverage(
+    SETTINGS
+    | {Sensing: "noise_pu delay_steps preview regulator_delay_s r_model_share x_model_share model_open* model_closed*"},
+    ARRAYS,
+)
+"""What the compiled costs and observations cover."""
 
 
 class PlainFigures(NamedTuple):
@@ -41,25 +103,34 @@ class PlainFigures(NamedTuple):
     """See ``observation.observe_within_bounds``."""
 
 
-def has_plain_devices(scenario: Scenario) -> bool:
-    """Whether devices are data centres with the linear clock law and without features, and inverters that stay
-    connected."""
-    groups: Any = scenario.devices
-    if scenario.n_agents > MOST_AT_ONCE or [type(group) for group in groups] not in (
-        [DataCenters],
-        [DataCenters, Inverters],
-    ):
+def is_plain(scenario: Scenario, covered: Coverage) -> bool:
+    """Whether a scenario within a coverage is plain.
+
+    Devices are data centres with the linear clock law and without features, and inverters that stay connected. The cost
+    has its default form, of any weights, and agents observe what is listed here.
+    """
+    groups = [type(group) for group in scenario.devices]
+    if groups not in ([DataCenters], [DataCenters, Inverters]) or scenario.n_agents > MOST_AT_ONCE:
         return False
-    return type(groups[0].clock_law) is LinearDvfs and not groups[0].features and groups[-1].ride_through is None
+    if not covered.includes(scenario) or scenario.cost.reward == "local":
+        return False
+    if any(_declared(scenario, group) != DECLARED[type(group)] for group in scenario.devices):
+        return False
+    of_phases = isinstance(scenario.feeder, ThreePhaseFeeder)
+    terms, fields = (COSTS_OF_PHASES, FIELDS_OF_PHASES) if of_phases else (COSTS, FIELDS)
+    charged = {name for name, weight in scenario.cost.weights._asdict().items() if weight}
+    if not charged <= {*terms} - {"step", "loss", "unbalance"} or reward.terms(scenario).kind._fields != terms:
+        return False
+    return tuple(field.name for field in observation.grid_fields(scenario)) == fields
 
 
-def has_plain_cost(scenario: Scenario) -> bool:
-    """Whether the cost has its default form, of any weights."""
-    cost, weights = scenario.cost, scenario.cost.weights._asdict()
-    terms = COSTS_OF_PHASES if isinstance(scenario.feeder, ThreePhaseFeeder) else COSTS
-    charged = {name for name, weight in weights.items() if weight} <= {*terms} - {"step", "loss", "unbalance"}
-    named = charged and reward.terms(scenario).kind._fields == terms and cost.reward != "local"
-    return named and cost.voltage == "l1" and cost.reference == "nominal" and not scenario.grid_request.targets
+def _declared(scenario: Scenario, group: Any) -> Declared:
+    lengths = scenario.horizon, scenario.dt_s
+    return Declared(
+        tuple(channel.name for channel in group.channels),
+        tuple(field.name for field in group.fields(*lengths)),
+        tuple((term.name, term.amount, term.at_end) for term in group.cost_terms(*lengths)),
+    )
 
 
 def fits(scenario: Scenario) -> bool:
@@ -67,10 +138,7 @@ def fits(scenario: Scenario) -> bool:
 
     Those on balanced feeders have ``plain_step``.
     """
-    sensing = scenario.sensing
-    local = sensing.observe == "local" and not sensing.loading and not sensing.regulator
-    of_grid = isinstance(scenario.feeder, ThreePhaseFeeder) and local
-    return of_grid and has_plain_devices(scenario) and has_plain_cost(scenario)
+    return type(scenario.feeder) is ThreePhaseFeeder and is_plain(scenario, COVERED)
 
 
 def plain_figures(

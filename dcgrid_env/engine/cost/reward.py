@@ -20,12 +20,14 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.physics.dynamics import device_slices
 from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.engine.physics.state import State, VoltageFigures
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step, voltage_cost
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation
 from dcgrid_env.scenario.scenario import Scenario
@@ -33,6 +35,21 @@ from dcgrid_env.scenario.scenario import Scenario
 Costs = Any
 """Weighted terms of a step's cost by name, a named tuple: each of shape (row,) for the team or (row, n_agent) for each
 agent. ``leftover`` and other terms that are charged at the end are 0 before an episode's last step."""
+FROM_FIGURES = Coverage(
+    {
+        Cost: """
+            weights* band_pu voltage reference profile_pu* profile_band_pu reward default_action default_gains
+            ramp_limit_kw_per_s ramp_window_s voltage_step_limit_pu
+        """
+    }
+)
+"""Costs whose violation, and whose voltage cost if its form and reference are the default, are sums over the nodes that
+come with the power flow (``VoltageFigures``). Others are computed from the voltages."""
+
+
+@cached_on_owner
+def _is_from_figures(scenario: Scenario) -> bool:
+    return FROM_FIGURES.includes(scenario.cost)
 
 
 def _step(
@@ -43,6 +60,7 @@ def _step(
     nodes: Array | None = None,
 ) -> Step:
     t, v_pu, cost = terms(scenario), state.v_pu, scenario.cost
+    figures = figures if _is_from_figures(scenario) else None
     if figures is not None and cost.voltage == "l1" and cost.reference == "nominal":
         voltage = figures.deviation_pu
     else:

@@ -14,24 +14,41 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.core.random import load_step
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.engine.physics.known_fields import OUTSIDE, SCENARIO
 from dcgrid_env.engine.physics.loads import load_noise
 from dcgrid_env.engine.physics.state import GridStep, LoadsToDraw, VoltageFigures
 from dcgrid_env.engine.physics.step_kernels import net_loads
 from dcgrid_env.engine.physics.voltage_figures import fill_figures
 from dcgrid_env.grid import Feeder
+from dcgrid_env.grid.known_fields import BALANCED
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.powerflow.balanced.batch import constants, rows
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks
 from dcgrid_env.powerflow.balanced.distflow import MAX_SWEEPS, TOLERANCE_KVA
 from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_rows
 from dcgrid_env.powerflow.solution import raise_not_finite
+from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.scenario import Scenario
 
 CHUNK = 64  # rows whose loads stand in the cache together
 TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA
+COVERED = Coverage(
+    SCENARIO
+    | {
+        Scenario: """
+            name feeder* source_voltage_pu devices* workload background sensing cost grid_control grid_request
+            load_profiles sags* horizon dt_s split
+        """,
+        LoadProfiles: "",
+        Feeder: BALANCED[Feeder].replace("loop_ends", ""),
+    },
+    arrays=OUTSIDE,
+)
+"""What a pass covers. Devices of any class act on the grid by their powers, unless they change the grid itself."""
 
 
 class GridPass(NamedTuple):
@@ -43,14 +60,13 @@ class GridPass(NamedTuple):
     converged: np.ndarray
 
 
+@cached_on_owner
 def fits(scenario: Scenario) -> bool:
-    """Whether a pass does all that a step asks of the grid: radial DistFlow, loads without profiles, and nothing that
-    changes the grid."""
+    """Whether a pass does all that a step asks of the grid: radial DistFlow, loads without profiles, no faults, no
+    ratings, and nothing that changes the grid."""
     feeder = scenario.feeder
-    radial = type(feeder) is Feeder and feeder.loop_ends is None
-    plain = radial and scenario.power_flow == "distflow" and not has_ratings(feeder)
-    plain = plain and scenario.load_profiles.file is None
-    return plain and not scenario.faults and not any(device.changes_grid for device in scenario.devices)
+    changed = any(device.changes_grid for device in scenario.devices)
+    return type(feeder) is Feeder and COVERED.includes(scenario, feeder) and not has_ratings(feeder) and not changed
 
 
 def grid_pass(

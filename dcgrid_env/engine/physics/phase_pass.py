@@ -12,20 +12,46 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.core.random import load_step
+from dcgrid_env.devices.capacitor_bank.bank_switching import BankState
 from dcgrid_env.devices.tap_changer.regulator_state import RegulatorState
 from dcgrid_env.devices.tap_changer.relay import RelayBand, RelaySettings
 from dcgrid_env.devices.tap_changer.tap_kernels import next_taps, relay_volts
 from dcgrid_env.engine.physics.equipment import built_in_control
+from dcgrid_env.engine.physics.known_fields import OUTSIDE, SCENARIO
 from dcgrid_env.engine.physics.loads import base_legs, load_noise
 from dcgrid_env.engine.physics.node_figures import PhaseFigures, as_figures, constants
 from dcgrid_env.engine.physics.state import Equipment, Exogenous, State
 from dcgrid_env.engine.physics.step_kernels import leg_loads, net_loads, phase_figures
 from dcgrid_env.grid import ThreePhaseFeeder
+from dcgrid_env.grid.known_fields import THREE_PHASE
 from dcgrid_env.powerflow.inputs import substation_voltage
 from dcgrid_env.powerflow.unbalanced.sweep import solve_checked
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
+from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.scenario import Scenario
+
+COVERED = Coverage(
+    SCENARIO
+    | THREE_PHASE
+    | {
+        Scenario: """
+            name feeder* source_voltage_pu devices* workload background sensing cost grid_control grid_request
+            load_profiles sags* horizon dt_s power_flow split
+        """,
+        Background: "load_sigma load_rho start_hour",
+        LoadProfiles: "",
+    },
+    arrays={
+        **OUTSIDE,
+        Equipment: "regulators banks",
+        RegulatorState: "tap relay_v out_of_band_s in_sequence since_s moved moves",
+        BankState: "on v_pu value beyond_s since_s switched switchings",
+    },
+)
+"""What a pass covers. Devices of any class act on the grid by their powers, unless they change the grid itself."""
 
 
 class PhasePass(NamedTuple):
@@ -45,11 +71,12 @@ class PhasePass(NamedTuple):
 
 def fits(scenario: Scenario) -> bool:
     """Whether a pass does all that a step asks of the grid: regulators with constant set points, loads without
-    profiles, and no other equipment that may change."""
+    profiles, connected capacitors, no faults, and no other equipment that may change."""
     feeder = scenario.feeder
-    plain = isinstance(feeder, ThreePhaseFeeder) and scenario.load_profiles.file is None and not scenario.faults
-    plain = plain and scenario.background.capacitors and not any(device.changes_grid for device in scenario.devices)
-    return plain and built_in_control(scenario) is not None
+    if type(feeder) is not ThreePhaseFeeder or not COVERED.includes(scenario, feeder):
+        return False
+    changed = any(device.changes_grid for device in scenario.devices)
+    return not changed and built_in_control(scenario) is not None
 
 
 def phase_pass(scenario: Scenario, exogenous: Exogenous, state: State, p_kw: Any, q_kvar: Any) -> PhasePass:

@@ -14,8 +14,10 @@ import numpy as np
 
 from dcgrid_env.core.arrays import namespace, requires_grad, take_last
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.known_fields import BALANCED
 from dcgrid_env.powerflow.solution import (
     LINEAR_SWEEPS,
     LINEAR_TOLERANCE,
@@ -23,8 +25,12 @@ from dcgrid_env.powerflow.solution import (
     V_SQ_CEILING,
     V_SQ_FLOOR,
     Array,
+    PowerFlowError,
     Solution,
 )
+
+COVERED = Coverage(BALANCED)
+"""Feeders that the array operations cover."""
 
 
 class Tree(NamedTuple):
@@ -44,7 +50,12 @@ class Tree(NamedTuple):
 
 @cached_on_owner
 def tree(feeder: Feeder, xp: ModuleType, dtype: object, device: object) -> Tree:
-    """Index and impedance arrays of a feeder, made once for each kind, precision and device of array."""
+    """Index and impedance arrays of a feeder, made once for each kind, precision and device of array.
+
+    PowerFlowError for a feeder that the array operations do not cover.
+    """
+    if unknown := COVERED.first_unknown(feeder):
+        raise PowerFlowError(f"feeder {feeder.name!r}: array operations do not cover {unknown}; give NumPy arrays")
     order, place, parent, end = feeder.depth_first
     n = len(order)
     tour: list[int] = []

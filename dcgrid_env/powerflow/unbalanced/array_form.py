@@ -14,13 +14,26 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, requires_grad
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
+from dcgrid_env.grid.known_fields import THREE_PHASE
+from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA, Branches
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR, PowerFlowError
-from dcgrid_env.powerflow.unbalanced.plan import plan_of
+from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 from dcgrid_env.powerflow.unbalanced.zones import Zone, zones_of
 
+COVERED = Coverage(
+    THREE_PHASE,
+    arrays={
+        Plan: """
+            first up kind a z_re z_im regulator shunt leg_order leg_start leg_ends leg_is_z leg_has_exponents leg_law
+            capacitor_ends capacitor_row capacitor_b core_ends core_g core_b source has_voltage ampere
+        """,
+        Branches: "a b regulator shunt sending_shunt",
+    },
+)
+"""Feeders that the array operations cover."""
 _FLOAT32_PU = 1e-5  # what rounding leaves of a voltage in float32 is less
 _ROUNDING = {8: 1e-28, 4: 1e-12}  # a squared change of voltage that is rounding alone, by bytes a figure
 
@@ -60,7 +73,7 @@ def sweep_arrays(
     Raises
     ------
     PowerFlowError
-        For a feeder that is not radial.
+        For a feeder that is not radial, or that the array operations do not cover.
     """
     if not feeder.is_radial:
         raise PowerFlowError(
@@ -80,6 +93,11 @@ def sweep_arrays(
 
 @cached_on_owner
 def _forms(feeder: ThreePhaseFeeder, xp: ModuleType, dtype: object, device: object) -> _Forms:
+    if unknown := COVERED.first_unknown(feeder):
+        raise PowerFlowError(
+            f"feeder {feeder.name!r}: {unknown} is not supported on this device or by this array library; give NumPy "
+            "arrays or torch tensors of the CPU"
+        )
     plan, n = plan_of(feeder), feeder.n_node
     complex_dtype = xp.complex64 if dtype == xp.float32 else xp.complex128
     real = partial(_made, xp, dtype, device)
