@@ -50,8 +50,9 @@ COUNTED = ("voltage", "violation", "backlog", "effort", "clock", "leftover")
 
 
 def scenario_of(preset: str, **overrides: Any) -> Any:
-    dt_s = {"dt_s": 20.0} if preset == THREE_PHASE else {}
-    return make_scenario(preset, **(BUSY | dt_s | overrides))
+    """A preset with busy sites; on a three-phase feeder steps are so long that taps move."""
+    length = {"dt_s": 20.0} if preset == THREE_PHASE else {}
+    return make_scenario(preset, **(BUSY | length | overrides))
 
 
 def assert_alike(scenario: Any, n_env: int = 1) -> list[Any]:
@@ -320,7 +321,7 @@ def test_a_column_of_regulators(monkeypatch):
     [(GridControl, "grid_control"), (RegulatorControl, "grid_control.regulator_settings")],
 )
 def test_a_setting_of_the_control_of_regulators(kind, path, monkeypatch):
-    before, measured = scenario_of(THREE_PHASE), equipment.measured
+    before, measured = scenario_of(THREE_PHASE, dt_s=1.0), equipment.measured  # steps in which no control acts
     add_field(monkeypatch, kind)
 
     def with_error(scenario, of_feeder, solution):
