@@ -28,6 +28,7 @@ from dcgrid_env.engine.cost.plain_figures import (
     is_plain,
     sum_of_terms,
 )
+from dcgrid_env.engine.exogenous.episode import Episode
 from dcgrid_env.engine.physics import grid_pass
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.grid_pass import few_rows
@@ -46,6 +47,7 @@ COVERED = Coverage(
     {
         **OUTSIDE,
         **ARRAYS,
+        Episode: "key buses placed start sun begin_h still fault sag request",
         Transition: """
             observation reward terminated truncated costs voltages cost_j j_so_far state loss_kw converged trace_start
             buses fault reward_vector

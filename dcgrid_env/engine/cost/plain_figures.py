@@ -82,8 +82,9 @@ ARRAYS: dict[type, str] = {
         backlog_kws f_mhz f_last_mhz arrived_kw served_kw class_backlog_kws class_arrived_kw class_served_kw
     """,
     VoltageFigures: "deviation_pu excess_pu lowest_pu highest_pu",
+    Placement: "r x nodes legs nearest",
 }
-"""State of a plain scenario."""
+"""State of a plain scenario, and what an episode places."""
 COVERED = Coverage(
     SETTINGS
     | {Sensing: "noise_pu delay_steps preview regulator_delay_s r_model_share x_model_share model_open* model_closed*"},

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
-from dcgrid_env.devices import DataCenters, Inverters
+from dcgrid_env.devices import DataCenters, Inverters, Storages
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.datacenter import data_centers
 from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
@@ -24,13 +24,14 @@ from dcgrid_env.devices.datacenter.site_features import PassesBy
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.engine.cost import observation, reward
 from dcgrid_env.engine.cost.observation import ObservationField
+from dcgrid_env.engine.exogenous.episode import Episode
 from dcgrid_env.engine.physics import dynamics, equipment, loads
+from dcgrid_env.engine.physics.connections import Placement
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw, State
 from dcgrid_env.engine.simulation import Simulation
 from dcgrid_env.engine.snapshot import Transition
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
-from dcgrid_env.grid import network as tables
-from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.network import Network, NodeTable, RegulatorTable, SourceTable
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm
@@ -306,7 +307,7 @@ def test_a_field_of_a_balanced_feeder(monkeypatch):
 
 def test_a_column_of_regulators(monkeypatch):
     before, tap_ratio = scenario_of(THREE_PHASE), ThreePhaseFeeder.tap_ratio
-    add_field(monkeypatch, tables.RegulatorTable)
+    add_field(monkeypatch, RegulatorTable)
     edit(
         monkeypatch,
         ThreePhaseFeeder,
@@ -376,12 +377,24 @@ def test_a_method_of_data_centres_that_a_program_replaces(preset, name, monkeypa
     assert_alike(altered(before))
 
 
+def test_devices_of_another_kind():
+    site = DataCenters(count=3, p_rated_kw=200.0, s_rated_share=1.2, q_max_share=0.5)
+    storages = Storages(buses=(18, 33), p_rated_kw=100.0, energy_kwh=200.0)
+    scenario = scenario_of(BALANCED, devices=(site, Inverters(), storages))
+    assert fast_paths(scenario) == {"grid_pass", "_serve_linearly"}
+    assert_alike(scenario)
+
+
 OF_SCENARIO = {
     Scenario: "", Sensing: "sensing", Workload: "workload", Background: "background", Cost: "cost",
     GridControl: "grid_control", RegulatorControl: "grid_control.regulator_settings",
     CapacitorControl: "grid_control.capacitor_settings", GridRequest: "grid_request", LoadProfiles: "load_profiles",
 }  # fmt: skip
-TABLES = {type(table): f"network.{name}" for name, table in vars(Network("", (), ())).items() if is_dataclass(table)}
+TABLES = {
+    type(table): f"network.{name}"
+    for name, table in vars(Network("", SourceTable(), NodeTable())).items()
+    if is_dataclass(table)
+}
 OF_FEEDERS = {
     BALANCED: {Feeder: ""},
     THREE_PHASE: {ThreePhaseFeeder: "", Network: "network", **TABLES},
@@ -431,7 +444,9 @@ def test_a_field_of_any_device(preset, kind, path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "kind", [State, Exogenous, LoadsToDraw, Transition, DataCenterState], ids=attrgetter("__name__")
+    "kind",
+    [State, Exogenous, LoadsToDraw, Transition, DataCenterState, Episode, Placement],
+    ids=attrgetter("__name__"),
 )
 def test_an_array_of_every_step(kind, monkeypatch):
     before = scenario_of(BALANCED)

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from dcgrid_env import Solution, distflow, lindistflow, load_feeder, sensitivity
+from dcgrid_env import Feeder, PowerFlowError, Solution, distflow, lindistflow, load_feeder, sensitivity
+from dcgrid_env.grid.network import RegulatorTable
+from dcgrid_env.powerflow.unbalanced.array_form import sweep_arrays
+from helpers.fast_paths import NAME, add_field, altered
 
 DEVIATION = {"v_pu": 1e-7, "p_branch_kw": 1e-2, "q_branch_kvar": 1e-2, "current_sq_pu": 1e-4, "loss_kw": 1e-3}
 
@@ -310,3 +313,23 @@ def test_gradient_steps_through_distflow_lower_the_loss():
         injected = (injected - 1500.0 * slope).detach().requires_grad_()
     assert np.diff(losses).max() < 0.0
     assert losses[-1] < 0.72 * losses[0]
+
+
+@pytest.mark.parametrize("name", ["toy6", "ieee13-3ph"])
+def test_array_operations_refuse_a_feeder_with_a_field_that_they_do_not_cover(name, monkeypatch):
+    feeder = load_feeder(name)
+    kind, path = (Feeder, NAME) if name == "toy6" else (RegulatorTable, f"network.regulator.{NAME}")
+    add_field(monkeypatch, kind)
+    solve(altered(feeder))
+    with pytest.raises(PowerFlowError, match=f"feeder '{name}'.*{kind.__name__}.{NAME}.*give NumPy arrays"):
+        solve(altered(feeder, path, 1.0))
+
+
+def solve(feeder):
+    """Solve without load in array operations."""
+    if isinstance(feeder, Feeder):
+        load = torch.zeros(2, feeder.n_bus)
+        return lindistflow(feeder, load, load)
+    load, one = torch.zeros(2, feeder.n_leg), torch.ones(2)
+    of_equipment = torch.ones(2, feeder.n_regulator), torch.ones(2, feeder.n_capacitor)
+    return sweep_arrays(feeder, (load, load, one, *of_equipment), None, 1e-6, 100)
