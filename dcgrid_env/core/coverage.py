@@ -1,8 +1,9 @@
 """What a fast path covers: the fields of records that it takes into account.
 
 A fast path repeats part of the general path in fewer operations, so it knows only what was there when it was written.
-Its coverage lists this. Everything else is refused, and the general path is taken: a class that is not listed, such as
-a subclass; a class with a function that was replaced; and a field that is not listed, unless it has its default.
+Its coverage lists this. Everything else is refused, and the general path is taken. Refused are fields that are not
+listed, unless they have their default, and classes that are not listed, such as subclasses. A class is also refused if
+one of its functions was replaced.
 
     COVERED = Coverage({Sensing: "noise_pu delay_steps", Cost: "weights* band_pu"})
     COVERED.includes(scenario.sensing, scenario.cost)

@@ -1,7 +1,7 @@
 """Fast paths give the results of the general path, also where a contributor has added to what they know.
 
-Each test of an addition does what docs/architecture.md says: it adds a field with a default to a class and uses it
-where the general path does, or adds a record to a list of cost terms or observation fields.
+Each test of an addition does what docs/architecture.md says. It adds a field with a default to a class and uses it in
+the general path, or it adds a record to a list of cost terms or observation fields.
 """
 
 from __future__ import annotations
@@ -41,11 +41,14 @@ from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.traces import PowerTrace
 from helpers.fast_paths import NAME, add_field, altered, assert_same, both_ways, edit, fast_paths, results
 
 BALANCED, THREE_PHASE = "ieee33-weak", "ieee13-3ph"
-BUSY = {"workload": {"full_load_s": (0.0, 1e4)}, "horizon": 3}
+POWER_KW = np.random.default_rng(0).uniform(0.85, 1.0, 900)
+BUSY = {"workload": {"trace": PowerTrace(np.arange(900.0), POWER_KW, "busy")}, "horizon": 3}
 """Sites with more work than they serve, so that all their costs count."""
+BURSTS = {"trace": PowerTrace(np.arange(900.0), POWER_KW, "bursts", rated_kw=0.85)}
 COUNTED = ("voltage", "violation", "backlog", "effort", "clock", "leftover")
 """Cost terms that must count in a comparison if they have a weight."""
 
@@ -78,7 +81,15 @@ def assert_addition_counts(before: Any, after: Any) -> None:
         ("ieee33-weak", 3, {"cost": {"weights": {"clock": 3.0}, "band_pu": 0.02}, "reward": "difference"}),
         ("ieee33-weak", 12, {"cost": {"weights": {"clock": 3.0}}}),
         ("ieee33-weak", 1, {"inverters": {"injection": "pv"}, "background": {"capacitors": False}}),
-        ("ieee33-weak", 2, {"datacenters": {"boost_share": 1.2}, "sensing": {"preview": False, "r_model_share": 0.5}}),
+        (
+            "ieee33-weak",
+            2,
+            {
+                "datacenters": {"boost_share": 1.2},
+                "workload": BURSTS,
+                "sensing": {"preview": False, "r_model_share": 0.5},
+            },
+        ),
         ("ieee33-weak", 2, {"sensing": {"noise_pu": 0.003, "delay_steps": 2}, "reward": "local"}),
         ("ieee123", 1, {"background": {"start_hour": 18.0}, "source_voltage_pu": 1.03}),
         ("smoothing", 1, {}),
