@@ -113,7 +113,7 @@ def is_plain(scenario: Scenario, covered: Coverage) -> bool:
     groups = [type(group) for group in scenario.devices]
     if groups not in ([DataCenters], [DataCenters, Inverters]) or scenario.n_agents > MOST_AT_ONCE:
         return False
-    if not covered.includes(scenario) or scenario.cost.reward == "local":
+    if not covered.includes(scenario) or scenario.datacenters.features or scenario.cost.reward == "local":
         return False
     if any(_declared(scenario, group) != DECLARED[type(group)] for group in scenario.devices):
         return False

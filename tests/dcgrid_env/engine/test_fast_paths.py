@@ -22,10 +22,11 @@ from dcgrid_env.devices.datacenter.clock_law import LinearDvfs
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import PassesBy
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
-from dcgrid_env.engine.cost import observation, reward
+from dcgrid_env.engine import plain_step
+from dcgrid_env.engine.cost import observation, plain_figures, reward
 from dcgrid_env.engine.cost.observation import ObservationField
 from dcgrid_env.engine.exogenous.episode import Episode
-from dcgrid_env.engine.physics import dynamics, equipment, loads
+from dcgrid_env.engine.physics import dynamics, equipment, grid_pass, loads, phase_pass
 from dcgrid_env.engine.physics.connections import Placement
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw, State
 from dcgrid_env.engine.simulation import Simulation
@@ -38,6 +39,7 @@ from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest
 from dcgrid_env.scenario.load_profiles import LoadProfiles
+from dcgrid_env.scenario.presets import PRESETS
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.workload import Workload
@@ -74,6 +76,27 @@ def assert_addition_counts(before: Any, after: Any) -> None:
         assert_same(found[1:], plain[1:])
 
 
+PLAIN = "toy6 ieee123 ieee33-weak ieee33 das69 khodr141 bursty sync training mixed wrong-model scale-32"
+FAST = {
+    plain_step: PLAIN,
+    grid_pass: f"{PLAIN} robust late-measurements ieee33-weak-ups smoothing routing load-target",
+    plain_figures: """
+        ieee13-3ph ieee34-3ph ieee123-3ph ieee13-3ph-published ieee34-3ph-published ieee123-3ph-published
+    """,
+    phase_pass: """
+        ieee13-3ph ieee34-3ph ieee123-3ph ieee13-3ph-published ieee34-3ph-published ieee123-3ph-published ride-through
+    """,
+}
+"""Presets that each fast path is for."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", FAST, ids=attrgetter("__name__"))
+def test_presets_take_their_fast_paths(path):
+    fitting = {name for name in PRESETS if path.fits(make_scenario(name), *((1,) if path is plain_step else ()))}
+    assert fitting == set(FAST[path].split())
+
+
 @pytest.mark.parametrize(
     ("preset", "n_env", "overrides"),
     [
@@ -95,7 +118,9 @@ def assert_addition_counts(before: Any, after: Any) -> None:
         ("smoothing", 1, {}),
         ("load-target", 2, {}),
         ("ieee13-3ph", 1, {"cost": {"weights": {"clock": 3.0}}}),
-        ("ieee13-3ph", 3, {"cost": {"weights": {"clock": 3.0}}, "reward": "difference"}),
+        pytest.param(
+            "ieee13-3ph", 3, {"cost": {"weights": {"clock": 3.0}}, "reward": "difference"}, marks=pytest.mark.slow
+        ),
         ("ieee13-3ph", 1, {"sensing": {"noise_pu": 0.003, "delay_steps": 1}, "inverters": {"injection": "pv"}}),
         ("ieee13-3ph", 1, {"grid_control": {"regulator_settings": {"timer": "reset", "offset_v": 2.0}}}),
         ("ride-through", 1, {}),
