@@ -104,7 +104,7 @@ ELSEWHERE = {
     "dcgrid import pandapower": "tests/dcgrid_env/cli/test_grid_import.py",
     "dcgrid import power-grid-model": "tests/dcgrid_env/cli/test_grid_import.py",
     "dcgrid export": "tests/dcgrid_env/cli/test_grid_import.py",
-    "python -m docs.studies.import_differences": "tests/dcgrid_env/grid/formats/pandapower/test_nets.py",
+    "python -m docs.studies corpus": "tests/docs/studies/test_corpus.py",
     "python tests/support/large_grid.py": "tests/dcgrid_env/grid/formats/test_large_grid.py",
     "dcgrid traces check": "tests/dcgrid_env/cli/test_traces.py",
     "dcgrid traces fetch": "tests/dcgrid_env/cli/test_traces.py",  # there from a server of the test's own

@@ -41,7 +41,8 @@ def read_matpower(
     allow
         Kinds of elements that may be left out although something is lost.
     per_phase
-        Its powers and ``baseMVA`` are of one phase: they are taken three times.
+        Its powers and ``baseMVA`` are of one phase and are multiplied by three; its base voltages are from line to
+        neutral and are multiplied by sqrt(3).
     fix_generators
         Generators that keep a voltage become constant loads, of the power that MATPOWER's power flow gives them.
     bus_names
@@ -62,14 +63,15 @@ def read_matpower(
             case.base_mva *= 3.0
             for table, columns in (("bus", [2, 3, 4, 5]), ("gen", [1, 2]), ("branch", [5, 6, 7])):
                 case.tables[table][:, columns] *= 3.0
-            report.add("taken", "case", case.name, "its powers are of one phase: taken three times")
+            case.tables["bus"][:, 9] *= math.sqrt(3.0)
+            report.add("taken", "case", case.name, "one phase: powers times three, base voltages times sqrt(3)")
         rows = {int(number): i for i, number in enumerate(case.tables["bus"][:, 0])}
         model = _model(str(path), case, rows)
         grid = _grid(case, rows, named_buses(str(path), _names(case, bus_names)))
         _sources_and_generators(grid, case, rows, report, _drawn_kva(model, case) if fix_generators else None)
         notes = ()
         if not per_phase and says_single_phase(text):
-            notes = ("the file speaks of single-phase MW: --per-phase takes its powers and base power three times",)
+            notes = ("the file speaks of single-phase MW: --per-phase multiplies its powers by three and its base voltages by sqrt(3)",)
 
         def voltages() -> dict[str, float]:
             v, converged = solved(model)
