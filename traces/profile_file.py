@@ -13,7 +13,7 @@ Long form, a row for each sample of each of them, with the second column named l
 
 The first column contains the times: dates (``time``, ISO 8601 or DD.MM.YYYY HH:MM), seconds (``time_s``) or hours
 (``time_h``), both counted from a midnight. Lines of a CSV file that begin with # are comments. The delimiter is a
-comma, a semicolon or a tab.
+comma, a semicolon or a tab, and with the latter two numbers may have decimal commas.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ import numpy as np
 from dcgrid_env.core.files import write_text
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.traces.checks import FloatArray, TraceError
+from dcgrid_env.traces.logs.clock import date_of
 from dcgrid_env.traces.profile_table import ProfileTable, checked_table
-from dcgrid_env.traces.text.text_file import open_text
+from dcgrid_env.traces.text.table_file import open_table
 
 REACTIVE = ".q"
 """Ending of the name of a column of reactive power."""
@@ -122,7 +123,7 @@ def read_classes(path: str | Path) -> dict[str, str]:
 
 
 def _csv(path: Path) -> _Raw:
-    with open_text(path) as file:
+    with open_table(path) as file:
         numbered = [
             (i, line)
             for i, line in enumerate(iter(file.readline, ""), start=1)
@@ -130,9 +131,7 @@ def _csv(path: Path) -> _Raw:
         ]
     if len(numbered) < 2:
         raise TraceError(f"{path}: it has no header or no samples; give a header and a line for each sample")
-    first = numbered[0][1]
-    delimiter = max((",", ";", "\t"), key=first.count)
-    rows = list(csv.reader((line for _, line in numbered), delimiter=delimiter))
+    rows = list(csv.reader(line for _, line in numbered))
     header = [cell.strip() for cell in rows[0]]
     lines = [i for i, _ in numbered[1:]]
     for line, row in zip(lines, rows[1:], strict=True):
@@ -206,7 +205,7 @@ def _seconds(cells: Sequence[Any], refuse: Callable[[int, str], TraceError]) -> 
     dates: list[datetime] = []
     for i, cell in enumerate(cells):
         try:
-            dates.append(cell if isinstance(cell, datetime) else _date(str(cell)))
+            dates.append(cell if isinstance(cell, datetime) else date_of(str(cell)))
         except ValueError:
             raise refuse(i, _DATES) from None
         if (dates[i].tzinfo is None) != (dates[0].tzinfo is None):
@@ -217,18 +216,6 @@ def _seconds(cells: Sequence[Any], refuse: Callable[[int, str], TraceError]) -> 
     start = midnight if zone is None else midnight.astimezone(zone)
     times = [((date if zone is None else date.astimezone(zone)) - start).total_seconds() for date in dates]
     return np.array(times, np.float64), first.date().isoformat()
-
-
-def _date(text: str) -> datetime:
-    for form in ("%d.%m.%Y %H:%M", "%d.%m.%Y %H:%M:%S"):
-        if "." in text[:3]:
-            try:
-                return datetime.strptime(text, form)
-            except ValueError:
-                continue
-    if text.replace(".", "", 1).isdigit():
-        raise ValueError(text)
-    return datetime.fromisoformat(text)
 
 
 def _numbers(cells: Sequence[Any]) -> FloatArray:

@@ -10,15 +10,20 @@ import numpy as np
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.recorded_rows import from_recordings
 from dcgrid_env.traces.rows import SPLITS
+from dcgrid_env.traces.sampling import GAP_INTERVALS, sampling_of
 from dcgrid_env.traces.trace import PowerTrace
 
-GAP_INTERVALS = 3.0
-"""Samples further apart than this many usual intervals have a gap between them."""
 CONSTANT_S = 60.0
 CONSTANT_SAMPLES = 20
 """Power of one value is reported if it lasts at least this long and for at least so many samples."""
 IDLE_QUANTILE = 0.05
 """Share of the time in which the power is at most the idle level."""
+USUAL_QUANTILE = 0.995
+PEAK_TIMES = 2.0
+"""An unknown rating is doubtful if the peak is this many times the power that is exceeded only for the rest of
+USUAL_QUANTILE of the time."""
+COUNTER_SAMPLES = 20
+"""Samples from which on a power that never falls is reported."""
 RAMP_QUANTILES = (0.5, 0.95, 0.99, 1.0)
 
 
@@ -40,14 +45,18 @@ class RecordingReport:
     name: str
     duration_s: float
     samples: int
+    meters: int
+    """Meters that were summed."""
     interval_s: float
-    """Usual interval between samples, the median, s."""
+    """Usual interval between samples of a meter, the median, s."""
     jitter_s: float
     """Deviation from the usual interval that 95 % of the intervals outside gaps do not exceed, s."""
     gaps: int
     longest_gap_s: float
     gap_share: float
     """Share of the duration that is in gaps."""
+    gap_meter: str
+    """Meter with the most time in gaps; "" if there is one meter or no gap."""
     constant: tuple[Stretch, ...]
     """Long stretches of one value, the longest first."""
     zero_share: float
@@ -60,7 +69,11 @@ class RecordingReport:
     """Whether the power is in shares of a rating, which is then 1 kW."""
     idle_kw: float
     peak_kw: float
+    usual_peak_kw: float
+    """Power that is not exceeded for USUAL_QUANTILE of the time, kW."""
     mean_kw: float
+    never_falls: bool
+    """Whether the power rises in most intervals and never falls, as a counter of energy does."""
     ramps_kw: tuple[float, ...]
     """Absolute changes of the mean over a step from one step to the next, at RAMP_QUANTILES, kW."""
     dt_s: float
@@ -101,6 +114,7 @@ class RecordingReport:
         gaps = "none"
         if self.gaps:
             gaps = f"{self.gaps}, the longest {self.longest_gap_s:g} s, {self.gap_share:.2%} of the time"
+            gaps += f" ({self.gap_meter})" if self.gap_meter else ""
         found = ", ".join(
             f"{self._level(s.level_kw)} for {s.duration_s:g} s from {s.begin_s:g} s" for s in self.constant
         )
@@ -109,10 +123,11 @@ class RecordingReport:
             for quantile, kw in zip(RAMP_QUANTILES, self.ramps_kw, strict=True)
         )
         rating = "unknown" if self.rated_kw is None else f"{self.rated_kw:g} kW"
+        each = f" of each of {self.meters} meters" if self.meters > 1 else ""
         levels = (("idle", self.idle_kw), ("mean", self.mean_kw), ("peak", self.peak_kw))
         return [
             f"duration: {self.duration_s:g} s, {self.samples} samples",
-            f"sampling: every {self.interval_s:.4g} s, jitter {self.jitter_s:.3f} s (95 %)",
+            f"sampling: every {self.interval_s:.4g} s{each}, jitter {self.jitter_s:.3f} s (95 %)",
             f"gaps of more than {GAP_INTERVALS:g} intervals: {gaps}; a sample holds until the next",
             f"constant: {found or 'no long stretch'}; no power for {self.zero_share:.1%} of the time",
             f"rating: {'power is in shares of it' if self.is_share else rating}",
@@ -150,9 +165,20 @@ class RecordingReport:
             found.append("the power is in shares of a rating; pass --rated-kw to have it in kW")
         elif self.rated_kw is None:
             found.append("the rating is unknown, so the peak stands for it; pass --rated-kw if the site can draw more")
+            if self.peak_kw > PEAK_TIMES * self.usual_peak_kw:
+                found.append(
+                    f"the peak of {self.peak_kw:.4g} kW stands for the rating, but the power exceeds "
+                    f"{self.usual_peak_kw:.4g} kW for {1 - USUAL_QUANTILE:.1%} of the time only; check that it is no "
+                    "error of the meter, or pass --rated-kw"
+                )
         elif self.peak_kw > self.rated_kw * (1 + 1e-9):
             found.append(
                 f"the peak of {self.peak_kw:g} kW exceeds the rating of {self.rated_kw:g} kW; correct --rated-kw"
+            )
+        if self.never_falls:
+            found.append(
+                "the power rises all the time and never falls, as a counter of energy does; check that the file "
+                "contains power"
             )
         if self.below_idle_share > 0.01:
             found.append(
@@ -189,20 +215,20 @@ def check_recording(trace: PowerTrace, dt_s: float, needed_s: float, site_idle_s
     time_s, power_kw = trace.time_s - trace.time_s[0], trace.power_kw
     if not power_kw.max() > 0:
         raise TraceError(f"trace {trace.name!r}: draws no power in {len(power_kw)} samples; check the power columns")
-    interval_s = np.diff(time_s)
-    usual_s = float(np.median(interval_s))
-    is_gap = interval_s > GAP_INTERVALS * usual_s
+    interval_s, sampling = np.diff(time_s), trace.sampling or sampling_of({trace.name: time_s})
     steps_kw = trace.resample(dt_s)
     full_kw = float(power_kw.max()) if trace.rated_kw is None else trace.rated_kw
     return RecordingReport(
         name=trace.name,
         duration_s=trace.duration_s,
         samples=len(time_s),
-        interval_s=usual_s,
-        jitter_s=float(np.quantile(np.abs(interval_s[~is_gap] - usual_s), 0.95)),
-        gaps=int(is_gap.sum()),
-        longest_gap_s=float(interval_s[is_gap].max(initial=0.0)),
-        gap_share=float(interval_s[is_gap].sum() / trace.duration_s),
+        meters=sampling.meters,
+        interval_s=sampling.interval_s,
+        jitter_s=sampling.jitter_s,
+        gaps=sampling.gaps,
+        longest_gap_s=sampling.longest_gap_s,
+        gap_share=min(1.0, sampling.gap_s / trace.duration_s),
+        gap_meter=sampling.meter,
         constant=_constant(time_s, power_kw),
         zero_share=float(interval_s[power_kw[:-1] == 0.0].sum() / trace.duration_s),
         below_idle_share=float(interval_s[power_kw[:-1] < site_idle_share * full_kw].sum() / trace.duration_s),
@@ -210,6 +236,8 @@ def check_recording(trace: PowerTrace, dt_s: float, needed_s: float, site_idle_s
         is_share=trace.is_share,
         idle_kw=_level_kw(interval_s, power_kw[:-1], IDLE_QUANTILE),
         peak_kw=float(power_kw.max()),
+        usual_peak_kw=_level_kw(interval_s, power_kw[:-1], USUAL_QUANTILE),
+        never_falls=_never_falls(power_kw),
         mean_kw=trace.energy_kws / trace.duration_s,
         ramps_kw=tuple(np.quantile(np.abs(np.diff(steps_kw)), RAMP_QUANTILES).tolist()),
         dt_s=dt_s,
@@ -226,6 +254,12 @@ def _constant(time_s: FloatArray, power_kw: FloatArray, most: int = 3) -> tuple[
     is_long = (duration_s >= CONSTANT_S) & (ends - begins >= CONSTANT_SAMPLES)
     longest = sorted(np.flatnonzero(is_long).tolist(), key=lambda i: -duration_s[i])[:most]
     return tuple(Stretch(float(time_s[begins[i]]), float(duration_s[i]), float(power_kw[begins[i]])) for i in longest)
+
+
+def _never_falls(power_kw: FloatArray) -> bool:
+    """Return whether the power rises in most intervals and falls in none."""
+    rises = np.diff(power_kw)
+    return len(power_kw) >= COUNTER_SAMPLES and bool((rises >= 0).all() and np.mean(rises > 0) > 0.5)
 
 
 def _level_kw(interval_s: FloatArray, power_kw: FloatArray, quantile: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections.abc import Callable
@@ -11,26 +12,28 @@ from typing import Any
 
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs import dmon_log, wattameter_log
-from dcgrid_env.traces.logs.clock import is_date
 from dcgrid_env.traces.logs.dmon_log import read_dmon_log
 from dcgrid_env.traces.logs.gpu_columns import split
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 from dcgrid_env.traces.logs.power_json import read_power_json
 from dcgrid_env.traces.logs.request_log import is_request_log, read_request_log
-from dcgrid_env.traces.logs.stamped_csv import read_stamped_csv
+from dcgrid_env.traces.logs.stamped_csv import is_stamped, read_stamped_csv
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP
 from dcgrid_env.traces.logs.wattameter_log import read_wattameter_log
 from dcgrid_env.traces.serving.hardware import replica
 from dcgrid_env.traces.serving.pool import serve
 from dcgrid_env.traces.serving.requests import Requests
 from dcgrid_env.traces.text.csv_file import RECORDED, csv_columns
-from dcgrid_env.traces.text.text_file import open_text
+from dcgrid_env.traces.text.table_file import TableFile, open_table
+from dcgrid_env.traces.text.text_file import TextFile, open_text
 from dcgrid_env.traces.trace import PowerTrace
 
 LOAD = 0.35
 """Load that sets the number of replicas of Llama 3 70B on H100 which serve a request log without a site."""
 _SHOWING_LINES = 5
 """Lines at the top of a file that show its format."""
+_SHOWN_ITEMS = 8
+"""Items of a list that are printed."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +59,16 @@ def _served_log(path: str | Path, part_s: tuple[float, float] | None = None) -> 
     return served(read_request_log(path, part_s=part_s))
 
 
-_GAPS = ("max_gap_s", "gaps")
+_COMMON = ("limit_kw", "max_gap_s", "gaps")
 FORMATS: dict[str, FileFormat] = {
     form.name: form
     for form in (
-        FileFormat("csv", "CSV with time in s", PowerTrace.from_csv, ("unit", "power_columns", "invalid", *_GAPS)),
-        FileFormat("nvidia-smi", "log of nvidia-smi --query-gpu", read_gpu_log, ("unit", *_GAPS)),
-        FileFormat("dmon", "log of dcgmi dmon", read_dmon_log, ("step_s", *_GAPS)),
-        FileFormat("wattameter", "log of WattAMeter", read_wattameter_log, _GAPS),
-        FileFormat("stamped-csv", "CSV with dates and times", read_stamped_csv, ("unit", "power_columns", *_GAPS)),
-        FileFormat("json", "JSON of Prometheus, Redfish or ML.ENERGY", read_power_json, ("unit", "metric", *_GAPS)),
+        FileFormat("csv", "CSV with numeric times", PowerTrace.from_csv, ("unit", "power_columns", "invalid", *_COMMON)),
+        FileFormat("nvidia-smi", "log of nvidia-smi --query-gpu", read_gpu_log, ("unit", "columns", "gpus", *_COMMON)),
+        FileFormat("dmon", "log of dcgmi dmon", read_dmon_log, ("step_s", *_COMMON)),
+        FileFormat("wattameter", "log of WattAMeter", read_wattameter_log, _COMMON),
+        FileFormat("stamped-csv", "CSV with dates and times", read_stamped_csv, ("unit", "power_columns", *_COMMON)),
+        FileFormat("json", "JSON of Prometheus, Redfish or ML.ENERGY", read_power_json, ("unit", "metric", *_COMMON)),
         FileFormat("requests", "log of requests, served by H100 with Llama 3 70B", _served_log, ("part_s",)),
     )
 }
@@ -75,8 +78,7 @@ FORMATS: dict[str, FileFormat] = {
 def file_format(path: str | Path) -> FileFormat:
     """Return the format of a file, which its first lines show; CSV if they show none."""
     with open_text(path) as file:
-        lines = (line for line in iter(file.readline, "") if line.strip())
-        shown = [line for _, line in zip(range(_SHOWING_LINES), lines, strict=False)]
+        shown = _shown(file)
     first = shown[0] if shown else ""
     if first.startswith(RECORDED):
         return FORMATS["csv"]
@@ -84,16 +86,21 @@ def file_format(path: str | Path) -> FileFormat:
         return FORMATS["dmon"]
     if wattameter_log.HEADER.match(first):
         return FORMATS["wattameter"]
-    content = [line for line in shown if not line.startswith("#")] or _after_comments(path)
+    with open_text(path) as file:
+        first = next(iter(_shown(file, comments=False)), "")
+    if first.lstrip().startswith(("{", "[")):
+        return FORMATS["requests" if is_request_log(first) else "json"]
+    with open_table(path) as file:
+        content = _shown(file, comments=False)
     first = content[0] if content else ""
     if is_request_log(first):
         return FORMATS["requests"]
-    if first.lstrip().startswith(("{", "[")):
-        return FORMATS["json"]
     if "power.draw" in first.lower() or any(re.fullmatch(TIMESTAMP, cell) for cell in split(first)):
         return FORMATS["nvidia-smi"]
-    if len(content) > 1 and any(is_date(cell) for cell in split(content[1])):
-        return FORMATS["stamped-csv"]
+    if len(content) > 1:
+        header, cells = (next(csv.reader([line])) for line in content[:2])
+        if is_stamped(header, cells):
+            return FORMATS["stamped-csv"]
     return FORMATS["csv"]
 
 
@@ -107,7 +114,7 @@ def columns_line(path: str | Path, trace: PowerTrace, **options: Any) -> str:
         read += "".join(f"; {count} samples dropped ({fault})" for fault, count in dropped.items())
     else:
         read = ", ".join(
-            f"{name} {value}" for name, value in trace.provenance.parameters.items() if name != "served_by"
+            f"{name} {_text(value)}" for name, value in trace.provenance.parameters.items() if name != "served_by"
         )
     return f"{form.description}; {read or 'whole log'}"
 
@@ -134,8 +141,17 @@ def read_file(path: str | Path, **options: Any) -> PowerTrace:
     return form.read(path, **passed)
 
 
-def _after_comments(path: str | Path) -> list[str]:
-    """Return the first two lines that are neither empty nor a comment."""
-    with open_text(path) as file:
-        lines = (line for line in iter(file.readline, "") if line.strip() and not line.startswith("#"))
-        return [line for _, line in zip(range(2), lines, strict=False)]
+def _text(value: Any) -> str:
+    """Return a noted value as text: a few of its items if there are many."""
+    if isinstance(value, dict):
+        value = [f"{name} by {figure:g}" for name, figure in value.items()]
+    if isinstance(value, list):
+        more = f" and {len(value) - _SHOWN_ITEMS} more" if len(value) > _SHOWN_ITEMS else ""
+        return f"[{', '.join(map(str, value[:_SHOWN_ITEMS]))}{more}]"
+    return str(value)
+
+
+def _shown(file: TextFile | TableFile, comments: bool = True) -> list[str]:
+    """Return the first lines that are not empty."""
+    lines = (line for line in iter(file.readline, "") if line.strip() and (comments or not line.startswith("#")))
+    return [line for _, line in zip(range(_SHOWING_LINES), lines, strict=False)]

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from dcgrid_env.core.files import write_text
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.sampling import Sampling
 from dcgrid_env.traces.text.csv_file import RECORDED, read_csv
 from dcgrid_env.traces.text.text_file import stem
 
@@ -46,6 +47,7 @@ class PowerTrace:
         follows the clock (prefill, training). The part between it and the idle floor hardly does (decode).
     requests : the requests behind the power as they would be served at the top clock, if it is made of requests.
     rated_kw : rating of the site, kW; if unknown, None, and the highest power is used instead.
+    sampling : sampling of the meters that were summed; None if `time_s` shows it.
 
     The arrays are copied and made read-only.
 
@@ -62,6 +64,7 @@ class PowerTrace:
     compute_kw: FloatArray | None
     requests: RequestTimes | None
     rated_kw: float | None
+    sampling: Sampling | None
 
     def __init__(
         self,
@@ -72,6 +75,7 @@ class PowerTrace:
         compute_kw: ArrayLike | None = None,
         requests: RequestTimes | None = None,
         rated_kw: float | None = None,
+        sampling: Sampling | None = None,
     ) -> None:
         time_s, power_kw = _column(time_s, name, "time_s"), _column(power_kw, name, "power_kw")
         if len(time_s) != len(power_kw):
@@ -103,6 +107,7 @@ class PowerTrace:
             ("compute_kw", compute_kw),
             ("requests", requests),
             ("rated_kw", rated_kw),
+            ("sampling", sampling),
         ):
             object.__setattr__(self, field, value)
 
@@ -115,10 +120,10 @@ class PowerTrace:
         power_columns: Sequence[int | str] | None = None,
         unit: str | None = None,
         header: bool | None = None,
-        delimiter: str = ",",
+        delimiter: str | None = None,
         max_gap_s: float | None = None,
         gaps: str = "error",
-        limit_kw: float = 1e6,
+        limit_kw: float | None = None,
         invalid: str = "error",
         name: str | None = None,
     ) -> "PowerTrace":
@@ -153,6 +158,14 @@ class PowerTrace:
     def asked_by(self) -> str | None:
         """Name or file that `recorded_trace` made it of; None for a trace made otherwise."""
         return self.__dict__.get("_asked_by")
+
+    @property
+    def began(self) -> str | None:
+        """Date and time of the first sample on the recording's own clock, ISO 8601; None if it is unknown."""
+        noted = self.provenance.parameters
+        if "began" not in noted:  # a file that `to_csv` wrote
+            noted = noted.get("source", {}).get("parameters", {})
+        return noted.get("began")
 
     @property
     def is_share(self) -> bool:

@@ -15,6 +15,7 @@ from dcgrid_command.group import HELP, Entry, Group, found
 from dcgrid_command.unread import ends_unread
 from dcgrid_env import __version__
 from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.remedies import with_options
 from dcgrid_env.cli.terminal import any_characters
 from dcgrid_env.core.signals import raising
 from dcgrid_env.core.suggestions import unknown
@@ -52,7 +53,7 @@ def main(args: list[str] | None = None, commands: Group = COMMANDS, prog: str = 
             traceback.print_exception(error)
         else:
             more = f"; add {TRACEBACK} for the full traceback" if getattr(error, "traced", False) else ""
-            print(f"dcgrid: {error}{more}", file=sys.stderr)
+            print(f"dcgrid: {with_options(error, command)}{more}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         how = f"; {command.resumes}" if command is not None and command.resumes else ""

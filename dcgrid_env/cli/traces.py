@@ -36,6 +36,11 @@ class CheckRecording(Command):
     """Unit of the power columns. Default: their names contain it."""
     power_columns: tuple[str, ...] = ()
     """Names of the power columns, which are summed. Default: all."""
+    columns: str | None = None
+    """Columns of a log of nvidia-smi without a header, as they were queried: timestamp,index,power.draw."""
+    gpus: int | None = None
+    """Number of GPUs in a log of nvidia-smi without a column that identifies them. The lines of each round must be
+    complete and in order."""
     metric: str | None = None
     """Metric of a JSON file with several."""
     step_s: float | None = None
@@ -47,8 +52,11 @@ class CheckRecording(Command):
     gaps: Literal["error", "hold", "linear"] | None = None
     """Treatment of gaps longer than --max-gap-s: an error, hold the last sample, or a straight line. Default: error."""
     max_gap_s: float | None = None
-    """Longest interval between samples that is not a gap, s. Default: any in a CSV with time in s, 15 s in a log of
+    """Longest interval between samples that is not a gap, s. Default: any in a CSV with numeric times, 15 s in a log of
     nvidia-smi, five usual intervals but at least 15 s in other files."""
+    limit_kw: float | None = None
+    """Highest accepted reading of one meter or cell, kW. Default: 2 kW for a GPU or processor, 1 GW for others, whose
+    outliers are refused too."""
     scenario: str = "ieee33-weak"
     """Scenario: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or package.module:function."""
     set: Overrides = ()
@@ -117,9 +125,9 @@ class CheckRecording(Command):
         from dcgrid_env.traces.recordings import RECORDINGS
 
         options: dict[str, Any] = {
-            "unit": self.unit, "power_columns": self.power_columns or None, "metric": self.metric,
-            "step_s": self.step_s, "part_s": self.part_s, "invalid": self.invalid, "gaps": self.gaps,
-            "max_gap_s": self.max_gap_s,
+            "unit": self.unit, "power_columns": self.power_columns or None, "columns": self.columns, "gpus": self.gpus,
+            "metric": self.metric, "step_s": self.step_s, "part_s": self.part_s, "invalid": self.invalid,
+            "gaps": self.gaps, "max_gap_s": self.max_gap_s, "limit_kw": self.limit_kw,
         }  # fmt: skip
         given = [name for name, value in options.items() if value is not None]
         if self.name in RECORDINGS or not Path(self.name).is_file():

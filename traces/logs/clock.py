@@ -1,37 +1,52 @@
-"""Times of a reading as files write them: seconds since 1970, or a date and time."""
+"""Times of a reading as files write them: a date and time, or a number since 1970."""
 
 from datetime import UTC, datetime
 
 from dcgrid_env.traces.checks import TraceError
+from dcgrid_env.traces.text.times import PARTS, epoch_unit
 
-FORMS = "2026-01-02T03:04:05.678Z or 1767323045.678 (s since 1970)"
+FORMS = "2026-01-02T03:04:05.678Z, 02.01.2026 03:04:05 or 1767323045.678 (s since 1970)"
+_DAY_FIRST = ("%d.%m.%Y %H:%M", "%d.%m.%Y %H:%M:%S", "%d.%m.%Y %H:%M:%S.%f")
+
+
+def date_of(text: str) -> datetime:
+    """Return a date and time of the forms ISO 8601 and DD.MM.YYYY HH:MM; raise ValueError for another text.
+
+    A date and a time may be separated by `T`, a space or `_`, and the parts of a date by `-` or `/`.
+    """
+    text = text.strip()
+    if "." in text[:3]:
+        for form in _DAY_FIRST:
+            try:
+                return datetime.strptime(text, form)
+            except ValueError:
+                continue
+    if text.replace(".", "", 1).isdigit():
+        raise ValueError(text)
+    return datetime.fromisoformat(text.replace("_", "T").replace("/", "-"))
 
 
 def seconds(text: str | float, where: str) -> float:
-    """Time since 1970, s, of a number of seconds or an ISO 8601 date and time; without an offset it counts as UTC.
+    """Time since 1970, s, of a number or a date and time; without an offset it counts as UTC.
 
-    A date and a time may be separated by `T`, a space or `_`. Raises TraceError, with `where` at its beginning, for
-    another text.
+    A number that is a time in ms, us or ns since 1970 counts as such. Raises TraceError, with `where` at its beginning,
+    for another text.
     """
     try:
-        return float(text)
+        time = float(text)
     except (TypeError, ValueError):
-        pass
-    try:
-        at = datetime.fromisoformat(str(text).strip().replace("_", "T").replace("/", "-"))
-    except ValueError:
-        raise TraceError(f"{where}: the time is {str(text)[:40]!r}; write it like {FORMS}") from None
-    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+        try:
+            date = date_of(str(text))
+        except ValueError:
+            raise TraceError(f"{where}: the time is {str(text)[:40]!r}; write it like {FORMS}") from None
+        return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+    return time / PARTS[epoch_unit(time) or "s"]
 
 
 def is_date(text: str) -> bool:
     """Return whether a text is a date and time, and not a number."""
     try:
-        float(text)
+        date_of(text)
     except ValueError:
-        try:
-            seconds(text, "")
-        except TraceError:
-            return False
-        return True
-    return False
+        return False
+    return True

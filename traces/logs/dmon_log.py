@@ -7,9 +7,11 @@ import re
 
 from dcgrid_env.traces.checks import TraceError, require_positive
 from dcgrid_env.traces.logs.clock import seconds
-from dcgrid_env.traces.logs.meters import Meters, clock_text
+from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.text.cells import reading
 from dcgrid_env.traces.text.text_file import open_text, stem
+from dcgrid_env.traces.text.times import clock_text
 from dcgrid_env.traces.trace import PowerTrace
 
 COMMAND = "dcgmi dmon -e 155 -d 1000 | ts '%Y-%m-%dT%H:%M:%.S'"
@@ -27,7 +29,7 @@ def read_dmon_log(
     step_s: float | None = None,
     max_gap_s: float | None = None,
     gaps: str = "error",
-    limit_w: float = 2000.0,
+    limit_kw: float | None = None,
     name: str | None = None,
 ) -> PowerTrace:
     """Read the power of all GPUs of a log, summed.
@@ -41,7 +43,7 @@ def read_dmon_log(
     path : text file, UTF-8, plain or gzip.
     step_s : delay of `dcgmi dmon -d`, in s; for a log whose lines do not begin with a time.
     max_gap_s, gaps : rule for readings of a GPU that are far apart, see `dcgrid_env.traces.logs.meters.Meters`.
-    limit_w : highest accepted reading, W.
+    limit_kw : highest accepted reading, kW; 2 kW by default.
     name : name of the trace; by default the file's name without suffix.
 
     Raises
@@ -56,7 +58,6 @@ def read_dmon_log(
     """
     if step_s is not None:
         require_positive(step_s, "step_s", "give the delay of dcgmi dmon -d in seconds")
-    limit_kw = 1e-3 * require_positive(limit_w, "limit_w", "give the highest reading of a GPU in W")
     with open_text(path) as file:
         meters = Meters(
             file.name, POWER, "W", max_gap_s=max_gap_s, gaps=gaps, limit_kw=limit_kw,
@@ -86,14 +87,14 @@ def read_dmon_log(
                     continue
                 gpu = f"{_GPU} {row['number']}"
                 rows[gpu] = rows.get(gpu, -1) + 1
-                reading = values[fields.index(POWER)]
-                meters.add(gpu, _time(where, row["time"], step_s, rows[gpu]), _number(where, reading), number)
+                power = values[fields.index(POWER)]
+                meters.add(gpu, _time(where, row["time"], step_s, rows[gpu]), _number(where, power), number)
         sha256 = file.sha256()
-    time_s, power_kw, begin_s = meters.total()
-    parameters = {"gpus": len(meters.meters), "column": POWER}
+    found = meters.total()
+    parameters = {"gpus": len(meters.meters), "column": POWER} | found.notes
     if step_s is None:
-        parameters["began"] = clock_text(begin_s)
-    return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
+        parameters["began"] = clock_text(found.begin_s)
+    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 def _fields(where: str, text: str) -> list[str]:
@@ -115,9 +116,7 @@ def _time(where: str, text: str | None, step_s: float | None, row: int) -> float
 
 
 def _number(where: str, text: str) -> float:
-    if text == "N/A":
-        return float("nan")
     try:
-        return float(text)
+        return reading(text)
     except ValueError:
         raise TraceError(f"{where}: {POWER} is {text[:40]!r}, not a number; repair or remove the line") from None

@@ -7,8 +7,10 @@ from itertools import chain
 
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP
+from dcgrid_env.traces.text.cells import MISSING, is_missing
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, bracketed, column_unit
-from dcgrid_env.traces.text.text_file import Block, TextFile
+from dcgrid_env.traces.text.table_file import TableFile
+from dcgrid_env.traces.text.text_file import Block
 
 QUERY = "nvidia-smi --query-gpu=timestamp,index,power.draw --format=csv -lms 100"
 # The reading of the instant first: on newer GPUs power.draw is a mean over a second.
@@ -18,11 +20,10 @@ SEARCHED_LINES = 1000
 """Lines of a log without header in which a power reading is looked for."""
 
 _NUMBER = r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?"
-_POWER = rf"(?:(?P<power>{_NUMBER})[ \t]*(?P<unit>[A-Za-z]+)?|\[[^\]]*\]|N/A|ERR!)"
+_POWER = rf"(?:(?P<power>{_NUMBER})[ \t]*(?P<unit>[A-Za-z]+)?|{MISSING})"
 _TIME_CELL = re.compile(rf"\s*{TIMESTAMP}\s*")
 _POWER_CELL = re.compile(rf"\s*{_NUMBER}\s*(?:{'|'.join(KW_PER_UNIT)})\s*")
 _PLAIN_CELL = re.compile(rf"\s*{_NUMBER}\s*")
-_UNTOLD_CELL = re.compile(r"\[[^\]]*\]|N/A|ERR!|")
 _GPU_CELL = re.compile(r"\s*(?:GPU-[0-9a-f-]+|[0-9A-Fa-f]{4,8}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}\.[0-9])\s*")
 
 
@@ -43,7 +44,7 @@ class GpuColumns:
 
     def identifies(self, gpu: str) -> bool:
         """Return whether `gpu`, the cell of a line, names a GPU; consumer cards have `[N/A]` as serial number."""
-        return self.gpu is not None and _UNTOLD_CELL.fullmatch(gpu) is None
+        return self.gpu is not None and not is_missing(gpu)
 
     def pattern(self) -> re.Pattern[str]:
         """Return the pattern of a line, with groups time, gpu, power (None if the reading is missing) and unit."""
@@ -61,7 +62,7 @@ def split(line: str) -> tuple[str, ...]:
 
 
 def find_columns(
-    file: TextFile, columns: str | Sequence[str] | None, unit: str | None
+    file: TableFile, columns: str | Sequence[str] | None, unit: str | None
 ) -> tuple[GpuColumns, list[Block]]:
     """Columns of a log, from its header, from `columns` or from its cells, and the lines read so far.
 
@@ -103,7 +104,7 @@ def _from_names(where: str, names: tuple[str, ...], unit: str | None, header: tu
     )
 
 
-def _from_cells(where: str, file: TextFile, first: Block, lines, unit: str | None) -> tuple[GpuColumns, list[Block]]:
+def _from_cells(where: str, file: TableFile, first: Block, lines, unit: str | None) -> tuple[GpuColumns, list[Block]]:
     """Detect the columns of a log without header by the first line with a time and one reading with its unit.
 
     The cells may omit the unit if `unit` is given and a line contains only the time and a number.

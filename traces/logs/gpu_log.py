@@ -10,12 +10,14 @@ import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.logs.gpu_columns import QUERY, GpuColumns, find_columns, split
-from dcgrid_env.traces.logs.meters import held_total
+from dcgrid_env.traces.logs.meters import Total, held_total
 from dcgrid_env.traces.logs.timestamps import nanoseconds
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.gaps import GapRule
+from dcgrid_env.traces.text.limits import DEVICE_KW, above_limit
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
-from dcgrid_env.traces.text.text_file import Block, open_text, stem
+from dcgrid_env.traces.text.table_file import open_table
+from dcgrid_env.traces.text.text_file import Block, stem
 from dcgrid_env.traces.trace import PowerTrace
 
 EARLY_READINGS = 1000
@@ -30,14 +32,15 @@ def read_gpu_log(
     gpus: int | None = None,
     max_gap_s: float | None = 15.0,
     gaps: str = "error",
-    limit_w: float = 2000.0,
+    limit_kw: float | None = None,
     name: str | None = None,
 ) -> PowerTrace:
     """Read the power of all GPUs of a log, summed.
 
-    Each GPU's reading applies until its next one. The sum is taken on the union of all times. It begins at the first
-    instant at which every GPU has reported, which becomes time 0, and ends at the last reading of any. Missing readings
-    (`[N/A]`, `[Not Supported]`, `ERR!`) are skipped, so the gap between the GPU's readings is longer. A column uuid,
+    Each GPU's reading applies until its next one. The sum has a sample for each round of readings, or for each reading
+    if there are no rounds (`dcgrid_env.traces.logs.meters.held_total`). It begins when every GPU has reported, which
+    becomes time 0, and ends at the last reading of any. Missing readings (`[N/A]`, `[Not Supported]`, `ERR!`) are
+    skipped, so the gap between the GPU's readings is longer. A column uuid,
     index, pci.bus_id or serial identifies the GPU. Of several power columns power.draw.instant is preferred. The header
     may be repeated where the logger was restarted. An unreadable last line without a line end was cut short and is
     dropped, and so is one of a GPU that no other line names. Memory use is 16 bytes for each reading, and about 50
@@ -54,7 +57,7 @@ def read_gpu_log(
     max_gap_s, gaps : rule for readings of a GPU that are more than max_gap_s apart, see `GapRule` of
         `dcgrid_env.traces.text.gaps`. The limit also applies before a GPU's first reading and after its last. If gaps
         are filled, the log begins when all have reported, and a last reading applies to the end.
-    limit_w : highest accepted reading, W.
+    limit_kw : highest accepted reading, kW; 2 kW by default.
     name : name of the trace; by default the file's name without suffix.
 
     Raises
@@ -65,19 +68,20 @@ def read_gpu_log(
         several GPUs cannot be distinguished. The message contains the file and the line.
     """
     rule = GapRule(max_gap_s, gaps)
-    require_positive(limit_w, "limit_w", "give the highest reading of a GPU in W")
+    if limit_kw is not None:
+        require_positive(limit_kw, "limit_kw", "give the highest reading of a GPU in kW")
     if gpus is not None and gpus < 1:
         raise TraceError(f"gpus = {gpus!r} is below 1; give the number of GPUs in the log")
-    with open_text(path) as file:
+    with open_table(path) as file:
         require_unit(file.name, unit)
         layout, read = find_columns(file, columns, unit)
-        log = _Log(file.name, layout, rule, limit_w * 1e-3, gpus)
+        log = _Log(file.name, layout, rule, DEVICE_KW if limit_kw is None else limit_kw, gpus)
         for block in chain(read, file.blocks()):
             log.add(block)
         sha256 = file.sha256()
-    time_s, power_kw, began = log.total()
-    parameters = {"began": began, "gpus": len(log.series), "column": layout.power_name}
-    return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
+    found, began = log.total()
+    parameters = {"began": began, "gpus": len(log.series), "column": layout.power_name} | found.notes
+    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 @dataclass
@@ -143,28 +147,30 @@ class _Log:
             for gpu, of_gpu in rows.items():
                 self._append(self.series[gpu], time_s[of_gpu], power_kw[of_gpu], [numbers[i] for i in of_gpu])
 
-    def total(self) -> tuple[FloatArray, FloatArray, str]:
-        """Times from 0, the sum of all GPUs in kW, and the log's clock at time 0."""
+    def total(self) -> tuple[Total, str]:
+        """Return the sum of all GPUs, and the log's clock at time 0."""
         series = list(self.series.values())
         self._require_readings(series)
         if self._gpus is None:
             for s in series:
                 if not self._columns.identifies(s.gpu):
                     self._require_one_gpu(s)
-        begin_s, end_s = max(s.time_s[0] for s in series), max(s.time_s[-1] for s in series)
+        end_s = max(s.time_s[-1] for s in series)
         log_begin_s = min(s.time_s[0] for s in series)
         for s in series:
             if self._rule.refuses(s.time_s[0] - log_begin_s):
                 raise self._edge(s.early[0][0], s.gpu, "first", s.time_s[0] - log_begin_s, "after the first GPU")
             if self._rule.refuses(end_s - s.time_s[-1]):
                 raise self._edge(s.last_line, s.gpu, "last", end_s - s.time_s[-1], "before the end")
-        time_s, power_kw = held_total([(np.frombuffer(s.time_s), np.frombuffer(s.power_kw)) for s in series])
-        if len(time_s) < 2:
+        found = held_total(
+            {f"GPU {s.gpu}".strip(): (np.frombuffer(s.time_s), np.frombuffer(s.power_kw)) for s in series}
+        )
+        if len(found.time_s) < 2:
             raise TraceError(
-                f"{self._name}: {len(time_s)} readings from when all {len(series)} GPUs have reported; give at least 2"
+                f"{self._name}: {len(found.time_s)} readings from when all {len(series)} GPUs have reported; give at least 2"
             )
-        began = np.datetime64((self._origin_ns or 0) + round(begin_s * 1e9), "ns").astype("datetime64[ms]")
-        return time_s - begin_s, power_kw, str(began)
+        began = np.datetime64((self._origin_ns or 0) + round(found.begin_s * 1e9), "ns").astype("datetime64[ms]")
+        return found, str(began)
 
     def _append(self, series: _Series, time_s: FloatArray, power_kw: FloatArray, lines: list[int]) -> None:
         known = 1 if series.time_s else 0
@@ -198,7 +204,7 @@ class _Log:
         if not 0 <= power_kw <= self._limit_kw:
             remedy = "power is consumption and not negative: repair the line"
             if power_kw > 0:
-                remedy = f"above limit_w = {self._limit_kw * 1e3:g}; is the unit right? If so, raise limit_w"
+                remedy = above_limit(self._limit_kw)
             raise TraceError(
                 f"{self._name}, line {number}: {self._columns.power_name} is {power_kw * 1e3:g} W, {remedy}"
             )

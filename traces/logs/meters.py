@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
+from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.sampling import GAP_INTERVALS, Sampling, sampling_of
 from dcgrid_env.traces.text.gaps import GAP_RULES, GapRule
+from dcgrid_env.traces.text.limits import above_limit, limit_of, outlier, outlier_text
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
+from dcgrid_env.traces.trace import PowerTrace
 
 USUAL_DISTANCES = 5.0
 LEAST_GAP_S = 15.0
 """By default, readings are a gap apart from this time on, and from USUAL_DISTANCES times their usual distance on, s."""
+ROUND_SHARE = 0.25
+"""Longest duration of a round in which each meter reports once, as a share of the usual distance of the readings."""
+COMPLETE_ROUNDS = 0.9
+"""Least share of rounds in which all meters report."""
 
 
 @dataclass
@@ -23,6 +32,8 @@ class Meter:
     """Readings of one meter, in the order of the file."""
 
     name: str
+    limit_kw: float
+    """Highest accepted reading, kW."""
     time_s: array = field(default_factory=lambda: array("d"))
     power_kw: array = field(default_factory=lambda: array("d"))
     place: array = field(default_factory=lambda: array("q"))
@@ -39,7 +50,8 @@ class Meters:
     unit : unit of the readings: "W", "kW", "MW" or "mW".
     max_gap_s, gaps : rule for readings of a meter that are far apart, see `GapRule`. None for `max_gap_s` is five times
         the median distance of the meter's readings, at least 15 s.
-    limit_kw : highest accepted reading, kW.
+    limit_kw : highest accepted reading, kW; by default that of `dcgrid_env.traces.text.limits`, which also refuses
+        outliers.
     placed : meter and place of a reading -> text that begins a message, for example "power.log, line 7: GPU 3".
 
     Raises TraceError for a rule or a limit that is out of range.
@@ -53,7 +65,7 @@ class Meters:
         *,
         max_gap_s: float | None,
         gaps: str,
-        limit_kw: float,
+        limit_kw: float | None,
         placed: Callable[[str, int], str],
     ) -> None:
         require_unit(file, unit)
@@ -61,10 +73,11 @@ class Meters:
             raise TraceError(f"gaps = {gaps!r} is unknown; choose one of {', '.join(GAP_RULES)}")
         if max_gap_s is not None:
             require_positive(max_gap_s, "max_gap_s", "give the longest distance between readings in s, or None")
+        if limit_kw is not None:
+            require_positive(limit_kw, "limit_kw", "give the highest reading in kW")
         self.meters: dict[str, Meter] = {}
         self._file, self._field, self._kw, self._placed = file, field, KW_PER_UNIT[unit], placed
-        self._limit_kw = require_positive(limit_kw, "limit_kw", "give the highest reading in kW")
-        self._max_gap_s, self._gaps = max_gap_s, gaps
+        self._limit_kw, self._max_gap_s, self._gaps = limit_kw, max_gap_s, gaps
 
     def add(self, meter: str, time_s: float, reading: float, place: int) -> None:
         """Append a reading in the unit of the file; a reading that is not a number is missing and left out.
@@ -73,32 +86,30 @@ class Meters:
         """
         if not math.isfinite(time_s):
             raise TraceError(f"{self._placed(meter, place)}: the time is {time_s}; repair or remove the reading")
+        found = self.meters.get(meter)
+        if found is None:
+            limit_kw = limit_of(f"{self._field} {meter}", self._limit_kw)
+            found = self.meters[meter] = Meter(meter, limit_kw)
         if math.isnan(reading):
-            self.meters.setdefault(meter, Meter(meter))
             return
         power_kw = reading * self._kw
-        if not 0.0 <= power_kw <= self._limit_kw:
+        if not 0.0 <= power_kw <= found.limit_kw:
             remedy = "power is consumption and not negative: check the sign and the column"
             if power_kw > 0:
-                remedy = f"above limit_kw = {self._limit_kw:g}; is the unit right? If so, raise limit_kw"
+                remedy = above_limit(found.limit_kw)
             raise TraceError(f"{self._placed(meter, place)}: {self._field} is {power_kw:g} kW, {remedy}")
-        found = self.meters.setdefault(meter, Meter(meter))
         found.time_s.append(time_s)
         found.power_kw.append(power_kw)
         found.place.append(place)
 
-    def total(self) -> tuple[FloatArray, FloatArray, float]:
+    def total(self) -> Total:
         """Sum of the meters from the first instant at which all have reported to the last reading of any.
-
-        Returns
-        -------
-        time_s, power_kw : (n,) float64 each, times from 0.
-        begin_s : the file's clock at time 0, s.
 
         Raises
         ------
         TraceError
-            For a file without readings, a meter that never reports, times of a meter that repeat or go back, and a gap.
+            For a file without readings, a meter that never reports, times of a meter that repeat or go back, an
+            outlier, and a gap.
         """
         silent = next((meter.name for meter in self.meters.values() if not meter.time_s), None)
         if not self.meters or silent is not None:
@@ -106,14 +117,13 @@ class Meters:
             raise TraceError(f"{self._file}: has {what} of {self._field}; export the readings, or leave the meter out")
         ends_s = [(meter.time_s[0], meter.time_s[-1]) for meter in self.meters.values()]
         first_s, last_s = min(begin for begin, _ in ends_s), max(end for _, end in ends_s)
-        filled = [self._filled(meter, first_s, last_s) for meter in self.meters.values()]
-        time_s, power_kw = held_total(filled)
-        if len(time_s) < 2:
+        found = held_total({meter.name: self._filled(meter, first_s, last_s) for meter in self.meters.values()})
+        if len(found.time_s) < 2:
             raise TraceError(
-                f"{self._file}: {len(time_s)} readings from when all {len(filled)} meters have reported; give at least "
-                "2 (a reading holds until the next)"
+                f"{self._file}: {len(found.time_s)} readings from when all {len(self.meters)} meters have reported; "
+                "give at least 2 (a reading holds until the next)"
             )
-        return time_s - time_s[0], power_kw, float(time_s[0])
+        return found
 
     def _filled(self, meter: Meter, first_s: float, last_s: float) -> tuple[FloatArray, FloatArray]:
         """Readings of a meter with its gaps treated."""
@@ -127,6 +137,12 @@ class Meters:
                 f"{self._placed(meter.name, place)}: {fault} of the reading above; sort the readings by time, or "
                 "export a column or label that tells the meters apart"
             )
+        highest = outlier(power_kw) if self._limit_kw is None else None
+        if highest is not None:
+            raise TraceError(
+                f"{self._placed(meter.name, meter.place[highest])}: {self._field} is "
+                f"{outlier_text(power_kw[highest], float(power_kw.mean()))}"
+            )
         usual_s = float(np.median(distance_s)) if len(distance_s) else 0.0
         rule = GapRule(self._max_gap_s or max(LEAST_GAP_S, USUAL_DISTANCES * usual_s), self._gaps)
         for edge, which, distance in ((0, "first", time_s[0] - first_s), (-1, "last", last_s - time_s[-1])):
@@ -139,29 +155,80 @@ class Meters:
         return rule.apply(time_s, power_kw, lambda i: self._placed(meter.name, meter.place[i]))
 
 
-def held_total(series: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-    """Sum of series of samples that hold until the next, on the union of their times.
+class Total(NamedTuple):
+    """Sum of meters."""
+
+    time_s: FloatArray
+    """Times from 0, (n,) float64, s."""
+    power_kw: FloatArray
+    """(n,) float64."""
+    begin_s: float
+    """The file's clock at time 0, s."""
+    sampling: Sampling
+    notes: dict[str, Any]
+    """Meters that begin later than the first or end before the last, with the time, s."""
+
+    def trace(self, name: str, provenance: Provenance) -> PowerTrace:
+        """Return the sum as a trace."""
+        return PowerTrace(self.time_s, self.power_kw, name, provenance, sampling=self.sampling)
+
+
+def held_total(series: Mapping[str, tuple[FloatArray, FloatArray]]) -> Total:
+    """Sum of series of samples that hold until the next.
+
+    If the meters report in rounds, as the GPUs of a node do, a round is one sample at its first time. Otherwise there
+    is a sample at each time of any meter. The sum begins when all meters have reported, and ends with the last.
 
     Parameters
     ----------
-    series : time_s and power_kw of each, (n_i,) float64, times increasing.
-
-    Returns
-    -------
-    time_s, power_kw : (n,) float64, from the first instant at which every series has a sample to the last of any
+    series : time_s and power_kw of each meter by name, (n_i,) float64, times increasing.
     """
-    begin_s = max(time_s[0] for time_s, _ in series)
-    time_s = np.unique(np.concatenate([time_s for time_s, _ in series]))
+    starts_s = {name: float(time_s[0]) for name, (time_s, _) in series.items()}
+    ends_s = {name: float(time_s[-1]) for name, (time_s, _) in series.items()}
+    rounds = _in_rounds([time_s for time_s, _ in series.values()])
+    begin_s = max(time_s[0] for time_s in rounds)
+    time_s = np.unique(np.concatenate(rounds))
     time_s = time_s[time_s >= begin_s]
     power_kw = np.zeros_like(time_s)
-    for times_s, values_kw in series:
+    for times_s, (_, values_kw) in zip(rounds, series.values(), strict=True):
         power_kw += values_kw[np.searchsorted(times_s, time_s, side="right") - 1]
-    return time_s, power_kw
+    several = {name: times_s for name, (times_s, _) in series.items() if len(times_s) > 1}
+    sampling = replace(sampling_of(several or {"": time_s}), meters=len(series)) if len(time_s) > 1 else Sampling(0.0, 0.0, 0, 0.0, 0.0)
+    apart_s = max(GAP_INTERVALS * sampling.interval_s, 1e-9)
+    late = {name: round(at - min(starts_s.values()), 3) for name, at in starts_s.items()}
+    early = {name: round(max(ends_s.values()) - at, 3) for name, at in ends_s.items()}
+    notes = {"starts_late_s": late, "ends_early_s": early}
+    notes = {key: {name: s for name, s in found.items() if s > apart_s} for key, found in notes.items()}
+    return Total(
+        time_s - begin_s, power_kw, float(begin_s), sampling, {key: found for key, found in notes.items() if found}
+    )
 
 
-def clock_text(time_s: float) -> str:
-    """Text of a time since 1970, s, in UTC, to the millisecond."""
-    return str(np.datetime64(round(time_s * 1e3), "ms"))
+def _in_rounds(times_s: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the times of meters with those of a round replaced by its first one; unchanged if there are no rounds.
+
+    There are rounds if nearly all times fall into groups that contain each meter once and last a small part of the
+    meters' interval.
+    """
+    n = len(times_s)
+    if n == 1 or min(map(len, times_s)) < 2:
+        return list(times_s)
+    usual_s = min(float(np.median(np.diff(times))) for times in times_s)
+    meter = np.repeat(np.arange(n), [len(times) for times in times_s])
+    time_s = np.concatenate(times_s)
+    order = np.argsort(time_s, kind="stable")
+    ordered_s = time_s[order]
+    begins = np.flatnonzero(np.diff(ordered_s, prepend=-np.inf) > 0.5 * usual_s)
+    counts = np.diff(begins, append=len(ordered_s))
+    number = np.repeat(np.arange(len(begins)), counts)
+    distinct = np.bincount(np.unique(number * n + meter[order]) // n)
+    is_round = (ordered_s[begins + counts - 1] - ordered_s[begins] <= ROUND_SHARE * usual_s) & (distinct == counts)
+    begin_s, end_s = max(times[0] for times in times_s), min(times[-1] for times in times_s)
+    common = (ordered_s[begins + counts - 1] >= begin_s) & (ordered_s[begins] <= end_s)
+    if not common.any() or np.mean((is_round & (counts == n))[common]) < COMPLETE_ROUNDS:
+        return list(times_s)
+    time_s[order] = np.where(is_round[number], ordered_s[begins][number], ordered_s)
+    return np.split(time_s, np.cumsum([len(times) for times in times_s])[:-1])
 
 
 def one_of(names: Iterable[str], asked: str | None, where: str, option: str) -> str:

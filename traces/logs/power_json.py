@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import seconds
-from dcgrid_env.traces.logs.meters import Meters, clock_text, one_of
+from dcgrid_env.traces.logs.meters import Meters, one_of
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.text.power_unit import column_unit
+from dcgrid_env.traces.text.cells import reading
+from dcgrid_env.traces.text.power_unit import column_unit, require_power
 from dcgrid_env.traces.text.text_file import TextFile, open_text, stem
+from dcgrid_env.traces.text.times import clock_text
 from dcgrid_env.traces.trace import PowerTrace
 
 FORMS = (
@@ -45,7 +47,7 @@ def read_power_json(
     unit: str | None = None,
     max_gap_s: float | None = None,
     gaps: str = "error",
-    limit_kw: float = 1e5,
+    limit_kw: float | None = None,
     name: str | None = None,
 ) -> PowerTrace:
     """Read the power of all meters of a JSON file, summed.
@@ -64,7 +66,8 @@ def read_power_json(
     metric : name of the metric, if the file has several of power.
     unit : unit of the readings, if their name does not contain it: "W", "kW", "MW" or "mW".
     max_gap_s, gaps : rule for readings of a meter that are far apart, see `dcgrid_env.traces.logs.meters.Meters`.
-    limit_kw : highest accepted reading, kW.
+    limit_kw : highest accepted reading, kW; by default 2 kW for a GPU, and 1 GW for others, whose outliers are refused
+        too.
     name : name of the trace; by default the file's name without suffix.
 
     Raises
@@ -81,6 +84,9 @@ def read_power_json(
         objects = _objects(file)
         sha256 = file.sha256()
     what, stated, readings = _found(file.name, objects, metric)
+    require_power(
+        f"{file.name}: metric", what, f"export a metric of power, or the rate of the counter, rate({what}[1m]), in W"
+    )
     known = stated or column_unit(f"{file.name}: {what}", what, unit)
     if known is None:
         raise TraceError(f"{file.name}: {what or 'an expression'} names no unit; pass unit= (W, kW, MW or mW)")
@@ -88,11 +94,11 @@ def read_power_json(
         file.name, what or "the expression", known, max_gap_s=max_gap_s, gaps=gaps, limit_kw=limit_kw,
         placed=lambda meter, place: f"{file.name}: {meter}, value {place}",
     )  # fmt: skip
-    for reading in readings:
-        meters.add(*reading)
-    time_s, power_kw, begin_s = meters.total()
-    parameters = {"began": clock_text(begin_s), "meters": len(meters.meters), "metric": what or "an expression"}
-    return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
+    for meter, time_s, value, place in readings:
+        meters.add(meter, time_s, value, place)
+    found = meters.total()
+    parameters = {"began": clock_text(found.begin_s), "meters": len(meters.meters), "metric": what or "an expression"}
+    return found.trace(name or stem(path), Provenance(file.name, None, parameters | found.notes, sha256))
 
 
 def _objects(file: TextFile) -> list[Any]:
@@ -129,7 +135,7 @@ def _found(name: str, objects: list[Any], metric: str | None) -> tuple[str, str 
             what, readings = _metric_reports(name, objects, metric)
             return what, "W", readings
         if any(key in first for key in ("PowerControl", "PowerWatts", _REDFISH)):
-            return _REDFISH, "W", sorted(_polled(name, objects), key=lambda reading: reading.time_s)
+            return _REDFISH, "W", sorted(_polled(name, objects), key=_time_s)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, TraceError):
             raise
@@ -152,15 +158,15 @@ def _prometheus(name: str, data: dict[str, Any], metric: str | None) -> tuple[st
         if labels.get("__name__", "") == what:
             keys = next((keys for keys in _IDENTITY if all(key in labels for key in keys)), sorted(labels))
             meter = ", ".join(f"{key}={labels[key]}" for key in keys if key != "__name__") or "the series"
-            readings += (_Reading(meter, float(at), float(value), n) for n, (at, value) in enumerate(item["values"], 1))
-    return what, sorted(readings, key=lambda reading: reading.time_s)
+            readings += (_Reading(meter, seconds(at, name), reading(value), n) for n, (at, value) in enumerate(item["values"], 1))
+    return what, sorted(readings, key=_time_s)
 
 
 def _ml_energy(name: str, timeline: dict[str, Any], metric: str | None) -> tuple[str, str, list[_Reading]]:
     kinds = timeline["power"]
     what = one_of(kinds, metric or ("device_instant" if "device_instant" in kinds else None), name, "metric=")
     return what, "W", [
-        _Reading(f"GPU {gpu}", float(at), float(watt), n)
+        _Reading(f"GPU {gpu}", seconds(at, name), reading(watt), n)
         for gpu, values in kinds[what].items()
         for n, (at, watt) in enumerate(values, 1)
     ]  # fmt: skip
@@ -181,14 +187,14 @@ def _metric_reports(name: str, objects: list[dict[str, Any]], metric: str | None
         _Reading(
             prop or what,
             seconds(value["Timestamp"], f"{name}: {what}, value {n}"),
-            _watt(value["MetricValue"]),
+            reading(value["MetricValue"]),
             n,
         )
         for n, value, prop, _ in power
     ]
     # Reports overlap: a value that several of them contain is one reading.
-    once = {(reading.meter, reading.time_s, reading.value): reading for reading in readings}
-    return what, sorted(once.values(), key=lambda reading: reading.time_s)
+    once = {(found.meter, found.time_s, found.value): found for found in readings}
+    return what, sorted(once.values(), key=_time_s)
 
 
 def _polled(name: str, objects: list[dict[str, Any]]) -> Iterator[_Reading]:
@@ -203,14 +209,13 @@ def _polled(name: str, objects: list[dict[str, Any]]) -> Iterator[_Reading]:
         time_s, source = seconds(at, f"{name}: object {n}"), str(item.get("@odata.id") or item.get("host") or "Power")
         for control in item.get("PowerControl", ()):
             meter = f"{source} {control.get('MemberId', control.get('Name', ''))}".strip()
-            yield _Reading(meter, time_s, _watt(control[_REDFISH]), n)
+            yield _Reading(meter, time_s, reading(control[_REDFISH]), n)
         if "PowerWatts" in item:
             watt = item["PowerWatts"]
-            yield _Reading(source, time_s, _watt(watt["Reading"] if isinstance(watt, dict) else watt), n)
+            yield _Reading(source, time_s, reading(watt["Reading"] if isinstance(watt, dict) else watt), n)
         elif _REDFISH in item:
-            yield _Reading(source, time_s, _watt(item[_REDFISH]), n)
+            yield _Reading(source, time_s, reading(item[_REDFISH]), n)
 
 
-def _watt(value: Any) -> float:
-    """Return a reading, NaN for null."""
-    return float("nan") if value is None else float(value)
+def _time_s(found: _Reading) -> float:
+    return found.time_s

@@ -17,7 +17,8 @@ from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP, nanoseconds
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.serving.requests import Requests
-from dcgrid_env.traces.text.text_file import Block, TextFile, open_text, stem
+from dcgrid_env.traces.text.table_file import TableFile, open_table
+from dcgrid_env.traces.text.text_file import Block, stem
 
 COLUMNS = ("TIMESTAMP", "ContextTokens", "GeneratedTokens")
 BURST_COLUMNS = ("Timestamp", "Request tokens", "Response tokens")
@@ -90,7 +91,7 @@ def read_request_log(
     arrival_s, context, generated = array("d"), array("q"), array("q")
     origin_ns = last_ns = None
     failed, goes_on = 0, False
-    with open_text(path) as file:
+    with open_table(path) as file:
         form, first = _form(file)
         for block in chain(first, file.blocks()):
             lines, times, tokens, without = _read(file.name, form, block)
@@ -137,7 +138,7 @@ def is_request_log(first_line: str) -> bool:
     return azure or BURST_COLUMNS[1] in first_line or f'"{MOONCAKE_FIELDS[1]}"' in first_line
 
 
-def _form(file: TextFile) -> tuple[_Form, list[Block]]:
+def _form(file: TableFile) -> tuple[_Form, list[Block]]:
     """Return the format that the first line shows, and this line if it is a request."""
     header = next((line for line in iter(file.readline, "") if line.strip() and not line.startswith("#")), None)
     if header is None:

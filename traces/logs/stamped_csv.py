@@ -1,22 +1,60 @@
-"""CSV files of power readings with a date and time in each line, as collectors of IPMI and Redfish readings write."""
+"""CSV files of power readings with a time and a meter in each line, or with a date and time and a column for each meter.
+
+Collectors of IPMI and Redfish readings, amd-smi and dashboards write them.
+"""
 
 from __future__ import annotations
 
 import csv
 import os
+import re
 from collections.abc import Sequence
 from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
 
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import is_date, seconds
-from dcgrid_env.traces.logs.meters import Meters, clock_text
+from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, column_unit, require_unit
-from dcgrid_env.traces.text.text_file import TextFile, open_text, stem
+from dcgrid_env.traces.text.cells import is_missing, is_number, reading
+from dcgrid_env.traces.text.power_unit import (
+    KW_PER_UNIT,
+    bracketed,
+    column_unit,
+    is_energy,
+    last_word,
+    require_power,
+    require_unit,
+    unit_of_word,
+)
+from dcgrid_env.traces.text.table_file import TableFile, open_table
+from dcgrid_env.traces.text.text_file import stem
+from dcgrid_env.traces.text.times import Clock, clock_of, clock_text, epoch_unit
 from dcgrid_env.traces.trace import PowerTrace
 
-_MISSING = ("", "na", "n/a", "nan", "none", "null", "-")
-"""Texts of a cell without a reading, in small letters."""
+_METERS = frozenset(
+    "gpu gpu_id gpu_index gpu_uuid index id uuid device device_id dev card socket node node_id host hostname instance "
+    "server machine sensor sensor_id chassis rack pdu outlet psu meter meter_id serial gpu_serial pci_bus_id "
+    "gpu_bus_id bdf name".split()
+)
+"""Names of columns that identify a meter, in small letters with `_` between words."""
+_STATES = re.compile(r"state|status|reason|mode|type|version|driver|unit|comment|note|message|job|run_id|project")
+"""Words in the names of text columns that describe a reading and identify no meter."""
+_TIMES = re.compile(r"time|date|epoch|unix|ts$|t$")
+"""Begins of the names of columns of times."""
+_QUANTITY = re.compile(r"(?P<number>[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-z%\u00b0/]+)?")
+
+
+class _Columns(NamedTuple):
+    """Columns of a file by index."""
+
+    time: int
+    power: dict[int, str | None]
+    """Unit of each column of power; None if each cell contains it."""
+    labels: list[int]
+    """Columns that identify the meter."""
 
 
 def read_stamped_csv(
@@ -26,21 +64,24 @@ def read_stamped_csv(
     unit: str | None = None,
     max_gap_s: float | None = None,
     gaps: str = "error",
-    limit_kw: float = 1e6,
+    limit_kw: float | None = None,
     name: str | None = None,
 ) -> PowerTrace:
     """Read the sum of all meters of a file with one reading a line, or with one column for each meter.
 
-    The column of times is the first one that contains a date and time. The text of the columns that are neither time
-    nor power, such as node and sensor, identifies the meter. A reading applies until the next one of its meter.
+    The column of times is the first one that contains a date and time, or else a number since 1970. Columns such as
+    node, gpu and sensor identify the meter, and so do other columns of text. Columns of other quantities are left out.
+    A reading applies until the next one of its meter.
 
     Parameters
     ----------
     path : text file, UTF-8, plain or gzip, with a header, for example `timestamp,node,power_w`.
-    power_columns : header names, summed; by default every column whose name contains a unit of power.
-    unit : unit of `power_columns` whose names contain none: "W", "kW", "MW" or "mW".
+    power_columns : header names, summed; by default every column whose name or cells contain a unit of power. If none
+        does and `unit` is given, every column of numbers.
+    unit : unit of columns whose names contain none: "W", "kW", "MW" or "mW".
     max_gap_s, gaps : rule for readings of a meter that are far apart, see `dcgrid_env.traces.logs.meters.Meters`.
-    limit_kw : highest accepted reading, kW.
+    limit_kw : highest accepted reading, kW; by default 2 kW for a GPU or processor, and 1 GW for others, whose outliers
+        are refused too.
     name : name of the trace; by default the file's name without suffix.
 
     Raises
@@ -49,40 +90,47 @@ def read_stamped_csv(
         For a file without a column of times or power, a cell that cannot be read, times of a meter that repeat or go
         back, and a gap. The message contains the file, the line and the column.
     """
-    with open_text(path) as file:
+    with open_table(path) as file:
         require_unit(file.name, unit)
         header, first = _header(file)
         where = f"{file.name}, line {file.line}"
         if len(first) != len(header):
             raise TraceError(f"{where}: has {len(first)} cells, the header {len(header)}; repair the line")
-        time = next((c for c, cell in enumerate(first) if is_date(cell)), None)
-        if time is None:
-            raise TraceError(f"{where}: no cell is a date and time; give times like 2026-01-02T03:04:05Z")
-        power = _power(file.name, header, time, power_columns, unit)
-        labels = [c for c in range(len(header)) if c != time and c not in power]
+        columns = _columns(file.name, where, header, first, power_columns, unit)
         meters = Meters(
             file.name, "power", "kW", max_gap_s=max_gap_s, gaps=gaps, limit_kw=limit_kw,
             placed=lambda meter, line: f"{file.name}, line {line}: {meter}",
         )  # fmt: skip
+        at = f"{where}: column {header[columns.time]!r}"
+        clock = clock_of(float(first[columns.time]), at, header[columns.time]) if is_number(first[columns.time]) else None
         rows = chain([(file.line, first)], _rows(file))
         for number, row in rows:
             where = f"{file.name}, line {number}"
             if len(row) != len(header):
                 raise TraceError(f"{where}: has {len(row)} cells, the header {len(header)}; repair the line")
-            time_s = seconds(row[time], f"{where}: column {header[time]!r}")
-            for column, kw in power.items():
-                meter = " ".join([*(row[c].strip() for c in labels), header[column]])
-                reading = _number(f"{where}: column {header[column]!r}", row[column])
-                meters.add(meter, time_s, kw * reading, number)
+            time_s = _time(row[columns.time], f"{where}: column {header[columns.time]!r}", clock)
+            label = [f"{header[c]} {row[c].strip()}" for c in columns.labels]
+            for column, stated in columns.power.items():
+                kw = _kw(f"{where}: column {header[column]!r}", row[column], stated)
+                meters.add(" ".join([*label, header[column]]), time_s, kw, number)
         sha256 = file.sha256()
-    time_s, power_kw, begin_s = meters.total()
-    parameters = {
-        "began": clock_text(begin_s), "meters": len(meters.meters), "columns": [header[c] for c in power],
-    }  # fmt: skip
-    return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
+    found = meters.total()
+    left_out = [text for c, text in enumerate(header) if c not in (columns.time, *columns.power, *columns.labels)]
+    parameters = {"meters": len(meters.meters), "columns": [header[c] for c in columns.power]} | found.notes
+    parameters |= {"left_out": left_out} if left_out else {}
+    if clock is None or clock.is_epoch:
+        parameters = {"began": clock_text(found.begin_s)} | parameters
+    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
-def _header(file: TextFile) -> tuple[list[str], list[str]]:
+def is_stamped(header: Sequence[str], first: Sequence[str]) -> bool:
+    """Return whether the first line has a date and time, or a column for the time and one that identifies the meter."""
+    if any(map(is_date, first)):
+        return True
+    return _time_column(header, first) is not None and any(_plain(text) in _METERS for text in header)
+
+
+def _header(file: TableFile) -> tuple[list[str], list[str]]:
     """Cells of the header and of the first line below it."""
     rows = _rows(file)
     header, first = next(rows, None), next(rows, None)
@@ -91,38 +139,106 @@ def _header(file: TextFile) -> tuple[list[str], list[str]]:
     return [cell.strip() for cell in header[1]], first[1]
 
 
-def _rows(file: TextFile):
+def _rows(file: TableFile):
     """Number and cells of each line that is neither empty nor a comment."""
     for line in iter(file.readline, ""):
         if line.strip() and not line.startswith("#"):
             yield file.line, next(csv.reader([line]))
 
 
+def _plain(header: str) -> str:
+    """Return a name in small letters with `_` between its words."""
+    return re.sub(r"[^a-z0-9]+", "_", header.casefold()).strip("_")
+
+
+def _time_column(header: Sequence[str], first: Sequence[str]) -> int | None:
+    """Return the column of times: a date and time, a number since 1970, or a number below a name of times."""
+    numbers = {c: float(cell) for c, cell in enumerate(first) if is_number(cell) and c < len(header)}
+    dates = (c for c, cell in enumerate(first) if is_date(cell))
+    since_1970 = (c for c, number in numbers.items() if epoch_unit(number))
+    named = (c for c in numbers if _TIMES.match(_plain(header[c])))
+    return next(chain(dates, since_1970, named), None)
+
+
+def _columns(
+    name: str, where: str, header: list[str], first: list[str], power_columns: Sequence[str] | None, unit: str | None
+) -> _Columns:
+    time = _time_column(header, first)
+    if time is None:
+        raise TraceError(f"{where}: no cell is a date and time; give times like 2026-01-02T03:04:05Z")
+    others = [c for c in range(len(header)) if c != time]
+    meters = [c for c in others if _plain(header[c]) in _METERS]
+    power = _power(f"{name}, header", header, first, [c for c in others if c not in meters], power_columns, unit)
+    texts = [c for c in others if c not in meters and c not in power and _is_label(header[c], first[c])]
+    return _Columns(time, power, sorted([*(c for c in meters if c not in power), *texts]))
+
+
+def _is_label(header: str, cell: str) -> bool:
+    is_text = not is_missing(cell) and _QUANTITY.fullmatch(cell.strip()) is None
+    return is_text and _STATES.search(_plain(header)) is None
+
+
 def _power(
-    name: str, header: list[str], time: int, power_columns: Sequence[str] | None, unit: str | None
-) -> dict[int, float]:
-    """Index of each column of power, and kW for 1."""
-    where = f"{name}, header"
-    found: dict[int, float] = {}
-    for column, text in enumerate(header):
-        if column == time or (power_columns is not None and text not in power_columns):
-            continue
-        stated = column_unit(where, text, unit if power_columns is not None else None)
-        if stated is not None:
-            found[column] = KW_PER_UNIT[stated]
-        elif power_columns is not None:
-            raise TraceError(f"{where}: {text!r} names no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)})")
-    missing = [text for text in power_columns or () if text not in header]
-    if missing or not found:
-        fault = f"has no column {missing[0]!r}" if missing else "names no unit of power"
-        raise TraceError(f"{where}: {', '.join(header)} {fault}; pass power_columns= and unit=")
-    return found
+    where: str, header: list[str], first: list[str], others: list[int], power_columns: Sequence[str] | None,
+    unit: str | None,
+) -> dict[int, str | None]:  # fmt: skip
+    """Index and unit of each column of power; None for the unit if each cell contains it."""
+    if power_columns is not None:
+        missing = [text for text in power_columns if text not in header]
+        if missing:
+            raise TraceError(f"{where}: {', '.join(header)} has no column {missing[0]!r}; correct power_columns=")
+        for text in power_columns:
+            require_power(where, text, "leave it out of power_columns=, or rename it if it is power")
+        chosen = [header.index(text) for text in power_columns]
+        found = {c: column_unit(where, header[c], unit) for c in chosen}
+    else:
+        names_power = [c for c in others if not is_energy(header[c]) and _names_power(header[c])]
+        cells_power = [c for c in others if not is_energy(header[c]) and _unit_in(first[c])]
+        found = {c: column_unit(where, header[c], unit) for c in names_power}
+        found |= {c: unit for c in cells_power if c not in found}
+        if not found and unit is not None:
+            numbers = [c for c in others if is_number(first[c]) and not is_energy(header[c])]
+            found = {c: unit for c in numbers if not bracketed(header[c])[1]}
+    lacking = next((c for c, stated in found.items() if stated is None and not _unit_in(first[c])), None)
+    if lacking is not None or not found:
+        fault = ", ".join(header) if lacking is None else repr(header[lacking])
+        remedy = " and, if other columns are no power, power_columns=" if power_columns is None else ""
+        raise TraceError(
+            f"{where}: {fault} names no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}){remedy}"
+        )
+    return dict(sorted(found.items()))
 
 
-def _number(where: str, text: str) -> float:
-    if text.strip().casefold() in _MISSING:
-        return float("nan")
+def _names_power(header: str) -> bool:
+    return any(unit_of_word(word) or word.casefold() == "mw" for word in (bracketed(header)[0], last_word(header)))
+
+
+def _unit_in(cell: str) -> str | None:
+    """Return the unit of power in a cell such as `300 W`."""
+    match = _QUANTITY.fullmatch(cell.strip())
+    return unit_of_word(match["unit"]) if match and match["unit"] else None
+
+
+def _time(text: str, where: str, clock: Clock | None) -> float:
+    if clock is None:
+        return seconds(text, where)
+    if not is_number(text):
+        raise TraceError(f"{where}: the time is {text[:40]!r}, and the first one is a number; repair the cell")
+    return float(clock.seconds(np.array([float(text)]), lambda _: where)[0])
+
+
+def _kw(where: str, text: str, stated: str | None) -> float:
+    """Return the power in a cell, kW; `stated` is the unit of its column."""
+    match = _QUANTITY.fullmatch(text.strip())
+    found = unit_of_word(match["unit"]) if match and match["unit"] else None
+    if match and found:
+        if stated not in (None, found):
+            raise TraceError(f"{where} is {text.strip()[:40]!r}, but the column is in {stated}; repair the cell")
+        return float(match["number"]) * KW_PER_UNIT[found]
     try:
-        return float(text)
+        value = reading(text)
     except ValueError:
         raise TraceError(f"{where} is {text[:40]!r}, not a number; repair or remove the line") from None
+    if stated is None and value == value:
+        raise TraceError(f"{where} is {text.strip()[:40]!r} without a unit, and the first cell has one; repair the cell")
+    return value * KW_PER_UNIT[stated or "kW"]

@@ -7,10 +7,12 @@ import re
 
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import seconds
-from dcgrid_env.traces.logs.meters import Meters, clock_text
+from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.text.cells import reading
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT
 from dcgrid_env.traces.text.text_file import open_text, stem
+from dcgrid_env.traces.text.times import clock_text
 from dcgrid_env.traces.trace import PowerTrace
 
 HEADER = re.compile(r"#\s*timestamp\s+reading-time\[ns\]\s+(?P<columns>\S.*)")
@@ -22,7 +24,7 @@ def read_wattameter_log(
     *,
     max_gap_s: float | None = None,
     gaps: str = "error",
-    limit_kw: float = 100.0,
+    limit_kw: float | None = None,
     name: str | None = None,
 ) -> PowerTrace:
     """Read the sum of all columns of power, for example of the GPUs of a node (`gpu-0[mW]`).
@@ -35,7 +37,7 @@ def read_wattameter_log(
     path : text file, UTF-8, plain or gzip, with the header `# timestamp reading-time[ns] gpu-0[mW] ...`. The header may
         be repeated. Times are of the form `2025-01-01_00:00:00.123456`, on the recorder's own clock.
     max_gap_s, gaps : rule for readings that are far apart, see `dcgrid_env.traces.logs.meters.Meters`.
-    limit_kw : highest accepted reading, kW.
+    limit_kw : highest accepted reading, kW; 2 kW by default.
     name : name of the trace; by default the file's name without suffix.
 
     Raises
@@ -78,9 +80,9 @@ def read_wattameter_log(
         sha256 = file.sha256()
     if meters is None:
         raise TraceError(f"{file.name}: has no reading; give a log of WattAMeter")
-    time_s, power_kw, begin_s = meters.total()
-    parameters = {"began": clock_text(begin_s), "meters": len(meters.meters)}
-    return PowerTrace(time_s, power_kw, name or stem(path), Provenance(file.name, None, parameters, sha256))
+    found = meters.total()
+    parameters = {"began": clock_text(found.begin_s), "meters": len(meters.meters)} | found.notes
+    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 def _power_columns(where: str, columns: list[str]) -> list[tuple[int, str, float]]:
@@ -97,8 +99,6 @@ def _power_columns(where: str, columns: list[str]) -> list[tuple[int, str, float
 
 def _number(where: str, meter: str, text: str) -> float:
     try:
-        return float(text)
+        return reading(text)
     except ValueError:
-        if text in ("None", "N/A"):
-            return float("nan")
         raise TraceError(f"{where}: {meter} is {text[:40]!r}, not a number; repair or remove the line") from None

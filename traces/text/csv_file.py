@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import os
-import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,24 +14,29 @@ import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.text.cells import is_missing, is_number
 from dcgrid_env.traces.text.gaps import GapRule
-from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, bracketed, column_unit, last_word, require_unit
-from dcgrid_env.traces.text.text_file import Block, TextFile, open_text
+from dcgrid_env.traces.text.limits import above_limit, limit_of, outlier, outlier_text
+from dcgrid_env.traces.text.power_unit import (
+    KW_PER_UNIT,
+    bracketed,
+    column_unit,
+    last_word,
+    require_power,
+    require_unit,
+)
+from dcgrid_env.traces.text.table_file import TableFile, open_table
+from dcgrid_env.traces.text.text_file import Block
+from dcgrid_env.traces.text.times import Clock, clock_of, clock_text
 
 RECORDED = "# dcgrid trace "
 """Begins the first line of a recorder's file; a JSON object follows."""
-SECONDS = re.compile(r"s(?:ec(?:ond)?s?)?")
-NOT_SECONDS = re.compile(
-    r"[nu\u03bcm]s(?:ec)?|(?:nano|micro|milli)s(?:ec(?:ond)?s?)?|m(?:in(?:ute)?s?)?|h(?:(?:ou)?rs?)?|d(?:ays?)?"
-)
-"""Other units of time, as `casefold` leaves them."""
-
 SHARE = "share"
 """Unit of power as a share of a rating."""
 HIGHEST_SHARE = 2.0
 INVALID_RULES = ("error", "drop")
-_NO_READING = ("", "na", "n/a", "nan", "none", "null", "-")
-"""Texts of a cell without a reading, in small letters."""
+_BLANK = ' \t\n",'
+"""Characters of a line without content."""
 
 Column = int | str
 
@@ -54,7 +58,8 @@ class CsvSamples(NamedTuple):
 class _Layout:
     """Which cells of a line count, and what they mean."""
 
-    delimiter: str
+    time_name: str
+    """Name of the column of times; "" without a header."""
     width: int
     columns: list[int]
     """Indices, the time first."""
@@ -74,11 +79,6 @@ class _Layout:
         """The kW for 1 in each power column, (n_power,)."""
         return np.array([1.0 if unit == SHARE else KW_PER_UNIT[unit] for unit in self.units])
 
-    @property
-    def blank(self) -> str:
-        """Characters of a line without content."""
-        return f' \t\n"{self.delimiter}'
-
 
 def read_csv(
     path: str | os.PathLike[str],
@@ -86,11 +86,11 @@ def read_csv(
     power_columns: Sequence[Column] | None = None,
     unit: str | None = None,
     header: bool | None = None,
-    delimiter: str = ",",
+    delimiter: str | None = None,
     *,
     max_gap_s: float | None = None,
     gaps: str = "error",
-    limit_kw: float = 1e6,
+    limit_kw: float | None = None,
     invalid: str = "error",
 ) -> CsvSamples:
     """Read times and the sum of the power columns, with 16 bytes of memory for each line and a few MB of text.
@@ -99,16 +99,19 @@ def read_csv(
     ----------
     path : text file, UTF-8, plain or gzip, one sample on each line. Empty lines are skipped, and so are lines at the
         top that begin with `#`. The JSON object after `# dcgrid trace ` in the first line goes to the provenance.
-    time_column : index from 0 or header name; times in s. A name with another unit (`time_ms`, `t [h]`) is refused.
+    time_column : index from 0 or header name. Times are in s, or in the unit of the name (`time_ms`, `t [h]`). Times
+        since 1970 may be in s, ms, us or ns, which their size shows.
     power_columns : indices or header names, summed; by default every column but the time (one for each GPU).
     unit : of the power columns: "W", "kW", "MW" or "mW"; by default what their names end in, for example `site [kW]`,
         `power (MW)`, `P/kW`, `gpu0_w`. Names without a unit are refused. A file without header is in W by default, as
         the published recordings are. "share" is a share of the rating, for one column (`site_share`).
     header : whether the first line contains names; by default it does if none of its cells is a number.
-    delimiter : character between cells.
+    delimiter : character between cells; by default the comma, semicolon or tab that the first lines show. With another
+        one than the comma, numbers may have decimal commas.
     max_gap_s, gaps : rule for samples that are more than max_gap_s apart, see `dcgrid_env.traces.text.gaps.GapRule`;
         by default every distance is accepted.
-    limit_kw : highest accepted power of one cell, kW; the default is 1 GW.
+    limit_kw : highest accepted power of one cell, kW; by default 2 kW for a column of one GPU or processor
+        (`gpu0_w`), and 1 GW for others, whose outliers are refused too.
     invalid : rule for samples whose power is missing, not a number or negative: "error", or "drop" to leave them out,
         which makes a gap.
 
@@ -126,44 +129,62 @@ def read_csv(
     if invalid not in INVALID_RULES:
         raise TraceError(f"invalid = {invalid!r} is unknown; choose one of {', '.join(INVALID_RULES)}")
     rule = GapRule(max_gap_s, gaps)
-    limit_kw = require_positive(limit_kw, "limit_kw", "give the highest power of one cell in kW")
-    if len(delimiter) != 1:
+    if limit_kw is not None:
+        require_positive(limit_kw, "limit_kw", "give the highest power of one cell in kW")
+    if delimiter is not None and len(delimiter) != 1:
         raise TraceError(f"delimiter = {delimiter!r} is not one character; give the one between cells")
-    with open_text(path) as file:
+    with open_table(path, delimiter) as file:
         require_unit(file.name, None if unit == SHARE else unit)
-        parameters, row, first = _first_row(file, delimiter)
-        has_header = header if header is not None else not any(_is_number(cell) for cell in row)
-        layout = _layout(file, row, has_header, time_column, power_columns, unit, delimiter)
-        samples = _Samples(file.name, layout, rule, HIGHEST_SHARE if layout.is_share else limit_kw, invalid == "drop")
+        parameters, row, first = _first_row(file)
+        has_header = header if header is not None else not any(is_number(cell) for cell in row)
+        layout = _layout(file, row, has_header, time_column, power_columns, unit)
+        samples = _Samples(file.name, layout, rule, limit_kw, invalid == "drop")
         for block in file.blocks() if has_header else chain([first], file.blocks()):
             samples.add(block)
         rated_kw = 1.0 if layout.is_share else parameters.get("rated_kw")
         dropped = {name: count for name, count in samples.dropped.items() if count}
         parameters |= {"dropped": dropped} if dropped else {}
+        if samples.clock is not None and samples.clock.is_epoch:
+            parameters |= {"began": clock_text(samples.time_s[0])}
         provenance = Provenance(file.name, parameters=parameters, sha256=file.sha256())
     n = len(samples.time_s)
     if n < 2:
         raise TraceError(f"{file.name}: has {n} samples; give at least 2 (a sample holds until the next)")
+    samples.require_no_outlier()
     return CsvSamples(np.frombuffer(samples.time_s), np.frombuffer(samples.power_kw), rated_kw, provenance)
 
 
 def csv_columns(
     path: str | os.PathLike[str], power_columns: Sequence[Column] | None = None, unit: str | None = None
 ) -> dict[str, str]:
-    """Return the columns that `read_csv` would read, with their units; "s" is the unit of the time."""
-    with open_text(path) as file:
-        _, row, _ = _first_row(file, ",")
-        layout = _layout(file, row, not any(map(_is_number, row)), 0, power_columns, unit, ",")
-    return dict(zip(layout.fields, ("s", *layout.units), strict=True))
+    """Return the columns that `read_csv` would read, with their units; the first is the time."""
+    with open_table(path) as file:
+        _, row, first = _first_row(file)
+        has_header = not any(map(is_number, row))
+        layout = _layout(file, row, has_header, 0, power_columns, unit)
+        if has_header:
+            line = next(line for line in iter(file.readline, "") if line.strip(_BLANK))
+            first = Block(file.line, line)
+    time = _careful_numbers(file.name, first, layout, True)[0, 0]
+    clock = clock_of(float(time), file.name, layout.time_name)
+    return dict(zip(layout.fields, (clock.unit, *layout.units), strict=True))
 
 
 class _Samples:
     """Times and summed power of the blocks so far, and the last row for checks across their borders."""
 
-    def __init__(self, name: str, layout: _Layout, rule: GapRule, limit_kw: float, drops: bool) -> None:
+    def __init__(self, name: str, layout: _Layout, rule: GapRule, limit_kw: float | None, drops: bool) -> None:
         self.time_s, self.power_kw = array("d"), array("d")
         self.dropped = {"not a number": 0, "negative": 0}
-        self._name, self._layout, self._rule, self._limit_kw, self._drops = name, layout, rule, limit_kw, drops
+        self.clock: Clock | None = None
+        """Unit of the times, known from the first sample."""
+        self._name, self._layout, self._rule, self._drops = name, layout, rule, drops
+        self._finds_outliers = limit_kw is None and not layout.is_share
+        self._limit_kw = np.array(
+            [HIGHEST_SHARE if layout.is_share else limit_of(field, limit_kw) for field in layout.fields[1:]]
+        )
+        self._highest = (0.0, "")
+        """Highest power of one cell so far, kW, and its place."""
         self._last = np.empty((0, len(layout.columns)))
 
     def add(self, block: Block) -> None:
@@ -183,11 +204,21 @@ class _Samples:
         if not len(table):
             return
         n_before = len(self._last)
-        table = np.concatenate([self._last, table])
 
         def where(i: int) -> str:
-            return f"{self._name}, line {block.line_of(int(rows[i - n_before]), layout.blank)}"
+            return f"{self._name}, line {block.line_of(int(rows[i - n_before]), _BLANK)}"
 
+        if self.clock is None:
+            self.clock = clock_of(float(table[0, 0]), f"{where(0)}: {layout.fields[0]}", layout.time_name)
+        table[:, 0] = self.clock.seconds(table[:, 0], lambda i: f"{where(i + n_before)}: {layout.fields[0]}")
+        table = np.concatenate([self._last, table])
+        bad = np.argwhere(~np.isfinite(table[:, 1:]))
+        if bad.size:
+            i, j = bad[0]
+            raise TraceError(
+                f"{where(i)}: {layout.fields[1 + j]} is {table[i, 1 + j]}; remove or repair the sample, or pass "
+                "invalid='drop'"
+            )
         check_samples(table[:, 0], table[:, 1:], where, layout.fields[0], layout.fields[1:])
         power_kw = table[:, 1:] * layout.kw
         high = np.argwhere(power_kw > self._limit_kw)
@@ -199,13 +230,24 @@ class _Samples:
                     "rating; give shares from 0 to 1, not per cent"
                 )
             raise TraceError(
-                f"{where(i)}: {layout.fields[1 + j]} is {table[i, 1 + j]:g}, which is {power_kw[i, j]:g} kW and above "
-                f"limit_kw = {self._limit_kw:g}; is the unit right? If so, raise limit_kw"
+                f"{where(i)}: {layout.fields[1 + j]} is {table[i, 1 + j]:g} {layout.units[j]}, "
+                f"{above_limit(self._limit_kw[j])}"
             )
+        if power_kw.max() > self._highest[0]:
+            i, j = np.unravel_index(int(np.argmax(power_kw)), power_kw.shape)
+            if i >= n_before:
+                self._highest = float(power_kw[i, j]), f"{where(int(i))}: {layout.fields[1 + int(j)]}"
         time_s, total_kw = self._rule.apply(table[:, 0], power_kw.sum(axis=1), where)
         self.time_s.frombytes(time_s[n_before:].tobytes())
         self.power_kw.frombytes(total_kw[n_before:].tobytes())
         self._last = table[-1:]
+
+    def require_no_outlier(self) -> None:
+        """Raise TraceError if the highest power is an outlier."""
+        power_kw = np.frombuffer(self.power_kw)
+        if self._finds_outliers and outlier(power_kw) is not None:
+            highest_kw, place = self._highest
+            raise TraceError(f"{place} is {outlier_text(highest_kw, float(power_kw.mean()))}")
 
 
 def _numbers(block: Block, layout: _Layout) -> FloatArray | None:
@@ -214,11 +256,11 @@ def _numbers(block: Block, layout: _Layout) -> FloatArray | None:
     if '"' in text or text.isspace():
         return None
     everything = layout.columns == list(range(width))
-    if not everything and any(line.count(layout.delimiter) != width - 1 for _, line in block.lines()):
+    if not everything and any(line.count(",") != width - 1 for _, line in block.lines()):
         return None
     columns = None if everything else layout.columns
     try:
-        table = np.loadtxt(io.StringIO(text), delimiter=layout.delimiter, comments=None, usecols=columns, ndmin=2)
+        table = np.loadtxt(io.StringIO(text), delimiter=",", comments=None, usecols=columns, ndmin=2)
     except ValueError:
         return None
     return table if table.shape[1] == len(layout.columns) else None
@@ -230,8 +272,8 @@ def _careful_numbers(name: str, block: Block, layout: _Layout, drops: bool) -> F
     If samples are dropped, cells of power without a reading are NaN.
     """
     cells = array("d")
-    for number, line in block.lines(layout.blank):
-        row = next(csv.reader([line], delimiter=layout.delimiter)) if '"' in line else line.split(layout.delimiter)
+    for number, line in block.lines(_BLANK):
+        row = next(csv.reader([line])) if '"' in line else line.split(",")
         if line.count('"') % 2:
             raise TraceError(f"{name}, line {number}: a quoted cell does not end; repair the line")
         if len(row) != layout.width:
@@ -242,25 +284,29 @@ def _careful_numbers(name: str, block: Block, layout: _Layout, drops: bool) -> F
             try:
                 cells.append(float(row[c]))
             except ValueError:
-                if drops and c != layout.columns[0] and row[c].strip().casefold() in _NO_READING:
+                missing = c != layout.columns[0] and is_missing(row[c])
+                if drops and missing:
                     cells.append(float("nan"))
                     continue
-                first = number == layout.first_line
-                remedy = "pass header=True if this line holds names" if first else "repair the cell"
+                remedy = "repair the cell, or pass invalid='drop'" if missing else "repair the cell"
+                if number == layout.first_line:
+                    remedy = "if this line has the names of the columns, give each one that is not a number"
+                elif "," in row[c]:
+                    remedy = "write numbers with a decimal point and without thousands separators"
                 raise TraceError(f"{name}, line {number}: {field} is {row[c][:40]!r}, not a number; {remedy}") from None
     return np.array(cells, dtype=np.float64).reshape(-1, len(layout.columns))
 
 
-def _first_row(file: TextFile, delimiter: str) -> tuple[dict[str, Any], list[str], Block]:
+def _first_row(file: TableFile) -> tuple[dict[str, Any], list[str], Block]:
     """What the recorder noted, and the first line with content as cells and as a block."""
     parameters: dict[str, Any] = {}
     for line in iter(file.readline, ""):
         if file.line == 1 and line.startswith(RECORDED):
             parameters = _noted(file.name, line)
-        if not line.startswith("#") and line.strip(f' \t\n"{delimiter}'):
+        if not line.startswith("#") and line.strip(_BLANK):
             first = Block(file.line, line)
             # A name in quotes may hold a line end, as spreadsheets write them; the reader then takes further lines.
-            row = next(csv.reader(chain([line], iter(file.readline, "")), delimiter=delimiter))
+            row = next(csv.reader(chain([line], iter(file.readline, ""))))
             return parameters, row, first
     raise TraceError(f"{file.name}: is empty; give a file with a time column and at least one power column")
 
@@ -280,7 +326,7 @@ def _noted(name: str, line: str) -> dict[str, Any]:
 
 
 def _layout(
-    file: TextFile, row: list[str], has_header: bool, time_column, power_columns, unit: str | None, delimiter: str
+    file: TableFile, row: list[str], has_header: bool, time_column, power_columns, unit: str | None
 ) -> _Layout:
     name, width = file.name, len(row)
     names = [cell.strip() for cell in row] if has_header else None
@@ -288,7 +334,8 @@ def _layout(
     units: list[str | None] = [unit] * (len(columns) - 1)
     if names is not None:
         where = f"{name}, line {file.line}"
-        _require_seconds(where, names[columns[0]])
+        for c in columns[1:]:
+            require_power(where, names[c], "name the columns of power with power_columns=, or rename it if it is power")
         units = [_unit(where, names[c], unit) for c in columns[1:]]
         if None in units:
             column = names[columns[1 + units.index(None)]]
@@ -302,7 +349,7 @@ def _layout(
             "choose one with power_columns="
         )
     return _Layout(
-        delimiter=delimiter,
+        time_name="" if names is None else names[columns[0]],
         width=width,
         columns=columns,
         fields=[f"column {c}" if names is None else f"column {c} ({names[c]!r})" for c in columns],
@@ -320,21 +367,12 @@ def _unit(where: str, header: str, unit: str | None) -> str | None:
     return stated or unit
 
 
-def _require_seconds(where: str, header: str) -> None:
-    inside = bracketed(header)[0].casefold()
-    unit_text = SECONDS.fullmatch(inside) or NOT_SECONDS.fullmatch(inside)
-    if NOT_SECONDS.fullmatch(inside if unit_text else last_word(header).casefold()):
-        raise TraceError(
-            f"{where}: the time column {header!r} is not in seconds; convert it to s, or rename the column if it is"
-        )
-
-
 def _choose(name: str, width: int, names: list[str] | None, time_column: Column, power_columns) -> list[int]:
     """Indices of the chosen columns, the time first."""
     if width < 2:
         raise TraceError(
-            f"{name}: has {width} column; a time and at least one power column are needed "
-            "(pass delimiter= if the cells are not separated by commas)"
+            f"{name}: has {width} column; give a time and at least one power column, with commas, semicolons or tabs "
+            "between the cells"
         )
     time = _index(name, width, names, time_column)
     if power_columns is None:
@@ -361,11 +399,3 @@ def _index(name: str, width: int, names: list[str] | None, column: Column) -> in
     if not 0 <= column < width:
         raise TraceError(f"{name}: column {column} is unknown; columns are 0 to {width - 1}")
     return int(column)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

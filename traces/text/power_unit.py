@@ -8,7 +8,9 @@ KW_PER_UNIT = {"W": 1e-3, "kW": 1.0, "MW": 1e3, "mW": 1e-6}
 # Spellings in small letters that can only mean one unit; "mw" could mean two.
 _SPELLINGS = {"w": "W", "watt": "W", "watts": "W", "kw": "kW", "kilowatt": "kW", "kilowatts": "kW"}
 _SPELLINGS |= {"megawatt": "MW", "megawatts": "MW", "milliwatt": "mW", "milliwatts": "mW"}
-_OTHERS = frozenset(["hp", "ps", "btu", "gw", "uw", "va", "kva", "mva", "wh", "kwh", "mwh", "kj", "mj", "%"])
+_OTHERS = frozenset(["hp", "ps", "btu", "gw", "uw", "va", "kva", "mva", "%"])
+_ENERGY_UNITS = frozenset(["j", "kj", "mj", "gj", "uj", "wh", "kwh", "mwh", "gwh", "ws", "kws"])
+_ENERGY_WORD = re.compile(r"(?:[a-z]*joules?|(?:kilo|mega)?watt-?hours?|[kmg]?wh|energy)")
 _SEPARATORS = re.compile(r"[\s_.,:/-]+")
 
 
@@ -31,6 +33,27 @@ def last_word(header: str) -> str:
     return _SEPARATORS.split(re.sub(r"\s*(?:\[[^\[\]]*\]|\([^()]*\))$", "", header.strip()))[-1]
 
 
+def unit_of_word(word: str) -> str | None:
+    """Return the unit of power that a word spells, with its usual sign; None for another word."""
+    return word if word in KW_PER_UNIT else _SPELLINGS.get(word.casefold())
+
+
+def is_energy(header: str) -> bool:
+    """Return whether the name of a column or metric names energy, such as `energy_j`, `E [kWh]` or `joules_total`."""
+    inside, spaced = bracketed(header)[0], re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", header)
+    if {inside.casefold(), last_word(header).casefold()} & _ENERGY_UNITS:
+        return True
+    if any(unit_of_word(word) for word in (inside, last_word(header))):
+        return False
+    return any(_ENERGY_WORD.fullmatch(word) for word in re.split(r"[\s_.,:/()\[\]-]+", spaced.casefold()))
+
+
+def require_power(where: str, header: str, remedy: str) -> None:
+    """Raise TraceError if a name is one of energy, which is not power, whatever unit the caller gives."""
+    if is_energy(header):
+        raise TraceError(f"{where}: {header!r} is energy, not power; {remedy}")
+
+
 def column_unit(where: str, header: str, unit: str | None) -> str | None:
     """Return the unit of a column from its name or the caller's `unit`; None if neither contains it.
 
@@ -50,13 +73,13 @@ def column_unit(where: str, header: str, unit: str | None) -> str | None:
     """
     inside, square = bracketed(header)
     words = [inside, last_word(header)]
-    stated = sorted({spelled for word in words if (spelled := _unit_of(word)) is not None})
+    stated = sorted({spelled for word in words if (spelled := unit_of_word(word)) is not None})
     either = any(word.casefold() == "mw" and word not in KW_PER_UNIT for word in words)
     if either and not {"mW", "MW"} & {*stated, unit}:
         raise TraceError(
             f"{where}: {header!r} may mean milliwatt or megawatt; pass unit='mW' or unit='MW', or write mW or MW"
         )
-    if square and not _unit_of(inside) and not inside.isdigit():
+    if square and not unit_of_word(inside) and not inside.isdigit():
         others = [inside]
     else:
         others = [word for word in words if word.casefold() in _OTHERS]
@@ -73,7 +96,3 @@ def column_unit(where: str, header: str, unit: str | None) -> str | None:
             "the column if its name is wrong"
         )
     return stated[0] if stated else unit
-
-
-def _unit_of(word: str) -> str | None:
-    return word if word in KW_PER_UNIT else _SPELLINGS.get(word.casefold())

@@ -116,7 +116,7 @@ def test_check_reports_a_recording_and_writes_the_files(tmp_path, capsys):
     main(["traces", "check", str(tmp_path / "site.csv"), "--rated-kw", "200", *words])
     printed = " ".join(capsys.readouterr().out.split())
     for text in (
-        "read: CSV with time in s; column 0 ('time_s') in s, column 1 ('site_kw') in kW",
+        "read: CSV with numeric times; column 0 ('time_s') in s, column 1 ('site_kw') in kW",
         "sampling: every 1 s, jitter 0.000 s (95 %)",
         "rating: 200 kW",
         "idle 102 kW (51.0%), mean 124.5 kW (62.2%), peak 149 kW (74.5%); shares of the rating",
@@ -159,7 +159,7 @@ def test_check_with_power_as_recorded(tmp_path, capsys):
     ("content", "options", "message"),
     [
         ("time_s,kw\n0,1\n1,NaN\n", [], r"site.csv, line 3: column 1 \('kw'\) is nan; remove or repair the sample"),
-        ("time_s,kw\n0,1\n1,2\n", ["--step-s", "1"], "a CSV with time in s has no option step_s; it has unit, power"),
+        ("time_s,kw\n0,1\n1,2\n", ["--step-s", "1"], "a CSV with numeric times has no option step_s; it has unit, power"),
         ("time_s,kw\n0,1\n1,2\n", ["--png", "x.png"], "lasts 1 s but 2 s are needed"),
         ("time_s,kw\n0,1\n2,2\n", ["--rated-kw", "-1"], "rating_kw = -1.0 is not a finite number above 0"),
         ("time_s,kw\n0,1\n1,2\n", ["--out", "."], "out: must be a file, got the folder '.'"),

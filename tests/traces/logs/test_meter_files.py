@@ -166,7 +166,7 @@ def test_gaps_are_refused_held_or_filled(write):
         (read_stamped_csv, IPMI_LONG.replace("power_w", "power"), r"header: timestamp, .* names no unit of power"),
         (read_stamped_csv, IPMI_LONG.replace("310", "x"), r"line 4: column 'power_w' is 'x', not a number"),
         (read_stamped_csv, IPMI_LONG.replace("T03:04:10Z", " noon"), r"line 4: column 'timestamp': the time is"),
-        (read_stamped_csv, "time,n1_w\n1,2\n", r"line 2: no cell is a date and time"),
+        (read_stamped_csv, "time,n1_w\nnoon,2\n", r"line 2: no cell is a date and time"),
         (read_stamped_csv, "time,n1_w\n", r"has no header with a reading below it"),
         (read_power_json, prometheus(), r"the query has no series"),
         (
