@@ -13,6 +13,7 @@ from dcgrid_env.traces.logs.dmon_log import read_dmon_log
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 from dcgrid_env.traces.logs.power_json import read_power_json
 from dcgrid_env.traces.logs.request_log import read_request_log
+from dcgrid_env.traces.logs.smi_dmon_log import read_smi_dmon_log
 from dcgrid_env.traces.logs.stamped_csv import read_stamped_csv
 from dcgrid_env.traces.logs.wattameter_log import read_wattameter_log
 from dcgrid_env.traces.mixed import generate_mixed
@@ -96,6 +97,7 @@ __all__ = [
     "read_power_json",
     "read_profiles",
     "read_request_log",
+    "read_smi_dmon_log",
     "read_stamped_csv",
     "read_wattameter_log",
     "record",

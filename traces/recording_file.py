@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from dcgrid_env.traces.checks import TraceError
-from dcgrid_env.traces.logs import dmon_log, wattameter_log
+from dcgrid_env.traces.logs import dmon_log, smi_dmon_log, wattameter_log
 from dcgrid_env.traces.logs.dmon_log import read_dmon_log
 from dcgrid_env.traces.logs.gpu_columns import split
 from dcgrid_env.traces.logs.gpu_log import read_gpu_log
 from dcgrid_env.traces.logs.power_json import read_power_json
 from dcgrid_env.traces.logs.request_log import is_request_log, read_request_log
+from dcgrid_env.traces.logs.smi_dmon_log import read_smi_dmon_log
 from dcgrid_env.traces.logs.stamped_csv import is_stamped, read_stamped_csv
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP
 from dcgrid_env.traces.logs.wattameter_log import read_wattameter_log
@@ -59,15 +60,17 @@ def _served_log(path: str | Path, part_s: tuple[float, float] | None = None) -> 
     return served(read_request_log(path, part_s=part_s))
 
 
+_TABLE = ("unit", "power_columns")
 _COMMON = ("limit_kw", "max_gap_s", "gaps")
 FORMATS: dict[str, FileFormat] = {
     form.name: form
     for form in (
-        FileFormat("csv", "CSV with numeric times", PowerTrace.from_csv, ("unit", "power_columns", "invalid", *_COMMON)),
+        FileFormat("csv", "CSV with numeric times", PowerTrace.from_csv, (*_TABLE, "invalid", *_COMMON)),
         FileFormat("nvidia-smi", "log of nvidia-smi --query-gpu", read_gpu_log, ("unit", "columns", "gpus", *_COMMON)),
         FileFormat("dmon", "log of dcgmi dmon", read_dmon_log, ("step_s", *_COMMON)),
+        FileFormat("smi-dmon", "log of nvidia-smi dmon", read_smi_dmon_log, ("step_s", *_COMMON)),
         FileFormat("wattameter", "log of WattAMeter", read_wattameter_log, _COMMON),
-        FileFormat("stamped-csv", "CSV with dates and times", read_stamped_csv, ("unit", "power_columns", *_COMMON)),
+        FileFormat("stamped-csv", "CSV with dates and times", read_stamped_csv, (*_TABLE, *_COMMON)),
         FileFormat("json", "JSON of Prometheus, Redfish or ML.ENERGY", read_power_json, ("unit", "metric", *_COMMON)),
         FileFormat("requests", "log of requests, served by H100 with Llama 3 70B", _served_log, ("part_s",)),
     )
@@ -84,6 +87,8 @@ def file_format(path: str | Path) -> FileFormat:
         return FORMATS["csv"]
     if any(dmon_log.HEADER.search(line) for line in shown):
         return FORMATS["dmon"]
+    if any(smi_dmon_log.HEADER.match(line.strip()) for line in shown):
+        return FORMATS["smi-dmon"]
     if wattameter_log.HEADER.match(first):
         return FORMATS["wattameter"]
     with open_text(path) as file:
@@ -110,6 +115,7 @@ def columns_line(path: str | Path, trace: PowerTrace, **options: Any) -> str:
     if form.name == "csv":
         chosen = {name: options[name] for name in ("power_columns", "unit") if options.get(name) is not None}
         read = ", ".join(f"{column} in {unit}" for column, unit in csv_columns(path, **chosen).items())
+        read += f"; began {trace.began}" if trace.began else ""
         dropped = trace.provenance.parameters.get("dropped", {})
         read += "".join(f"; {count} samples dropped ({fault})" for fault, count in dropped.items())
     else:
@@ -136,8 +142,8 @@ def read_file(path: str | Path, **options: Any) -> PowerTrace:
     passed = {name: value for name, value in options.items() if value is not None}
     for name in passed:
         if name not in form.options:
-            known = ", ".join(form.options)
-            raise TraceError(f"{Path(path).name}: a {form.description} has no option {name}; it has {known}")
+            known = ", ".join(f"{option}=" for option in form.options)
+            raise TraceError(f"{Path(path).name}: a {form.description} has no option {name}=; it has {known}")
     return form.read(path, **passed)
 
 

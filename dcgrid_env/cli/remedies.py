@@ -11,7 +11,19 @@ import dataclasses
 import re
 
 READING = frozenset(
-    "unit power_columns metric step_s part_s invalid gaps max_gap_s limit_kw gpus columns".split()
+    (
+        "unit",
+        "power_columns",
+        "metric",
+        "step_s",
+        "part_s",
+        "invalid",
+        "gaps",
+        "max_gap_s",
+        "limit_kw",
+        "gpus",
+        "columns",
+    )
 )
 """Keywords of the readers of recordings; each is an option of `dcgrid traces check`."""
 _CHECK = "`dcgrid traces check FILE --save NEW.csv` has {options}; use the new file"
@@ -38,7 +50,8 @@ def with_options(error: BaseException, command: object) -> str:
         return message
     names = sorted(known, key=len, reverse=True)
     keyword = re.compile(rf"(?<![\w.'\"/-])(?<!--set )({'|'.join(names)})(?: = ?|=)(?P<value>{_VALUE}|)")
-    lonely = re.compile(rf"(?<![\w.'\"/-])(?:{'|'.join(name for name in names if '_' in name)})(?![\w'\"=]| =)")
+    worded = "|".join(name for name in names if "_" in name) or "(?!)"
+    lonely = re.compile(rf"(?<![\w.'\"/-])(?:{worded})(?![\w'\"=]| =)")
     used: list[str] = []
 
     def option(name: str, value: str = "") -> str:

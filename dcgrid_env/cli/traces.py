@@ -44,7 +44,7 @@ class CheckRecording(Command):
     metric: str | None = None
     """Metric of a JSON file with several."""
     step_s: float | None = None
-    """Delay of a log of dcgmi dmon without times, s."""
+    """Delay of a log of dcgmi dmon or nvidia-smi dmon without times, s."""
     part_s: tuple[float, float] | None = None
     """Begin and end of the part of a request log to read, s. Default: the whole log."""
     invalid: Literal["error", "drop"] | None = None

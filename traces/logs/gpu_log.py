@@ -40,11 +40,10 @@ def read_gpu_log(
     Each GPU's reading applies until its next one. The sum has a sample for each round of readings, or for each reading
     if there are no rounds (`dcgrid_env.traces.logs.meters.held_total`). It begins when every GPU has reported, which
     becomes time 0, and ends at the last reading of any. Missing readings (`[N/A]`, `[Not Supported]`, `ERR!`) are
-    skipped, so the gap between the GPU's readings is longer. A column uuid,
-    index, pci.bus_id or serial identifies the GPU. Of several power columns power.draw.instant is preferred. The header
-    may be repeated where the logger was restarted. An unreadable last line without a line end was cut short and is
-    dropped, and so is one of a GPU that no other line names. Memory use is 16 bytes for each reading, and about 50
-    while they are summed.
+    skipped, so the gap between the GPU's readings is longer. A column uuid, index, pci.bus_id or serial identifies the
+    GPU. Of several power columns power.draw.instant is preferred. The header may be repeated where the logger was
+    restarted. An unreadable last line without a line end was cut short and is dropped, and so is one of a GPU that no
+    other line names. Memory use is 16 bytes for each reading, and about 50 while they are summed.
 
     Parameters
     ----------
@@ -167,7 +166,8 @@ class _Log:
         )
         if len(found.time_s) < 2:
             raise TraceError(
-                f"{self._name}: {len(found.time_s)} readings from when all {len(series)} GPUs have reported; give at least 2"
+                f"{self._name}: {len(found.time_s)} readings from when all {len(series)} GPUs have reported; give at "
+                "least 2"
             )
         began = np.datetime64((self._origin_ns or 0) + round(found.begin_s * 1e9), "ns").astype("datetime64[ms]")
         return found, str(began)

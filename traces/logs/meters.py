@@ -21,9 +21,9 @@ from dcgrid_env.traces.trace import PowerTrace
 USUAL_DISTANCES = 5.0
 LEAST_GAP_S = 15.0
 """By default, readings are a gap apart from this time on, and from USUAL_DISTANCES times their usual distance on, s."""
-ROUND_SHARE = 0.25
+ROUND_SHARE = 0.4
 """Longest duration of a round in which each meter reports once, as a share of the usual distance of the readings."""
-COMPLETE_ROUNDS = 0.9
+COMPLETE_ROUNDS = 0.75
 """Least share of rounds in which all meters report."""
 
 
@@ -193,7 +193,9 @@ def held_total(series: Mapping[str, tuple[FloatArray, FloatArray]]) -> Total:
     for times_s, (_, values_kw) in zip(rounds, series.values(), strict=True):
         power_kw += values_kw[np.searchsorted(times_s, time_s, side="right") - 1]
     several = {name: times_s for name, (times_s, _) in series.items() if len(times_s) > 1}
-    sampling = replace(sampling_of(several or {"": time_s}), meters=len(series)) if len(time_s) > 1 else Sampling(0.0, 0.0, 0, 0.0, 0.0)
+    sampling = Sampling(0.0, 0.0, 0, 0.0, 0.0)
+    if len(time_s) > 1:
+        sampling = replace(sampling_of(several or {"": time_s}), meters=len(series))
     apart_s = max(GAP_INTERVALS * sampling.interval_s, 1e-9)
     late = {name: round(at - min(starts_s.values()), 3) for name, at in starts_s.items()}
     early = {name: round(max(ends_s.values()) - at, 3) for name, at in ends_s.items()}

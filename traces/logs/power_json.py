@@ -158,7 +158,9 @@ def _prometheus(name: str, data: dict[str, Any], metric: str | None) -> tuple[st
         if labels.get("__name__", "") == what:
             keys = next((keys for keys in _IDENTITY if all(key in labels for key in keys)), sorted(labels))
             meter = ", ".join(f"{key}={labels[key]}" for key in keys if key != "__name__") or "the series"
-            readings += (_Reading(meter, seconds(at, name), reading(value), n) for n, (at, value) in enumerate(item["values"], 1))
+            readings += (
+                _Reading(meter, seconds(at, name), reading(value), n) for n, (at, value) in enumerate(item["values"], 1)
+            )
     return what, sorted(readings, key=_time_s)
 
 

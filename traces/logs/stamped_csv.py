@@ -1,4 +1,4 @@
-"""CSV files of power readings with a time and a meter in each line, or with a date and time and a column for each meter.
+"""CSV files of power readings with a time and a meter in each line, or with a date and a column for each meter.
 
 Collectors of IPMI and Redfish readings, amd-smi and dashboards write them.
 """
@@ -6,6 +6,7 @@ Collectors of IPMI and Redfish readings, amd-smi and dashboards write them.
 from __future__ import annotations
 
 import csv
+import math
 import os
 import re
 from collections.abc import Sequence
@@ -18,13 +19,13 @@ from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import is_date, seconds
 from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.text.cells import is_missing, is_number, reading
+from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number, reading
 from dcgrid_env.traces.text.power_unit import (
     KW_PER_UNIT,
     bracketed,
     column_unit,
-    is_energy,
     last_word,
+    other_quantity,
     require_power,
     require_unit,
     unit_of_word,
@@ -35,10 +36,13 @@ from dcgrid_env.traces.text.times import Clock, clock_of, clock_text, epoch_unit
 from dcgrid_env.traces.trace import PowerTrace
 
 _METERS = frozenset(
-    "gpu gpu_id gpu_index gpu_uuid index id uuid device device_id dev card socket node node_id host hostname instance "
-    "server machine sensor sensor_id chassis rack pdu outlet psu meter meter_id serial gpu_serial pci_bus_id "
-    "gpu_bus_id bdf name".split()
-)
+    (
+        "gpu", "gpu_id", "gpu_index", "gpu_uuid", "gpu_serial", "gpu_bus_id", "pci_bus_id", "bdf", "card", "socket",
+        "index", "id", "uuid", "device", "device_id", "dev", "node", "node_id", "host", "hostname", "instance", "server",
+        "machine", "sensor", "sensor_id", "chassis", "rack", "pdu", "outlet", "psu", "meter", "meter_id", "serial",
+        "name",
+    )
+)  # fmt: skip
 """Names of columns that identify a meter, in small letters with `_` between words."""
 _STATES = re.compile(r"state|status|reason|mode|type|version|driver|unit|comment|note|message|job|run_id|project")
 """Words in the names of text columns that describe a reading and identify no meter."""
@@ -101,14 +105,15 @@ def read_stamped_csv(
             file.name, "power", "kW", max_gap_s=max_gap_s, gaps=gaps, limit_kw=limit_kw,
             placed=lambda meter, line: f"{file.name}, line {line}: {meter}",
         )  # fmt: skip
-        at = f"{where}: column {header[columns.time]!r}"
-        clock = clock_of(float(first[columns.time]), at, header[columns.time]) if is_number(first[columns.time]) else None
+        clock, begin, time_name = None, first[columns.time], header[columns.time]
+        if is_number(begin):
+            clock = clock_of(float(begin), f"{where}: column {time_name!r}", time_name)
         rows = chain([(file.line, first)], _rows(file))
         for number, row in rows:
             where = f"{file.name}, line {number}"
             if len(row) != len(header):
                 raise TraceError(f"{where}: has {len(row)} cells, the header {len(header)}; repair the line")
-            time_s = _time(row[columns.time], f"{where}: column {header[columns.time]!r}", clock)
+            time_s = _time(row[columns.time], f"{where}: column {time_name!r}", clock)
             label = [f"{header[c]} {row[c].strip()}" for c in columns.labels]
             for column, stated in columns.power.items():
                 kw = _kw(f"{where}: column {header[column]!r}", row[column], stated)
@@ -192,13 +197,17 @@ def _power(
         chosen = [header.index(text) for text in power_columns]
         found = {c: column_unit(where, header[c], unit) for c in chosen}
     else:
-        names_power = [c for c in others if not is_energy(header[c]) and _names_power(header[c])]
-        cells_power = [c for c in others if not is_energy(header[c]) and _unit_in(first[c])]
+        candidates = [c for c in others if other_quantity(header[c]) is None]
+        names_power = [c for c in candidates if _names_power(header[c])]
+        cells_power = [c for c in candidates if _unit_in(first[c])]
         found = {c: column_unit(where, header[c], unit) for c in names_power}
         found |= {c: unit for c in cells_power if c not in found}
         if not found and unit is not None:
-            numbers = [c for c in others if is_number(first[c]) and not is_energy(header[c])]
+            numbers = [c for c in candidates if is_number(first[c])]
             found = {c: unit for c in numbers if not bracketed(header[c])[1]}
+        if not any(is_number(first[c]) for c in candidates):
+            for c in () if found else others:
+                require_power(where, header[c], "give a column of power, or rename it if it is power")
     lacking = next((c for c, stated in found.items() if stated is None and not _unit_in(first[c])), None)
     if lacking is not None or not found:
         fault = ", ".join(header) if lacking is None else repr(header[lacking])
@@ -238,7 +247,7 @@ def _kw(where: str, text: str, stated: str | None) -> float:
     try:
         value = reading(text)
     except ValueError:
-        raise TraceError(f"{where} is {text[:40]!r}, not a number; repair or remove the line") from None
-    if stated is None and value == value:
-        raise TraceError(f"{where} is {text.strip()[:40]!r} without a unit, and the first cell has one; repair the cell")
+        raise TraceError(f"{where} {not_a_number(text)}") from None
+    if stated is None and not math.isnan(value):
+        raise TraceError(f"{where} is {text.strip()[:40]!r} without a unit, which the first cell has; repair the cell")
     return value * KW_PER_UNIT[stated or "kW"]

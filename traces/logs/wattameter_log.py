@@ -9,7 +9,7 @@ from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import seconds
 from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.text.cells import reading
+from dcgrid_env.traces.text.cells import not_a_number, reading
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT
 from dcgrid_env.traces.text.text_file import open_text, stem
 from dcgrid_env.traces.text.times import clock_text
@@ -101,4 +101,4 @@ def _number(where: str, meter: str, text: str) -> float:
     try:
         return reading(text)
     except ValueError:
-        raise TraceError(f"{where}: {meter} is {text[:40]!r}, not a number; repair or remove the line") from None
+        raise TraceError(f"{where}: {meter} {not_a_number(text)}") from None

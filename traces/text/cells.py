@@ -28,3 +28,11 @@ def reading(text: object) -> float:
     if isinstance(text, str) and is_missing(text):
         return float("nan")
     return float(text)  # pyright: ignore[reportArgumentType]
+
+
+def not_a_number(text: str) -> str:
+    """Return what a message says of a cell that should contain a number."""
+    remedy = "repair or remove the line"
+    if "," in text:
+        remedy = "write numbers with a decimal point and without thousands separators"
+    return f"is {text.strip()[:40]!r}, not a number; {remedy}"

@@ -14,7 +14,7 @@ import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.text.cells import is_missing, is_number
+from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number
 from dcgrid_env.traces.text.gaps import GapRule
 from dcgrid_env.traces.text.limits import above_limit, limit_of, outlier, outlier_text
 from dcgrid_env.traces.text.power_unit import (
@@ -22,6 +22,7 @@ from dcgrid_env.traces.text.power_unit import (
     bracketed,
     column_unit,
     last_word,
+    other_quantity,
     require_power,
     require_unit,
 )
@@ -231,7 +232,7 @@ class _Samples:
                 )
             raise TraceError(
                 f"{where(i)}: {layout.fields[1 + j]} is {table[i, 1 + j]:g} {layout.units[j]}, "
-                f"{above_limit(self._limit_kw[j])}"
+                f"{above_limit(float(self._limit_kw[j]))}"
             )
         if power_kw.max() > self._highest[0]:
             i, j = np.unravel_index(int(np.argmax(power_kw)), power_kw.shape)
@@ -288,12 +289,12 @@ def _careful_numbers(name: str, block: Block, layout: _Layout, drops: bool) -> F
                 if drops and missing:
                     cells.append(float("nan"))
                     continue
-                remedy = "repair the cell, or pass invalid='drop'" if missing else "repair the cell"
+                fault = not_a_number(row[c])
                 if number == layout.first_line:
-                    remedy = "if this line has the names of the columns, give each one that is not a number"
-                elif "," in row[c]:
-                    remedy = "write numbers with a decimal point and without thousands separators"
-                raise TraceError(f"{name}, line {number}: {field} is {row[c][:40]!r}, not a number; {remedy}") from None
+                    fault += "; if the line has the names of the columns, give each one that is not a number"
+                elif missing:
+                    fault += ", or pass invalid='drop'"
+                raise TraceError(f"{name}, line {number}: {field} {fault}") from None
     return np.array(cells, dtype=np.float64).reshape(-1, len(layout.columns))
 
 
@@ -325,9 +326,7 @@ def _noted(name: str, line: str) -> dict[str, Any]:
     return noted
 
 
-def _layout(
-    file: TableFile, row: list[str], has_header: bool, time_column, power_columns, unit: str | None
-) -> _Layout:
+def _layout(file: TableFile, row: list[str], has_header: bool, time_column, power_columns, unit: str | None) -> _Layout:
     name, width = file.name, len(row)
     names = [cell.strip() for cell in row] if has_header else None
     columns = _choose(name, width, names, time_column, power_columns)
@@ -335,7 +334,11 @@ def _layout(
     if names is not None:
         where = f"{name}, line {file.line}"
         for c in columns[1:]:
-            require_power(where, names[c], "name the columns of power with power_columns=, or rename it if it is power")
+            remedy = "name the columns of power with power_columns=, or rename it if it is power"
+            require_power(where, names[c], remedy)
+            other = other_quantity(names[c]) if power_columns is None else None
+            if other is not None:
+                raise TraceError(f"{where}: {names[c]!r} names {other!r}, which is no power; {remedy}")
         units = [_unit(where, names[c], unit) for c in columns[1:]]
         if None in units:
             column = names[columns[1 + units.index(None)]]

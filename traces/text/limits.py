@@ -54,6 +54,6 @@ def outlier(power_kw: FloatArray) -> int | None:
 def outlier_text(power_kw: float, usual_kw: float) -> str:
     """Return what a message says of an outlier; `usual_kw` is the mean of the meter."""
     return (
-        f"an outlier: {power_kw:g} kW, and the mean of all readings is {usual_kw:.4g} kW; repair or remove the reading, "
-        f"or pass limit_kw={math.ceil(power_kw)} or more if it is right"
+        f"an outlier: {power_kw:g} kW, and the mean of all readings is {usual_kw:.4g} kW; repair or remove the reading"
+        f", or pass limit_kw={math.ceil(power_kw)} or more if it is right"
     )

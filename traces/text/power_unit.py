@@ -11,6 +11,12 @@ _SPELLINGS |= {"megawatt": "MW", "megawatts": "MW", "milliwatt": "mW", "milliwat
 _OTHERS = frozenset(["hp", "ps", "btu", "gw", "uw", "va", "kva", "mva", "%"])
 _ENERGY_UNITS = frozenset(["j", "kj", "mj", "gj", "uj", "wh", "kwh", "mwh", "gwh", "ws", "kws"])
 _ENERGY_WORD = re.compile(r"(?:[a-z]*joules?|(?:kilo|mega)?watt-?hours?|[kmg]?wh|energy)")
+_POWER_WORDS = ("power", "load", "draw", "watt", "pwr", "consumption")
+_OTHER_WORDS = (
+    "temp", "util", "clock", "clk", "freq", "fan", "mem", "humid", "volt", "current", "amp", "duration", "count",
+    "percent", "pct", "emission", "co2", "cost", "price", "speed", "throughput",
+)  # fmt: skip
+"""Begins of words that name another quantity than power."""
 _SEPARATORS = re.compile(r"[\s_.,:/-]+")
 
 
@@ -38,19 +44,28 @@ def unit_of_word(word: str) -> str | None:
     return word if word in KW_PER_UNIT else _SPELLINGS.get(word.casefold())
 
 
-def is_energy(header: str) -> bool:
-    """Return whether the name of a column or metric names energy, such as `energy_j`, `E [kWh]` or `joules_total`."""
-    inside, spaced = bracketed(header)[0], re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", header)
-    if {inside.casefold(), last_word(header).casefold()} & _ENERGY_UNITS:
-        return True
-    if any(unit_of_word(word) for word in (inside, last_word(header))):
-        return False
-    return any(_ENERGY_WORD.fullmatch(word) for word in re.split(r"[\s_.,:/()\[\]-]+", spaced.casefold()))
+def other_quantity(header: str) -> str | None:
+    """Return the quantity that a column or metric names if it is not power: "energy" or a word such as `temperature`.
+
+    `energy_j`, `E [kWh]` and `joules_total` are energy. A name that also contains power or its unit is power.
+    """
+    inside, last = bracketed(header)[0], last_word(header)
+    if {inside.casefold(), last.casefold()} & _ENERGY_UNITS:
+        return "energy"
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", header)
+    words = re.split(r"[\s_.,:/()\[\]-]+", spaced.casefold())
+    if any(map(unit_of_word, (inside, last))):
+        return None
+    if any(map(_ENERGY_WORD.fullmatch, words)):
+        return "energy"
+    if any(word.startswith(_POWER_WORDS) for word in words):
+        return None
+    return next((word for word in words if word.startswith(_OTHER_WORDS)), None)
 
 
 def require_power(where: str, header: str, remedy: str) -> None:
     """Raise TraceError if a name is one of energy, which is not power, whatever unit the caller gives."""
-    if is_energy(header):
+    if other_quantity(header) == "energy":
         raise TraceError(f"{where}: {header!r} is energy, not power; {remedy}")
 
 

@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
+from typing import NamedTuple
 
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.text.text_file import Block, TextFile, open_text
@@ -20,9 +21,11 @@ DELIMITERS = (";", "\t", ",")
 _SHOWING_LINES = 6
 _SHOWING_CHARS = 1 << 16
 """Lines and characters at the top of a file that show its dialect."""
-_DECIMAL_COMMA = re.compile(r"(\s*[-+]?\d+),(\d+(?:[eE][-+]?\d+)?(?:\s*[A-Za-z]{1,2})?\s*)")
-_DECIMAL_POINT = re.compile(r"\s*[-+]?\d+\.\d+(?:[eE][-+]?\d+)?(?:\s*[A-Za-z]{1,2})?\s*")
-_WHOLE = re.compile(r"\s*[-+]?\d{1,3}\s*")
+_NUMBER = re.compile(
+    r"\s*[-+]?(?P<digits>\d+)(?:(?P<sign>[.,])(?P<decimals>\d+))?(?:[eE][-+]?\d+)?(?:\s*[A-Za-z]{1,2})?\s*"
+)
+_NAME = re.compile(r"\s*\"?[A-Za-z_]")
+_ONE_SIGN = "write all numbers with the same decimal sign and without thousands separators"
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=(.)"?\s*', re.DOTALL)
 """Line at the top of a file with which spreadsheets name the delimiter."""
 
@@ -80,8 +83,19 @@ def _top(file: TextFile) -> Iterator[str]:
         yield line
 
 
+class _Column(NamedTuple):
+    """Numbers of a column that show its decimal sign: the line and text of the first of each kind."""
+
+    comma: tuple[int, str] | None = None
+    point: tuple[int, str] | None = None
+    certain: bool = False
+    """Whether a sign cannot be a thousands separator, as other than three digits follow it."""
+    whole: bool = False
+    """Whether there are whole numbers below 1000."""
+
+
 class _Dialect:
-    """Delimiter of a file, and the decimal sign that its numbers had so far."""
+    """Delimiter of a file, and the decimal signs that its numbers had so far."""
 
     def __init__(self, name: str, top: list[str], delimiter: str | None) -> None:
         self._name = name
@@ -93,81 +107,78 @@ class _Dialect:
             top[top.index(shown[0])] = "\n"
             shown = shown[1:]
         self.delimiter = delimiter or (stated[1] if stated else _found_delimiter(shown))
-        self._point: tuple[int, str] | None = None
-        self._comma: tuple[int, str] | None = None
-        self._certain = False
-        """Whether a number has a comma that cannot be a thousands separator."""
-        self._thousands: dict[int, tuple[int, str]] = {}
-        """First number of each column whose comma may be a thousands separator."""
-        self._whole: set[int] = set()
-        """Columns with whole numbers below 1000."""
+        names = shown[0].split(self.delimiter) if shown else []
+        self._header = 1 + top.index(shown[0]) if any(map(_NAME.match, names)) else 0
+        """Number of the line with the names of the columns; 0 if there is none."""
+        self._columns: dict[int, _Column] = {}
 
     def plain(self, text: str, first_line: int) -> str:
         """Return lines with commas between cells, a decimal point, and quotes only where a cell needs them."""
-        if not self._is_table or '"' not in text and (self.delimiter == "," or self.delimiter not in text):
+        if not self._is_table or ('"' not in text and (self.delimiter == "," or self.delimiter not in text)):
             return text
         return "".join(self._line(line, number) for number, line in enumerate(text.splitlines(True), first_line))
 
     def _line(self, line: str, number: int) -> str:
         content = line.rstrip("\n")
-        if line.startswith("#") or content.count('"') % 2:
+        if line.startswith("#") or content.count('"') % 2 or (self.delimiter == "," and '"' not in content):
             return line
-        if '"' not in content:
-            if self.delimiter == ",":
-                return line
-            cells = content.split(self.delimiter)
-        else:
+        if '"' in content:
             cells = next(csv.reader([content], delimiter=self.delimiter, skipinitialspace=True))
-        if self.delimiter != ",":
+        else:
+            cells = content.split(self.delimiter)
+        if self.delimiter != "," and number != self._header:
             cells = [self._decimal(cell, column, number) for column, cell in enumerate(cells)]
-        if any("," in cell or '"' in cell for cell in cells):
+        joined = ",".join(cells)
+        if joined.count(",") >= len(cells) or '"' in joined:
             out = io.StringIO()
             csv.writer(out, lineterminator="").writerow(cells)
             joined = out.getvalue()
-        else:
-            joined = ",".join(cells)
         return joined + line[len(content) :]
 
     def _decimal(self, cell: str, column: int, number: int) -> str:
-        """Return a number with a decimal point; raise TraceError if the file has both signs."""
-        match = _DECIMAL_COMMA.fullmatch(cell)
-        if match is not None:
-            self._comma = self._comma or (number, cell.strip())
-            digits = match[1].strip().lstrip("+-")
-            if len(match[2].strip()) != 3 or len(digits) > 3 or digits.startswith("0"):
-                self._certain = True
-            else:
-                self._thousands.setdefault(column, (number, cell.strip()))
-            cell = f"{match[1]}.{match[2]}"
-        elif _DECIMAL_POINT.fullmatch(cell):
-            self._point = self._point or (number, cell.strip())
-        elif _WHOLE.fullmatch(cell):
-            self._whole.add(column)
-        if self._point and self._comma:
-            (line, point), (other, comma) = self._point, self._comma
+        """Return a number with a decimal point; raise TraceError if its column has both signs."""
+        match = _NUMBER.fullmatch(cell)
+        if match is None:
+            return cell
+        found, shown, sign = self._columns.get(column, _Column()), (number, cell.strip()), match["sign"]
+        digits = match["digits"]
+        if sign is None:
+            self._columns[column] = found._replace(whole=found.whole or len(digits) <= 3)
+            return cell
+        certain = found.certain or len(match["decimals"]) != 3 or len(digits) > 3 or digits.startswith("0")
+        if sign == ",":
+            found = found._replace(comma=found.comma or shown, certain=certain)
+            cell = cell.replace(",", ".")
+        else:
+            found = found._replace(point=found.point or shown, certain=certain)
+        if found.comma and found.point:
             raise TraceError(
-                f"{self._name}, line {number}: has {point!r} in line {line} and {comma!r} in line {other}; write all "
-                "numbers with the same decimal sign and without thousands separators"
+                f"{self._name}, line {number}: the column has {found.point[1]!r} in line {found.point[0]} and "
+                f"{found.comma[1]!r} in line {found.comma[0]}; {_ONE_SIGN}"
             )
+        self._columns[column] = found
         return cell
 
     def require_decimals(self) -> None:
-        """Raise TraceError if commas in numbers may separate thousands: three digits follow all of them."""
-        doubtful = sorted(self._thousands.keys() & self._whole)
-        if doubtful and not self._certain:
-            number, text = self._thousands[doubtful[0]]
-            raise TraceError(
-                f"{self._name}, line {number}: the comma in {text!r} may be a decimal comma or separate thousands; "
-                "write numbers without thousands separators, or with a decimal point"
-            )
+        """Raise TraceError if the signs in the numbers of a column may separate thousands."""
+        has_commas = any(column.comma for column in self._columns.values())
+        for column in self._columns.values():
+            shown = column.comma if column.whole else None
+            if has_commas and column.point:
+                shown = column.point
+            if shown and not column.certain:
+                number, text = shown
+                raise TraceError(
+                    f"{self._name}, line {number}: the sign in {text!r} may be a decimal sign or separate thousands; "
+                    f"{_ONE_SIGN}"
+                )
 
 
 def _found_delimiter(lines: list[str]) -> str:
     """Return the delimiter that gives all lines the same number of cells, at least two."""
     for delimiter in DELIMITERS:
-        widths = {
-            len(next(csv.reader([line], delimiter=delimiter))) for line in lines if line.count('"') % 2 == 0
-        }  # fmt: skip
+        whole = [line for line in lines if line.count('"') % 2 == 0]
+        widths = {len(next(csv.reader([line], delimiter=delimiter))) for line in whole}
         if len(widths) == 1 and widths != {1} and not (delimiter == "\t" and any(",\t" in line for line in lines)):
             return delimiter
     first = lines[0] if lines else ""

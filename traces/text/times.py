@@ -9,8 +9,8 @@ import numpy as np
 from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.text.power_unit import bracketed, last_word
 
-EPOCH_S = (1e9, 4.2e9)
-"""Times in s since 1970 that are believed: the years 2001 to 2103."""
+EPOCH_S = (1.2e9, 2.6e9)
+"""Times in s since 1970 that are believed: the years 2008 to 2052."""
 PARTS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Units of times since 1970, as numbers in a second; their ranges do not overlap."""
 _LONGER_S = {"min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -59,10 +59,10 @@ class Clock(NamedTuple):
         seconds = times / PARTS[self.unit] if self.unit in PARTS else times * _LONGER_S[self.unit]
         limit_s = EPOCH_S[1] if self.is_epoch else EPOCH_S[0]
         for i in np.flatnonzero(np.isfinite(seconds) & (seconds >= limit_s))[:1]:
-            since = " since 1970" if self.is_epoch else ", as the first times have"
+            begin = "1970" if self.is_epoch else "the beginning"
             raise TraceError(
-                f"{where(int(i))}: the time is {times[i]:.15g}, too large for {self.unit}{since}; give all times in one "
-                "unit, from the beginning or in s, ms, us or ns since 1970"
+                f"{where(int(i))}: the time {times[i]:.15g} is too large for {self.unit} since {begin}; give all times "
+                "in one unit, from the beginning or in s, ms, us or ns since 1970"
             )
         return seconds
 

@@ -197,7 +197,7 @@ ROUNDS = "".join(rows((s, "70 W"), (s + 0.002, "80 W"), (s + 0.004, "90 W")) for
         (ONE_ROWS.replace("300.50 W", "300 hp"), {}, r"line 2: power.draw is 300 hp: its unit 'hp' is unknown"),
         # Values.
         (ONE + ONE_ROWS.replace("300.50", "-3"), {}, r"line 3: power.draw is -3 W, .*not negative"),
-        (ONE + ONE_ROWS.replace("300.50", "30050"), {}, r"line 3: power.draw is 30050 W, above 2 kW, .* raise limit_kw"),
+        (ONE + ONE_ROWS.replace("300.50", "30050"), {}, r"line 3: power.draw is 30050 W, above 2 kW, .*limit_kw"),
         # Times.
         (ONE + ONE_ROWS + rows((5.98, "1 W")), {}, r"line 5: the time repeats .*index.*or pass gpus="),
         (TWO + TWO_ROWS + rows((2, "0, 1 W")), {}, r"line 6: GPU 0: the time repeats"),

@@ -114,9 +114,9 @@ def test_other_delimiter(write):
         (TWO_GPUS, {"power_columns": []}, r"power_columns is \[\]; give a list"),
         (TWO_GPUS, {"power_columns": "gpu0"}, r"power_columns is 'gpu0'; give a list"),
         ("0|1\n1|2\n", {"header": False}, r"has 1 column; give a time .*commas, semicolons or tabs"),
-        ("0,1,2\n1,high,2\n", {}, r"site.csv, line 2: column 1 is 'high', not a number; repair the cell"),
+        ("0,1,2\n1,high,2\n", {}, r"site.csv, line 2: column 1 is 'high', not a number; repair or"),
         ("t,a\n0,1\n\n1,\n", {"unit": "W"}, r"site.csv, line 4: column 1 \('a'\) is '', not a number"),
-        ("time,0,1\n0,1,2\n", {}, r"line 1: column 0 is 'time', not a number; if this line has the names"),
+        ("time,0,1\n0,1,2\n", {}, r"line 1: column 0 is 'time', not a number; .*if the line has the names"),
         ("0,1,2\n1,2\n", {}, r"site.csv, line 2: has 2 cells, the first line 3; repair the line"),
         ("0,1\n1,nan\n2,1\n", {}, r"site.csv, line 2: column 1 is nan; remove or repair"),
         ("0,1\ninf,1\n", {}, r"site.csv, line 2: column 0 is inf"),
@@ -175,10 +175,57 @@ def test_small_mw_is_told_by_the_caller(write, unit, kw):
 
 
 @pytest.mark.parametrize(
+    ("time", "step_s"),
+    [
+        ("t [ms]", 0.001),
+        ("time_ms", 0.001),
+        ("t(h)", 3600.0),
+        ("t/\u00b5s", 1e-6),
+        ("time_ns", 1e-9),
+        ("Minutes", 60.0),
+        ("days", 86400.0),
+    ],
+)
+def test_time_columns_in_other_units(write, time, step_s):
+    assert PowerTrace.from_csv(write(f"{time},p_w\n0,9\n1,9\n")).duration_s == pytest.approx(step_s)
+
+
+@pytest.mark.parametrize(
     "time", ["time_s", "time", "t", "time [s]", "t (seconds)", "time/s", "Time_S", "timestamp", "s"]
 )
 def test_time_columns_in_seconds(write, time):
     assert PowerTrace.from_csv(write(f"{time},p_w\n0,9\n1,9\n")).duration_s == 1.0
+
+
+COUNTER = "time_s,power_w,energy_j\n0,300,0\n1,400,350\n2,300,700\n"
+
+
+def test_energy_is_not_summed_as_power(write):
+    # A counter of J next to power: 300 W is right, 300 W + 350 J/s is not a power of anything.
+    for columns, unit in ((None, None), (None, "W"), (["energy_j"], "W")):
+        with pytest.raises(TraceError, match="line 1: 'energy_j' is energy, not power; name the columns of power"):
+            PowerTrace.from_csv(write(COUNTER), power_columns=columns, unit=unit)
+    assert PowerTrace.from_csv(write(COUNTER), power_columns=["power_w"]).power_kw.tolist() == [0.3, 0.4, 0.3]
+
+
+@pytest.mark.parametrize("name", ["E [kWh]", "site_kWh", "E (J)", "gpuEnergy", "cpu_energy", "joules_total", "E/mJ"])
+def test_names_of_energy(write, name):
+    with pytest.raises(TraceError, match="is energy, not power"):
+        PowerTrace.from_csv(write(f"t,{name}\n0,1\n1,2\n"), unit="kW")
+
+
+@pytest.mark.parametrize("name", ["energy_rate_w", "memory_power", "joule street [kW]"])
+def test_names_of_power_that_mention_other_quantities(write, name):
+    unit = "W" if name == "memory_power" else None
+    assert PowerTrace.from_csv(write(f"t,{name}\n0,1\n1,2\n"), unit=unit).duration_s == 1.0
+
+
+@pytest.mark.parametrize("name", ["temp", "gpu temperature", "utilization.gpu", "fan_speed", "memory.used"])
+def test_other_quantities_are_not_summed_as_power(write, name):
+    path = write(f"t,power,{name}\n0,300,40\n1,300,41\n")
+    with pytest.raises(TraceError, match="which is no power; name the columns of power with power_columns="):
+        PowerTrace.from_csv(path, unit="W")
+    assert PowerTrace.from_csv(path, unit="W", power_columns=["power"]).power_kw.tolist() == [0.3, 0.3]
 
 
 def test_gaps_are_accepted_held_or_filled(write):
@@ -334,7 +381,7 @@ def test_samples_without_a_valid_reading_are_dropped_on_request(write):
     ("text", "options", "message"),
     [
         (DIRTY, {}, r"site.csv, line [34]: column 1 \('a_kw'\) is (nan; remove or repair|'', not a number; repair)"),
-        (DIRTY + "7,x,1\n", {"invalid": "drop"}, r"line 9: column 1 \('a_kw'\) is 'x', not a number; repair the cell"),
+        (DIRTY + "7,x,1\n", {"invalid": "drop"}, r"line 9: column 1 \('a_kw'\) is 'x', not a number; repair or"),
         (DIRTY + "x,1,1\n", {"invalid": "drop"}, r"line 9: column 0 \('time_s'\) is 'x', not a number"),
         (DIRTY + "5,1,1\n", {"invalid": "drop"}, r"line 9: column 0 \('time_s'\) 5.0 comes after 6.0; sort the"),
         (DIRTY, {"invalid": "keep"}, r"invalid = 'keep' is unknown; choose one of error, drop"),
