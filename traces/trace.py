@@ -116,7 +116,7 @@ class PowerTrace:
         cls,
         path: str | Path,
         *,
-        time_column: int | str = 0,
+        time_column: int | str | None = None,
         power_columns: Sequence[int | str] | None = None,
         unit: str | None = None,
         header: bool | None = None,

@@ -43,7 +43,7 @@ def read_gpu_log(
     skipped, so the gap between the GPU's readings is longer. A column uuid, index, pci.bus_id or serial identifies the
     GPU. Of several power columns power.draw.instant is preferred. The header may be repeated where the logger was
     restarted. An unreadable last line without a line end was cut short and is dropped, and so is one of a GPU that no
-    other line names. Memory use is 16 bytes for each reading, and about 50 while they are summed.
+    other line names. Memory use is 16 bytes for each reading, and about 100 while they are summed.
 
     Parameters
     ----------

@@ -9,8 +9,8 @@ import csv
 import math
 import os
 import re
-from collections.abc import Sequence
-from itertools import chain
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -32,23 +32,25 @@ from dcgrid_env.traces.text.power_unit import (
 )
 from dcgrid_env.traces.text.table_file import TableFile, open_table
 from dcgrid_env.traces.text.text_file import stem
-from dcgrid_env.traces.text.times import Clock, clock_of, clock_text, epoch_unit
+from dcgrid_env.traces.text.times import Clock, clock_of, clock_text, epoch_unit, is_time_name
 from dcgrid_env.traces.trace import PowerTrace
 
 _METERS = frozenset(
     (
         "gpu", "gpu_id", "gpu_index", "gpu_uuid", "gpu_serial", "gpu_bus_id", "pci_bus_id", "bdf", "card", "socket",
-        "index", "id", "uuid", "device", "device_id", "dev", "node", "node_id", "host", "hostname", "instance", "server",
-        "machine", "sensor", "sensor_id", "chassis", "rack", "pdu", "outlet", "psu", "meter", "meter_id", "serial",
-        "name",
+        "index", "id", "uuid", "device", "device_id", "dev", "node", "node_id", "host", "hostname", "instance",
+        "server", "machine", "sensor", "sensor_id", "chassis", "rack", "pdu", "outlet", "psu", "meter", "meter_id",
+        "serial", "name",
     )
 )  # fmt: skip
 """Names of columns that identify a meter, in small letters with `_` between words."""
 _STATES = re.compile(r"state|status|reason|mode|type|version|driver|unit|comment|note|message|job|run_id|project")
 """Words in the names of text columns that describe a reading and identify no meter."""
-_TIMES = re.compile(r"time|date|epoch|unix|ts$|t$")
-"""Begins of the names of columns of times."""
 _QUANTITY = re.compile(r"(?P<number>[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-z%\u00b0/]+)?")
+
+
+_SHOWING_LINES = 20
+"""Lines below the header whose cells show what a column contains."""
 
 
 class _Columns(NamedTuple):
@@ -96,11 +98,16 @@ def read_stamped_csv(
     """
     with open_table(path) as file:
         require_unit(file.name, unit)
-        header, first = _header(file)
-        where = f"{file.name}, line {file.line}"
+        header, top = _top(file)
+        first = top[0][1]
+        where = f"{file.name}, line {top[0][0]}"
         if len(first) != len(header):
             raise TraceError(f"{where}: has {len(first)} cells, the header {len(header)}; repair the line")
-        columns = _columns(file.name, where, header, first, power_columns, unit)
+        shown = [
+            next((row[c] for _, row in top if len(row) == len(header) and not is_missing(row[c])), "")
+            for c in range(len(header))
+        ]
+        columns = _columns(file.name, where, header, shown, power_columns, unit)
         meters = Meters(
             file.name, "power", "kW", max_gap_s=max_gap_s, gaps=gaps, limit_kw=limit_kw,
             placed=lambda meter, line: f"{file.name}, line {line}: {meter}",
@@ -108,8 +115,7 @@ def read_stamped_csv(
         clock, begin, time_name = None, first[columns.time], header[columns.time]
         if is_number(begin):
             clock = clock_of(float(begin), f"{where}: column {time_name!r}", time_name)
-        rows = chain([(file.line, first)], _rows(file))
-        for number, row in rows:
+        for number, row in chain(top, _rows(file)):
             where = f"{file.name}, line {number}"
             if len(row) != len(header):
                 raise TraceError(f"{where}: has {len(row)} cells, the header {len(header)}; repair the line")
@@ -135,16 +141,16 @@ def is_stamped(header: Sequence[str], first: Sequence[str]) -> bool:
     return _time_column(header, first) is not None and any(_plain(text) in _METERS for text in header)
 
 
-def _header(file: TableFile) -> tuple[list[str], list[str]]:
-    """Cells of the header and of the first line below it."""
+def _top(file: TableFile) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Cells of the header, and number and cells of the first lines below it."""
     rows = _rows(file)
-    header, first = next(rows, None), next(rows, None)
-    if header is None or first is None:
+    header, top = next(rows, None), list(islice(rows, _SHOWING_LINES))
+    if header is None or not top:
         raise TraceError(f"{file.name}: has no header with a reading below it; give at least 2 readings")
-    return [cell.strip() for cell in header[1]], first[1]
+    return [cell.strip() for cell in header[1]], top
 
 
-def _rows(file: TableFile):
+def _rows(file: TableFile) -> Iterator[tuple[int, list[str]]]:
     """Number and cells of each line that is neither empty nor a comment."""
     for line in iter(file.readline, ""):
         if line.strip() and not line.startswith("#"):
@@ -161,7 +167,7 @@ def _time_column(header: Sequence[str], first: Sequence[str]) -> int | None:
     numbers = {c: float(cell) for c, cell in enumerate(first) if is_number(cell) and c < len(header)}
     dates = (c for c, cell in enumerate(first) if is_date(cell))
     since_1970 = (c for c, number in numbers.items() if epoch_unit(number))
-    named = (c for c in numbers if _TIMES.match(_plain(header[c])))
+    named = (c for c in numbers if is_time_name(header[c]))
     return next(chain(dates, since_1970, named), None)
 
 
@@ -197,7 +203,7 @@ def _power(
         chosen = [header.index(text) for text in power_columns]
         found = {c: column_unit(where, header[c], unit) for c in chosen}
     else:
-        candidates = [c for c in others if other_quantity(header[c]) is None]
+        candidates = [c for c in others if header[c] and other_quantity(header[c]) is None]
         names_power = [c for c in candidates if _names_power(header[c])]
         cells_power = [c for c in candidates if _unit_in(first[c])]
         found = {c: column_unit(where, header[c], unit) for c in names_power}

@@ -28,7 +28,7 @@ from dcgrid_env.traces.text.power_unit import (
 )
 from dcgrid_env.traces.text.table_file import TableFile, open_table
 from dcgrid_env.traces.text.text_file import Block
-from dcgrid_env.traces.text.times import Clock, clock_of, clock_text
+from dcgrid_env.traces.text.times import Clock, clock_of, clock_text, is_time_name
 
 RECORDED = "# dcgrid trace "
 """Begins the first line of a recorder's file; a JSON object follows."""
@@ -83,7 +83,7 @@ class _Layout:
 
 def read_csv(
     path: str | os.PathLike[str],
-    time_column: Column = 0,
+    time_column: Column | None = None,
     power_columns: Sequence[Column] | None = None,
     unit: str | None = None,
     header: bool | None = None,
@@ -100,8 +100,9 @@ def read_csv(
     ----------
     path : text file, UTF-8, plain or gzip, one sample on each line. Empty lines are skipped, and so are lines at the
         top that begin with `#`. The JSON object after `# dcgrid trace ` in the first line goes to the provenance.
-    time_column : index from 0 or header name. Times are in s, or in the unit of the name (`time_ms`, `t [h]`). Times
-        since 1970 may be in s, ms, us or ns, which their size shows.
+    time_column : index from 0 or header name; by default the first one with a name of times, or else the first. Times
+        are in s, or in the unit of the name (`time_ms`, `t [h]`). Times since 1970 may be in s, ms, us or ns, which
+        their size shows.
     power_columns : indices or header names, summed; by default every column but the time (one for each GPU).
     unit : of the power columns: "W", "kW", "MW" or "mW"; by default what their names end in, for example `site [kW]`,
         `power (MW)`, `P/kW`, `gpu0_w`. Names without a unit are refused. A file without header is in W by default, as
@@ -162,7 +163,7 @@ def csv_columns(
     with open_table(path) as file:
         _, row, first = _first_row(file)
         has_header = not any(map(is_number, row))
-        layout = _layout(file, row, has_header, 0, power_columns, unit)
+        layout = _layout(file, row, has_header, None, power_columns, unit)
         if has_header:
             line = next(line for line in iter(file.readline, "") if line.strip(_BLANK))
             first = Block(file.line, line)
@@ -339,6 +340,8 @@ def _layout(file: TableFile, row: list[str], has_header: bool, time_column, powe
             other = other_quantity(names[c]) if power_columns is None else None
             if other is not None:
                 raise TraceError(f"{where}: {names[c]!r} names {other!r}, which is no power; {remedy}")
+            if power_columns is None and not names[c]:
+                raise TraceError(f"{where}: column {c} has no name; {remedy}")
         units = [_unit(where, names[c], unit) for c in columns[1:]]
         if None in units:
             column = names[columns[1 + units.index(None)]]
@@ -370,13 +373,15 @@ def _unit(where: str, header: str, unit: str | None) -> str | None:
     return stated or unit
 
 
-def _choose(name: str, width: int, names: list[str] | None, time_column: Column, power_columns) -> list[int]:
+def _choose(name: str, width: int, names: list[str] | None, time_column: Column | None, power_columns) -> list[int]:
     """Indices of the chosen columns, the time first."""
     if width < 2:
         raise TraceError(
             f"{name}: has {width} column; give a time and at least one power column, with commas, semicolons or tabs "
             "between the cells"
         )
+    if time_column is None:
+        time_column = next((c for c, text in enumerate(names or ()) if is_time_name(text)), 0)
     time = _index(name, width, names, time_column)
     if power_columns is None:
         return [time, *(c for c in range(width) if c != time)]

@@ -10,11 +10,11 @@ _SPELLINGS = {"w": "W", "watt": "W", "watts": "W", "kw": "kW", "kilowatt": "kW",
 _SPELLINGS |= {"megawatt": "MW", "megawatts": "MW", "milliwatt": "mW", "milliwatts": "mW"}
 _OTHERS = frozenset(["hp", "ps", "btu", "gw", "uw", "va", "kva", "mva", "%"])
 _ENERGY_UNITS = frozenset(["j", "kj", "mj", "gj", "uj", "wh", "kwh", "mwh", "gwh", "ws", "kws"])
-_ENERGY_WORD = re.compile(r"(?:[a-z]*joules?|(?:kilo|mega)?watt-?hours?|[kmg]?wh|energy)")
+_ENERGY_WORD = re.compile(r"(?:[a-z]*joules?|(?:kilo|mega)?watt-?hours?|[kmg]?wh|energy[a-z]*)")
 _POWER_WORDS = ("power", "load", "draw", "watt", "pwr", "consumption")
 _OTHER_WORDS = (
-    "temp", "util", "clock", "clk", "freq", "fan", "mem", "humid", "volt", "current", "amp", "duration", "count",
-    "percent", "pct", "emission", "co2", "cost", "price", "speed", "throughput",
+    "time", "date", "elapsed", "temp", "util", "clock", "clk", "freq", "fan", "mem", "humid", "volt", "current", "amp",
+    "duration", "count", "percent", "pct", "emission", "co2", "cost", "price", "speed", "throughput",
 )  # fmt: skip
 """Begins of words that name another quantity than power."""
 _SEPARATORS = re.compile(r"[\s_.,:/-]+")

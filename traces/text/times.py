@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError
-from dcgrid_env.traces.text.power_unit import bracketed, last_word
+from dcgrid_env.traces.text.power_unit import bracketed, last_word, unit_of_word
 
 EPOCH_S = (1.2e9, 2.6e9)
 """Times in s since 1970 that are believed: the years 2008 to 2052."""
@@ -24,6 +24,8 @@ _UNITS = {
     "d": re.compile(r"d(?:ays?)?"),
 }
 """Units in the names of columns, as `casefold` leaves them."""
+_TIMES = re.compile(r"time|date|epoch|unix|elapsed|(?:ts?|s|sec|seconds?|minutes?|hours?|days?)(?![a-z])")
+"""Begins of the names of columns of times."""
 
 
 def named_unit(header: str) -> str | None:
@@ -33,6 +35,11 @@ def named_unit(header: str) -> str | None:
             if pattern.fullmatch(word):
                 return unit
     return None
+
+
+def is_time_name(header: str) -> bool:
+    """Return whether the name of a column is one of times, and not of power."""
+    return _TIMES.match(header.strip().casefold()) is not None and unit_of_word(last_word(header)) is None
 
 
 def epoch_unit(time: float) -> str | None:

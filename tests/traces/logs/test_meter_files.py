@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from dcgrid_env.traces import (
+    PowerTrace,
     TraceError,
     read_dmon_log,
+    read_gpu_log,
     read_power_json,
     read_stamped_csv,
     read_wattameter_log,
@@ -216,3 +218,74 @@ def test_forms_of_time():
 def test_a_value_that_several_reports_repeat_is_one_reading(write):
     repeated = [*REPORTS, REPORTS[-1]]
     assert len(read_power_json(write(repeated)).time_s) == 3
+
+
+def test_columns_of_other_quantities_identify_no_meter(write):
+    # A temperature, a state and an index change from line to line; only the GPU identifies the meter.
+    text = ",timestamp,gpu,power_w,temp,pstate,energy_j\n" + "".join(
+        f"{2 * k + g},2026-01-02T03:04:{k:02d}Z,{g},{300 + g},{40 + k % 3},P{k % 2},{300 * k}\n"
+        for k in range(20)
+        for g in (0, 1)
+    )
+    trace = recorded_trace(str(write(text, "gpus.csv")))
+    np.testing.assert_allclose(trace.power_kw, 0.601)
+    assert trace.provenance.parameters["left_out"] == ["", "temp", "pstate", "energy_j"]
+
+
+def test_numbers_without_a_unit_are_power_where_the_caller_says_so(write):
+    text = "timestamp,gpu,power_usage,hotspot_temperature\n" + "".join(
+        f"{1772366400 + k},{g},{'N/A' if k == 0 else 300 + g},40\n" for k in range(20) for g in (0, 1)
+    )
+    path = write(text, "amd-smi.csv")
+    with pytest.raises(TraceError, match=r"names no unit of power; pass unit= .* and, if other columns"):
+        read_stamped_csv(path)
+    np.testing.assert_allclose(read_stamped_csv(path, unit="W").power_kw, 0.601)
+    np.testing.assert_allclose(read_stamped_csv(path, unit="W", power_columns=["power_usage"]).power_kw, 0.601)
+
+
+def test_cells_may_contain_the_unit(write):
+    text = "Time,GPU 0,GPU 1\n" + "".join(
+        f"2026-01-02 03:04:0{k},{'980 W' if k % 2 else '1.02 kW'},{'N/A' if k == 0 else '300 W'}\n" for k in range(5)
+    )
+    np.testing.assert_allclose(read_stamped_csv(write(text)).power_kw, [1.28, 1.32, 1.28, 1.32])
+    with pytest.raises(TraceError, match=r"line 4: column 'GPU 1' is '300' without a unit, which the first cell has"):
+        read_stamped_csv(write(text.replace("02,1.02 kW,300 W", "02,1.02 kW,300")))
+    with pytest.raises(TraceError, match=r"line 2: column 'p \[W\]' is '2 kW', but the column is in W; repair"):
+        read_stamped_csv(write("Time,p [W]\n2026-01-02 03:04:00,2 kW\n2026-01-02 03:04:01,3 W\n"))
+
+
+ENERGY = "DCGM_FI_DEV_TOTAL_ENERGY_CONSUMPTION"
+
+
+@pytest.mark.parametrize("unit", [None, "mW", "W"])
+@pytest.mark.parametrize("name", [ENERGY, "node_rapl_package_joules_total", "energyWh"])
+def test_counters_of_energy_are_refused(write, name, unit):
+    counter = series({"__name__": name}, [0, 350_000, 700_000])
+    with pytest.raises(TraceError, match=rf"metric: '{name}' is energy, not power; .*rate\({name}\[1m\]\)"):
+        read_power_json(write(prometheus(counter)), unit=unit)
+    text = "time,site_kwh\n2026-01-02 03:04:00,1\n2026-01-02 03:04:01,2\n"
+    with pytest.raises(TraceError, match="header: 'site_kwh' is energy, not power; give a column of power"):
+        read_stamped_csv(write(text), unit=unit)
+
+
+@pytest.mark.parametrize("missing", ["[N/A]", "N/A", "n/a", "[Not Supported]", "[Unknown Error]", "ERR!", "nan", "NaN",
+                                     "null", "None", "-", "--"])  # fmt: skip
+def test_every_reader_has_the_same_texts_for_missing_readings(write, missing):
+    cell = missing.replace("[Not Supported]", "[Not_Supported]").replace("[Unknown Error]", "[Unknown_Error]")
+    texts = {
+        read_dmon_log: STAMPED_DMON.replace("110.5", cell),
+        read_wattameter_log: WATTAMETER.replace("110000", cell),
+        read_stamped_csv: IPMI_WIDE.replace("310", missing),
+        read_power_json: json.dumps(PROMETHEUS).replace('"110"', json.dumps(missing)),
+        read_gpu_log: "timestamp, index, power.draw [W]\n"
+        + "".join(
+            f"2026/01/02 03:04:0{k}.000, {g}, {missing if k + g == 1 else 300}\n" for k in range(3) for g in (0, 1)
+        ),
+    }
+    for read, text in texts.items():
+        trace = read(write(text), gaps="hold")
+        assert len(trace.time_s) >= 2, read
+    path = write("time_s,kw\n0,1\n1,2\n" + f"2,{missing}\n3,4\n", "site.csv")
+    assert PowerTrace.from_csv(path, invalid="drop").time_s.tolist() == [0.0, 1.0, 3.0]
+    with pytest.raises(TraceError, match=r"line 4: .*pass invalid='drop'"):
+        PowerTrace.from_csv(path)

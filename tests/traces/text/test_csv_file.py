@@ -228,6 +228,16 @@ def test_other_quantities_are_not_summed_as_power(write, name):
     assert PowerTrace.from_csv(path, unit="W", power_columns=["power"]).power_kw.tolist() == [0.3, 0.3]
 
 
+def test_the_column_of_times_is_found_by_its_name(write):
+    path = write(",power,time_s\n0,300,0.0\n1,310,0.5\n")
+    with pytest.raises(TraceError, match="line 1: column 0 has no name; name the columns of power with power_columns="):
+        PowerTrace.from_csv(path, unit="W")
+    trace = PowerTrace.from_csv(path, unit="W", power_columns=["power"])
+    assert (trace.time_s.tolist(), trace.power_kw.tolist()) == ([0.0, 0.5], [0.3, 0.31])
+    with pytest.raises(TraceError, match="'elapsed' names 'elapsed', which is no power"):
+        PowerTrace.from_csv(write("time_s,elapsed,power\n0,0,1\n1,1,2\n"), unit="W")
+
+
 def test_gaps_are_accepted_held_or_filled(write):
     path = write("0,10\n1,20\n2,10\n5,40\n6,10\n")
     held = PowerTrace.from_csv(path, unit="kW", max_gap_s=1.0, gaps="hold")
