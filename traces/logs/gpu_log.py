@@ -14,7 +14,7 @@ from dcgrid_env.traces.logs.meters import Total, held_total
 from dcgrid_env.traces.logs.timestamps import nanoseconds
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.gaps import GapRule
-from dcgrid_env.traces.text.limits import DEVICE_KW, above_limit
+from dcgrid_env.traces.text.power_limits import DEVICE_KW, above_limit
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
 from dcgrid_env.traces.text.table_file import open_table
 from dcgrid_env.traces.text.text_file import Block, stem

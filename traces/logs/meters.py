@@ -14,7 +14,7 @@ from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.sampling import GAP_INTERVALS, Sampling, sampling_of
 from dcgrid_env.traces.text.gaps import GAP_RULES, GapRule
-from dcgrid_env.traces.text.limits import above_limit, limit_of, outlier, outlier_text
+from dcgrid_env.traces.text.power_limits import above_limit, limit_of, outlier, outlier_text
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
 from dcgrid_env.traces.trace import PowerTrace
 
@@ -50,8 +50,8 @@ class Meters:
     unit : unit of the readings: "W", "kW", "MW" or "mW".
     max_gap_s, gaps : rule for readings of a meter that are far apart, see `GapRule`. None for `max_gap_s` is five times
         the median distance of the meter's readings, at least 15 s.
-    limit_kw : highest accepted reading, kW; by default that of `dcgrid_env.traces.text.limits`, which also refuses
-        outliers.
+    limit_kw : highest accepted reading, kW; by default that of `dcgrid_env.traces.text.power_limits`, which refuses
+        outliers too.
     placed : meter and place of a reading -> text that begins a message, for example "power.log, line 7: GPU 3".
 
     Raises TraceError for a rule or a limit that is out of range.
@@ -141,7 +141,7 @@ class Meters:
         if highest is not None:
             raise TraceError(
                 f"{self._placed(meter.name, meter.place[highest])}: {self._field} is "
-                f"{outlier_text(power_kw[highest], float(power_kw.mean()))}"
+                f"{outlier_text(power_kw[highest], float(np.median(power_kw)))}"
             )
         usual_s = float(np.median(distance_s)) if len(distance_s) else 0.0
         rule = GapRule(self._max_gap_s or max(LEAST_GAP_S, USUAL_DISTANCES * usual_s), self._gaps)

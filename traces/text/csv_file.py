@@ -16,7 +16,7 @@ from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, requ
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number
 from dcgrid_env.traces.text.gaps import GapRule
-from dcgrid_env.traces.text.limits import above_limit, limit_of, outlier, outlier_text
+from dcgrid_env.traces.text.power_limits import above_limit, limit_of, outlier, outlier_text
 from dcgrid_env.traces.text.power_unit import (
     KW_PER_UNIT,
     bracketed,
@@ -249,7 +249,7 @@ class _Samples:
         power_kw = np.frombuffer(self.power_kw)
         if self._finds_outliers and outlier(power_kw) is not None:
             highest_kw, place = self._highest
-            raise TraceError(f"{place} is {outlier_text(highest_kw, float(power_kw.mean()))}")
+            raise TraceError(f"{place} is {outlier_text(highest_kw, float(np.median(power_kw)))}")
 
 
 def _numbers(block: Block, layout: _Layout) -> FloatArray | None:

@@ -8,10 +8,11 @@ import csv
 import io
 import os
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
 
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.text.text_file import Block, TextFile, open_text
@@ -24,6 +25,8 @@ _SHOWING_CHARS = 1 << 16
 _NUMBER = re.compile(
     r"\s*[-+]?(?P<digits>\d+)(?:(?P<sign>[.,])(?P<decimals>\d+))?(?:[eE][-+]?\d+)?(?:\s*[A-Za-z]{1,2})?\s*"
 )
+_THOUSANDS = re.compile(r"(?<![\w.])[1-9]\d{0,2}\.\d{3}(?![\w.])")
+_EARLIER_LINES = 50
 _NAME = re.compile(r"\s*\"?[A-Za-z_]")
 _ONE_SIGN = "write all numbers with the same decimal sign and without thousands separators"
 _SEPARATOR_LINE = re.compile(r'\s*"?sep=(.)"?\s*', re.DOTALL)
@@ -83,7 +86,8 @@ def _top(file: TextFile) -> Iterator[str]:
         yield line
 
 
-class _Column(NamedTuple):
+@dataclass(slots=True)
+class _Column:
     """Numbers of a column that show its decimal sign: the line and text of the first of each kind."""
 
     comma: tuple[int, str] | None = None
@@ -110,7 +114,11 @@ class _Dialect:
         names = shown[0].split(self.delimiter) if shown else []
         self._header = 1 + top.index(shown[0]) if any(map(_NAME.match, names)) else 0
         """Number of the line with the names of the columns; 0 if there is none."""
-        self._columns: dict[int, _Column] = {}
+        self._columns: defaultdict[int, _Column] = defaultdict(_Column)
+        self._earlier: list[tuple[int, list[str]]] = []
+        """Lines before the first with a comma, by which its commas are judged: the first ones, and those with a sign
+        that may separate thousands."""
+        self._has_commas = False
 
     def plain(self, text: str, first_line: int) -> str:
         """Return lines with commas between cells, a decimal point, and quotes only where a cell needs them."""
@@ -127,7 +135,13 @@ class _Dialect:
         else:
             cells = content.split(self.delimiter)
         if self.delimiter != "," and number != self._header:
-            cells = [self._decimal(cell, column, number) for column, cell in enumerate(cells)]
+            if self._has_commas or "," in content:
+                for earlier, others in self._earlier:
+                    self._decimals(others, earlier)
+                self._earlier, self._has_commas = [], True
+                cells = self._decimals(cells, number)
+            elif len(self._earlier) < _EARLIER_LINES or _THOUSANDS.search(content):
+                self._earlier = [*self._earlier[: 2 * _EARLIER_LINES], (number, cells)]
         joined = ",".join(cells)
         if joined.count(",") >= len(cells) or '"' in joined:
             out = io.StringIO()
@@ -135,29 +149,30 @@ class _Dialect:
             joined = out.getvalue()
         return joined + line[len(content) :]
 
-    def _decimal(self, cell: str, column: int, number: int) -> str:
-        """Return a number with a decimal point; raise TraceError if its column has both signs."""
-        match = _NUMBER.fullmatch(cell)
-        if match is None:
-            return cell
-        found, shown, sign = self._columns.get(column, _Column()), (number, cell.strip()), match["sign"]
-        digits = match["digits"]
-        if sign is None:
-            self._columns[column] = found._replace(whole=found.whole or len(digits) <= 3)
-            return cell
-        certain = found.certain or len(match["decimals"]) != 3 or len(digits) > 3 or digits.startswith("0")
-        if sign == ",":
-            found = found._replace(comma=found.comma or shown, certain=certain)
-            cell = cell.replace(",", ".")
-        else:
-            found = found._replace(point=found.point or shown, certain=certain)
-        if found.comma and found.point:
-            raise TraceError(
-                f"{self._name}, line {number}: the column has {found.point[1]!r} in line {found.point[0]} and "
-                f"{found.comma[1]!r} in line {found.comma[0]}; {_ONE_SIGN}"
-            )
-        self._columns[column] = found
-        return cell
+    def _decimals(self, cells: list[str], number: int) -> list[str]:
+        """Return cells with decimal points; raise TraceError if a column has both signs."""
+        found = []
+        for index, cell in enumerate(cells):
+            match = _NUMBER.fullmatch(cell)
+            if match is not None:
+                column, sign, digits = self._columns[index], match["sign"], match["digits"]
+                if sign is None:
+                    column.whole = column.whole or len(digits) <= 3
+                else:
+                    if not column.certain:
+                        column.certain = len(match["decimals"]) != 3 or len(digits) > 3 or digits.startswith("0")
+                    if sign == ",":
+                        column.comma = column.comma or (number, cell.strip())
+                        cell = cell.replace(",", ".")
+                    else:
+                        column.point = column.point or (number, cell.strip())
+                    if column.comma and column.point:
+                        raise TraceError(
+                            f"{self._name}, line {number}: the column has {column.point[1]!r} in line "
+                            f"{column.point[0]} and {column.comma[1]!r} in line {column.comma[0]}; {_ONE_SIGN}"
+                        )
+            found.append(cell)
+        return found
 
     def require_decimals(self) -> None:
         """Raise TraceError if the signs in the numbers of a column may separate thousands."""

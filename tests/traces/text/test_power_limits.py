@@ -7,7 +7,7 @@ import pytest
 
 from dcgrid_env.traces import PowerTrace, TraceError, recorded_trace
 from dcgrid_env.traces.recording_file import read_file
-from dcgrid_env.traces.text.limits import limit_of, outlier
+from dcgrid_env.traces.text.power_limits import limit_of, outlier
 
 READINGS = [300 + k % 7 for k in range(200)]
 SPIKED = [*READINGS[:100], 631_244.9, *READINGS[101:]]
@@ -32,7 +32,7 @@ FILES = {
     "one GPU": (csv_of("time_s,gpu0_w,gpu1_w", lambda k, w: f"{k},{w},300"), r"line 102: column 1 \('gpu0_w'\)"),
     "no header": (csv_of("-1,300", lambda k, w: f"{k},{w}"), "line 102: column 1 is an outlier: 631.245 kW"),
     "site": (csv_of("time_s,site_w", lambda k, w: f"{k},{w}"), r"line 102: column 1 \('site_w'\) is an outlier"),
-    "kW": (csv_of("time_s,site_kw", lambda k, w: f"{k},{w / 1000}"), "is an outlier: 631.245 kW, and the mean"),
+    "kW": (csv_of("time_s,site_kw", lambda k, w: f"{k},{w / 1000}"), "is an outlier: 631.245 kW, and the median"),
     "dated": (csv_of("time,n0_w,n1_w", lambda k, w: f"{dated(k)},{w},310"), "line 102: n0_w: power is an outlier"),
     "long": (csv_of("time,gpu,power_w", lambda k, w: f"{dated(k)},3,{w}"), "line 102: gpu 3 power_w: power is 631.2"),
     "dmon": (

@@ -12,7 +12,7 @@ DEVICE_KW = 2.0
 SITE_KW = 1e6
 """Highest accepted reading of another meter, such as that of a node, a rack or a site, kW."""
 SPIKE_TIMES = 20.0
-SPIKE_SHARE = 0.005
+SPIKE_SHARE = 0.01
 SPIKE_READINGS = 40
 """A reading above DEVICE_KW is an outlier if it is SPIKE_TIMES as high as all but a share of SPIKE_SHARE of the meter's
 readings, of which there are at least SPIKE_READINGS."""
@@ -52,8 +52,8 @@ def outlier(power_kw: FloatArray) -> int | None:
 
 
 def outlier_text(power_kw: float, usual_kw: float) -> str:
-    """Return what a message says of an outlier; `usual_kw` is the mean of the meter."""
+    """Return what a message says of an outlier; `usual_kw` is the median of the meter."""
     return (
-        f"an outlier: {power_kw:g} kW, and the mean of all readings is {usual_kw:.4g} kW; repair or remove the reading"
-        f", or pass limit_kw={math.ceil(power_kw)} or more if it is right"
+        f"an outlier: {power_kw:g} kW, and the median of all readings is {usual_kw:.4g} kW; repair or remove the "
+        f"reading, or pass limit_kw={math.ceil(power_kw)} or more if it is right"
     )
