@@ -10,7 +10,7 @@ import numpy as np
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.recorded_rows import from_recordings
 from dcgrid_env.traces.rows import SPLITS
-from dcgrid_env.traces.sampling import GAP_INTERVALS, sampling_of
+from dcgrid_env.traces.sampling import GAP_INTERVALS
 from dcgrid_env.traces.trace import PowerTrace
 
 CONSTANT_S = 60.0
@@ -215,7 +215,7 @@ def check_recording(trace: PowerTrace, dt_s: float, needed_s: float, site_idle_s
     time_s, power_kw = trace.time_s - trace.time_s[0], trace.power_kw
     if not power_kw.max() > 0:
         raise TraceError(f"trace {trace.name!r}: draws no power in {len(power_kw)} samples; check the power columns")
-    interval_s, sampling = np.diff(time_s), trace.sampling or sampling_of({trace.name: time_s})
+    interval_s, sampling = np.diff(time_s), trace.sampling
     steps_kw = trace.resample(dt_s)
     full_kw = float(power_kw.max()) if trace.rated_kw is None else trace.rated_kw
     return RecordingReport(

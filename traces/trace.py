@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from dcgrid_env.core.files import write_text
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.sampling import Sampling
+from dcgrid_env.traces.sampling import Sampling, sampling_of
 from dcgrid_env.traces.text.csv_file import RECORDED, read_csv
 from dcgrid_env.traces.text.text_file import stem
+from dcgrid_env.traces.text.times import EPOCH_S, clock_text
 
 
 class RequestTimes(NamedTuple):
@@ -47,7 +48,6 @@ class PowerTrace:
         follows the clock (prefill, training). The part between it and the idle floor hardly does (decode).
     requests : the requests behind the power as they would be served at the top clock, if it is made of requests.
     rated_kw : rating of the site, kW; if unknown, None, and the highest power is used instead.
-    sampling : sampling of the meters that were summed; None if `time_s` shows it.
 
     The arrays are copied and made read-only.
 
@@ -64,7 +64,6 @@ class PowerTrace:
     compute_kw: FloatArray | None
     requests: RequestTimes | None
     rated_kw: float | None
-    sampling: Sampling | None
 
     def __init__(
         self,
@@ -75,7 +74,6 @@ class PowerTrace:
         compute_kw: ArrayLike | None = None,
         requests: RequestTimes | None = None,
         rated_kw: float | None = None,
-        sampling: Sampling | None = None,
     ) -> None:
         time_s, power_kw = _column(time_s, name, "time_s"), _column(power_kw, name, "power_kw")
         if len(time_s) != len(power_kw):
@@ -107,7 +105,6 @@ class PowerTrace:
             ("compute_kw", compute_kw),
             ("requests", requests),
             ("rated_kw", rated_kw),
-            ("sampling", sampling),
         ):
             object.__setattr__(self, field, value)
 
@@ -165,7 +162,13 @@ class PowerTrace:
         noted = self.provenance.parameters
         if "began" not in noted:  # a file that `to_csv` wrote
             noted = noted.get("source", {}).get("parameters", {})
-        return noted.get("began")
+        since_1970 = EPOCH_S[0] <= self.time_s[0] < EPOCH_S[1]
+        return noted.get("began") or (clock_text(float(self.time_s[0])) if since_1970 else None)
+
+    @property
+    def sampling(self) -> Sampling:
+        """Sampling of the meters that were summed; that of `time_s` if they are not known."""
+        return self.__dict__.get("_sampling") or sampling_of({self.name: self.time_s})
 
     @property
     def is_share(self) -> bool:
@@ -211,11 +214,11 @@ class PowerTrace:
         power_kw, compute_kw = self.power_kw / peak_kw * rating_kw, self.compute_kw
         if compute_kw is not None:
             compute_kw = compute_kw / peak_kw * rating_kw
-        return replace(self, power_kw=power_kw, compute_kw=compute_kw, rated_kw=rating_kw)
+        return self._changed(power_kw=power_kw, compute_kw=compute_kw, rated_kw=rating_kw)
 
     def rated_at(self, rating_kw: float) -> "PowerTrace":
         """Return the trace with another rating and the same power."""
-        return replace(self, rated_kw=rating_kw)
+        return self._changed(rated_kw=rating_kw)
 
     def with_site_rating(self, rating_kw: float) -> "PowerTrace":
         """Return the trace of a site of this rating: its shares times the rating, or its power in kW unchanged.
@@ -226,14 +229,14 @@ class PowerTrace:
         if not self.is_share:
             return self.rated_at(rating_kw)
         compute_kw = None if self.compute_kw is None else self.compute_kw * rating_kw
-        return replace(self, power_kw=self.power_kw * rating_kw, compute_kw=compute_kw, rated_kw=rating_kw)
+        return self._changed(power_kw=self.power_kw * rating_kw, compute_kw=compute_kw, rated_kw=rating_kw)
 
     def as_share(self) -> "PowerTrace":
         """Return the trace as a share of its rating, or of its highest power if the rating is unknown."""
         if self.rated_kw is None:
             return self.scaled_to(1.0)
         compute_kw = None if self.compute_kw is None else self.compute_kw / self.rated_kw
-        return replace(self, power_kw=self.power_kw / self.rated_kw, compute_kw=compute_kw, rated_kw=1.0)
+        return self._changed(power_kw=self.power_kw / self.rated_kw, compute_kw=compute_kw, rated_kw=1.0)
 
     def resample(self, dt_s: float) -> FloatArray:
         """Average the power over each [k dt, (k + 1) dt) from the first sample on.
@@ -255,6 +258,13 @@ class PowerTrace:
     def resample_compute(self, dt_s: float) -> FloatArray | None:
         """Mean of `compute_kw` over the steps of `resample`, (n_steps,) float64, kW; None where it is not known."""
         return None if self.compute_kw is None else self._means(self.compute_kw, dt_s)
+
+    def _changed(self, **fields: Any) -> "PowerTrace":
+        """Return the trace with other fields, and the same sampling."""
+        changed = replace(self, **fields)
+        if "_sampling" in self.__dict__:
+            changed.__dict__["_sampling"] = self.__dict__["_sampling"]
+        return changed
 
     def _means(self, values: FloatArray, dt_s: float) -> FloatArray:
         dt_s = require_positive(dt_s, "dt_s", "give a step in seconds")

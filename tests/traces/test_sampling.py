@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.traces import PowerTrace, TraceError, read_gpu_log, read_stamped_csv, recorded_trace
 from dcgrid_env.traces.logs.meters import held_total
 from dcgrid_env.traces.recording_check import check_recording
@@ -103,8 +104,14 @@ def test_series_of_prometheus_with_offsets_are_rounds(log):
 
 def test_a_rating_keeps_the_sampling(log):
     trace = read_gpu_log(log(smi([0.0, 0.003]))).with_site_rating(5.0)
-    assert trace.sampling is not None
     assert trace.sampling.meters == 2
+
+
+def test_the_sampling_identifies_no_trace(log):
+    trace = read_gpu_log(log(smi([0.0, 0.003])))
+    plain = PowerTrace(trace.time_s, trace.power_kw, trace.name, trace.provenance)
+    hashes = {scenario_hash(make_scenario("toy6", trace=(made,))) for made in (trace, plain)}
+    assert len(hashes) == 1
 
 
 def test_energy_of_rounds_is_that_of_the_meters():

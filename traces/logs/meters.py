@@ -170,7 +170,9 @@ class Total(NamedTuple):
 
     def trace(self, name: str, provenance: Provenance) -> PowerTrace:
         """Return the sum as a trace."""
-        return PowerTrace(self.time_s, self.power_kw, name, provenance, sampling=self.sampling)
+        trace = PowerTrace(self.time_s, self.power_kw, name, provenance)
+        trace.__dict__["_sampling"] = self.sampling  # no field, as it identifies no trace
+        return trace
 
 
 def held_total(series: Mapping[str, tuple[FloatArray, FloatArray]]) -> Total:

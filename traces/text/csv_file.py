@@ -28,7 +28,7 @@ from dcgrid_env.traces.text.power_unit import (
 )
 from dcgrid_env.traces.text.table_file import TableFile, open_table
 from dcgrid_env.traces.text.text_file import Block
-from dcgrid_env.traces.text.times import Clock, clock_of, clock_text, is_time_name
+from dcgrid_env.traces.text.times import Clock, clock_of, is_time_name
 
 RECORDED = "# dcgrid trace "
 """Begins the first line of a recorder's file; a JSON object follows."""
@@ -146,8 +146,6 @@ def read_csv(
         rated_kw = 1.0 if layout.is_share else parameters.get("rated_kw")
         dropped = {name: count for name, count in samples.dropped.items() if count}
         parameters |= {"dropped": dropped} if dropped else {}
-        if samples.clock is not None and samples.clock.is_epoch:
-            parameters |= {"began": clock_text(samples.time_s[0])}
         provenance = Provenance(file.name, parameters=parameters, sha256=file.sha256())
     n = len(samples.time_s)
     if n < 2:
