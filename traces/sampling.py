@@ -1,4 +1,4 @@
-"""How often a recording was sampled, for each of its meters."""
+"""Intervals between the samples of a recording, for each of its meters."""
 
 from __future__ import annotations
 

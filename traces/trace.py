@@ -158,7 +158,10 @@ class PowerTrace:
 
     @property
     def began(self) -> str | None:
-        """Date and time of the first sample on the recording's own clock, ISO 8601; None if it is unknown."""
+        """Date and time of the first sample, ISO 8601; None if it is unknown.
+
+        It is in UTC if the file has UTC offsets or times since 1970, and on the recording's own clock otherwise.
+        """
         noted = self.provenance.parameters
         if "began" not in noted:  # a file that `to_csv` wrote
             noted = noted.get("source", {}).get("parameters", {})

@@ -23,13 +23,14 @@ _DEVICE = re.compile(
     re.IGNORECASE,
 )
 """Names of one device: `GPU 3`, `cpu0`, `GPU-09cb2925-...`; `gpus`, `gpu total` and `gpu0-7` are several."""
+_SEVERAL = re.compile(r"(?<![a-z])(?:sum|all)(?![a-z])", re.IGNORECASE)
 
 
 def limit_of(meter: str, limit_kw: float | None) -> float:
     """Return the highest accepted reading of a meter or column by its name, kW; `limit_kw` if the caller gave one."""
     if limit_kw is not None:
         return limit_kw
-    return DEVICE_KW if _DEVICE.search(meter) else SITE_KW
+    return DEVICE_KW if _DEVICE.search(meter) and not _SEVERAL.search(meter) else SITE_KW
 
 
 def above_limit(limit_kw: float) -> str:

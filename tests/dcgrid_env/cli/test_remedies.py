@@ -29,6 +29,7 @@ def literals(folder):
                 yield node.value
 
 
+@pytest.mark.slow
 def test_every_keyword_of_a_remedy_is_an_option():
     options = {field.name for field in dataclasses.fields(CheckRecording)}
     assert options >= READING
@@ -78,6 +79,7 @@ def test_other_errors_keep_their_words():
     assert with_options(ValueError("pass unit="), None) == "pass unit="
 
 
+@pytest.mark.slow
 def test_the_remedies_work(tmp_path, capsys):
     path, saved = tmp_path / "gpu.csv", tmp_path / "saved.csv"
     lines = [f"2026/03/01 12:{k // 60:02d}:{k % 60:02d}.000, {w}\n" for k in range(60) for w in (300, 310)]

@@ -79,7 +79,9 @@ def test_names_of_one_device(name):
     assert limit_of(name, 5.0) == 5.0
 
 
-@pytest.mark.parametrize("name", ["site_kw", "gpus_kw", "all gpus [kW]", "gpu total", "gpu0-7_w", "rack 3", "n0_w"])
+@pytest.mark.parametrize(
+    "name", ["site_kw", "gpus_kw", "all gpus [kW]", "gpu total", "gpu0-7_w", "rack 3", "n0_w", "sum(DCGM_FI_DEV_POWER)"]
+)
 def test_names_of_several_devices(name):
     assert limit_of(name, None) == 1e6
 
