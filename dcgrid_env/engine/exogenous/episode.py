@@ -14,7 +14,14 @@ from dcgrid_env.devices import Work
 from dcgrid_env.engine.exogenous.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.exogenous.drawn_requests import drawn_requests, request_columns
 from dcgrid_env.engine.exogenous.profile_loads import drawn_start_h, profile_loads
-from dcgrid_env.engine.exogenous.trace_pool import full_trace_kw, sun_rows, trace_pool, window_steps
+from dcgrid_env.engine.exogenous.trace_pool import (
+    HOURS,
+    full_trace_kw,
+    has_rows_of_each_hour,
+    sun_rows,
+    trace_pool,
+    window_steps,
+)
 from dcgrid_env.engine.physics import connections
 from dcgrid_env.engine.physics.loads import drawn
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw
@@ -131,8 +138,10 @@ def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.nda
     pool, n_site = trace_pool(scenario), scenario.n_sites
     n_rows, n_steps = pool.p_share.shape
     # Sites take different rows as long as there are enough.
-    row = np.argsort(random.bits(key, random.TRACE_ROW, n_rows), axis=1, kind="stable")
-    row = row[:, np.arange(n_site) % n_rows]
+    hourly = has_rows_of_each_hour(scenario)
+    n_choices = n_rows // HOURS if hourly else n_rows
+    row = np.argsort(random.bits(key, random.TRACE_ROW, n_choices), axis=1, kind="stable")
+    row = row[:, np.arange(n_site) % n_choices]
     spare = pool.spare_steps if isinstance(pool, RowsOnDemand) else n_steps - window_steps(scenario)
     room = 1 if scenario.workload.window == "start" else spare + 1
     start = (random.bits(key, random.TRACE_START, n_site) % np.uint64(room)).astype(np.int64)
@@ -140,6 +149,9 @@ def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.nda
         start = start[:, :1]
     if isinstance(pool, RowsOnDemand) and pool.begin_h is not None and scenario.follows_day:
         # Requests follow the hour of the day, so a window begins where its row has reached the episode's.
+        if hourly:
+            hour = np.floor(begin_h - pool.begin_h[0]).astype(np.int64) % HOURS
+            row = HOURS * row + hour[:, None]
         later_h = (begin_h[:, None] - pool.begin_h[row]) % 24.0
         start = start + np.floor(later_h * 3600.0 / scenario.dt_s).astype(np.int64)
     window = row * n_steps + start

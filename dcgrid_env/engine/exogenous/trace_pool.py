@@ -1,7 +1,8 @@
 """The rows of trace that a scenario's episodes draw windows from: data centres' load, and PV.
 
 Generated load comes in rows of an hour, about a day in all, wherever these hold enough windows. An episode too long for
-that, or one that follows the day with a source that does too, draws from longer rows, made when they are needed.
+that draws from longer rows, made when they are needed; where episode and source follow the day, a row contains all
+hours. A short episode that follows the day draws from short rows that begin at its hour.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ ROWS = 24
 LEAST_WINDOWS = 500
 """Windows that one site can draw, of which no two are the same."""
 LEAST_LONG_ROWS = 12
+LEAST_ROWS_OF_AN_HOUR = 4
+HOURS = 24
 DAY_S = 86400.0
 
 
@@ -46,6 +49,16 @@ def trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     Scenarios on random feeders share them.
     """
     return _trace_pool(scenario.family)
+
+
+def has_rows_of_each_hour(scenario: Scenario) -> bool:
+    """Return whether the pool has rows for each hour of the day, 24 after one another, from which sites choose one."""
+    return _by_hour(scenario) and window_steps(scenario) * scenario.dt_s <= ROW_DURATION_S
+
+
+def _by_hour(scenario: Scenario) -> bool:
+    trace = scenario.workload.trace
+    return isinstance(trace, str) and scenario.follows_day and TRACE_SOURCES[trace].daily
 
 
 @cached_on_owner
@@ -65,14 +78,18 @@ def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     # About a day in all, but a row for each site.
     count = min(ROWS, max(scenario.n_sites, round(ROWS * ROW_DURATION_S / duration_s), 1))
     windows = count * (steps_in(duration_s, dt_s) - steps + 1)
-    by_hour = scenario.follows_day and TRACE_SOURCES[trace].daily
-    if windows >= LEAST_WINDOWS and not by_hour:
+    if windows >= LEAST_WINDOWS and not _by_hour(scenario):
         rows = library(trace, split, dt_s, duration_s, count, scenario.largest_boost)
         require_window(rows, steps, dt_s, trace)
         return rows
     spare = spare_steps(dt_s)
     count = max(scenario.n_sites, LEAST_LONG_ROWS, math.ceil(LEAST_WINDOWS / (spare + 1)))
-    duration_s = (steps + spare + 1) * dt_s + DAY_S * by_hour
+    duration_s = (steps + spare + 1) * dt_s
+    if has_rows_of_each_hour(scenario):
+        count = HOURS * max(scenario.n_sites, LEAST_ROWS_OF_AN_HOUR)
+        duration_s += DAY_S / HOURS
+    elif _by_hour(scenario):
+        duration_s += DAY_S
     return rows_on_demand(trace, split, dt_s, duration_s, count, scenario.largest_boost, spare)
 
 

@@ -131,3 +131,20 @@ def test_a_day_of_minutes_runs_to_its_end_under_control():
     assert [figures["steps"] for figures in found] == [1440.0] * 2
     assert all(np.isfinite(list(figures.values())).all() for figures in found)
     assert len({figures["J"] for figures in found}) == 2
+
+
+def test_a_short_episode_makes_short_rows_that_begin_at_its_hour():
+    scenario = make_scenario("toy6", trace="code", background={"start_hour": "random"}, horizon=30)
+    pool = trace_pool(scenario)
+    assert isinstance(pool, RowsOnDemand)
+    assert pool.begin_h is not None
+    # An hour until the window may begin, one in which it begins, 32 steps of trace and one for rounding.
+    assert pool.p_share.shape[1] == 3600 + 3600 + 32 + 1
+    seeds = np.arange(200, dtype=np.uint64)
+    key = episode.random.keys(np.uint64(1), seeds, np.zeros_like(seeds))
+    begin_h = episode._begin_h(scenario, key)
+    row, start = np.divmod(episode._windows(scenario, key, begin_h), pool.p_share.shape[1])
+    late_h = (pool.begin_h[row] + start / 3600.0 - begin_h[:, None]) % 24.0
+    assert ((late_h <= 1.0) | (late_h > 24.0 - 1.0 / 3600.0)).all()
+    assert set(pool.begin_h[row].ravel()) == set(range(24))
+    assert (start + 32 < pool.p_share.shape[1]).all()
