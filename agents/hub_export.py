@@ -35,6 +35,7 @@ from dcgrid_env.baselines.registry import controller_file
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.baselines.score import REFERENCE, SPLIT, Estimate, Score, saved
 from dcgrid_env.core.files import whole_folder, write_bytes, write_json, write_text
+from dcgrid_env.core.user_files import is_file
 from dcgrid_env.core.versions import PACKAGES, code_block, versions
 
 README, CONFIG, WEIGHTS = "README.md", "config.json", f"policy{SUFFIX}"
@@ -134,7 +135,7 @@ def _weights(policy: str) -> Path:
             f"policy: must be the folder of a training run, a {SUFFIX} file or a bundled policy, got {policy!r}; "
             "dcgrid list controllers lists the bundled ones"
         )
-    if not path.is_file():
+    if not is_file(path, ValueError):
         raise ValueError(f"policy: there is no file {path}; give the folder of a completed training run")
     return path
 

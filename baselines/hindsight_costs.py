@@ -23,6 +23,7 @@ import numpy as np
 
 from dcgrid_env import Scenario, episode_hash, scenario_hash
 from dcgrid_env.baselines.file_names import file_name
+from dcgrid_env.core.user_files import read_json
 
 FOLDER = Path("results/hindsight")
 """Where ``dcgrid hindsight`` writes by default, in the working directory."""
@@ -131,10 +132,7 @@ def read_hindsight(folder: Path, name: str) -> dict[str, Any] | None:
     path = hindsight_file(folder, name)
     if not path.exists():
         return None
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise _damaged(path, f"is no JSON ({error})") from None
+    content = read_json(path, ValueError, _DAMAGED)
     if not isinstance(content, dict) or not {"scenario_hash", "episodes"} <= set(content):
         raise _damaged(path, "has no 'scenario_hash' and 'episodes'")
     if not isinstance(content["episodes"], list):
@@ -146,8 +144,11 @@ def read_hindsight(folder: Path, name: str) -> dict[str, Any] | None:
     return content
 
 
+_DAMAGED = "delete it, or choose another --out"
+
+
 def _damaged(path: Path, wrong: str) -> ValueError:
-    return ValueError(f"{path} {wrong}; delete it, or choose another --out")
+    return ValueError(f"{path} {wrong}; {_DAMAGED}")
 
 
 def _wrong(episode: object, fields: Mapping[str, type]) -> str | None:

@@ -18,6 +18,7 @@ import numpy as np
 from dcgrid_env import Recorder, Scenario, action_layout, scenario_hash
 from dcgrid_env.baselines.hindsight_costs import hindsight_file, read_hindsight, shipped_content
 from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.core.user_files import read_bytes
 
 LEVELS = 1000
 """Levels of an action from 0 to 1."""
@@ -106,7 +107,7 @@ def recorded_actions(scenario: Scenario, folder: Path | None = None) -> dict[int
     remedy = "delete it and the JSON file next to it"
     if not path.is_file():
         raise ValueError(f"{path} is missing; {remedy}")
-    packed_actions = path.read_bytes()
+    packed_actions = read_bytes(path, ValueError)
     if checksum(packed_actions) != content["actions_sha256"]:
         raise ValueError(f"{path} is not the file that its JSON file names; {remedy}")
     seeds = [episode["seed"] for episode in content["episodes"]]

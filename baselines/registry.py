@@ -32,6 +32,7 @@ from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
 from dcgrid_env.baselines.user_code import CodeReference, OwnCodeError, described, load, parse, place
 from dcgrid_env.core.plugins import Entry, Registry
+from dcgrid_env.core.user_files import is_file
 from dcgrid_env.core.work.packing import packed
 from dcgrid_env.core.work.worker import shared
 
@@ -219,7 +220,7 @@ def _own_controller(spec: str) -> Controller:
         return controller
     file = controller_file(spec)
     assert file is not None
-    if not file.is_file():
+    if not is_file(file, ValueError):
         raise ValueError(f"controller {spec!r}: there is no file {file}; {_forms()}")
     return CONTROLLER_REGISTRY.make(file.suffix, str(file))
 

@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import json
 import shlex
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,6 +22,8 @@ from weakref import WeakKeyDictionary
 
 from dcgrid_env import PRESETS, SCENARIO_REGISTRY, Scenario, ScenarioError, make_scenario
 from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
+from dcgrid_env.core.checked import shown
+from dcgrid_env.core.user_files import parse_json, parse_toml
 from dcgrid_env.core.work.worker import shared
 
 FORMS = "path/to/file.py:function or package.module:function for one of your own, or path/to/file.toml"
@@ -117,12 +117,10 @@ def read_value(field: str, text: str, option: str = "set") -> Any:
     if text in ("None", "True", "False"):
         return {"None": None, "True": True, "False": False}[text]
     try:
-        table = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
-        try:
-            return json.loads(text)
-        except ValueError:
-            pass
+        table = parse_toml(f"value = {text}", option, ValueError)
+    except ValueError:
+        with contextlib.suppress(ValueError):
+            return parse_json(text, option, ValueError, "")
     else:
         if list(table) == ["value"]:
             value = table["value"]
@@ -130,7 +128,7 @@ def read_value(field: str, text: str, option: str = "set") -> Any:
             return text if dated else value
     if text[:1] in ("[", "{", '"', "'") or not text:
         raise ValueError(
-            f"{option}: {field} is {text!r}, which can be read neither as TOML nor as JSON; write a number, true, "
+            f"{option}: {field} is {shown(text)}, which can be read neither as TOML nor as JSON; write a number, true, "
             "false, a text, a list such as [18, 33] or a table such as {backlog=1}"
         )
     return text

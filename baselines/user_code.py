@@ -18,6 +18,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from dcgrid_env.core.user_files import is_file, read_bytes
+
 _REFERENCE = re.compile(r"(?P<where>.+?):(?P<name>[A-Za-z_]\w*)(?P<arguments>\(.*\))?", re.DOTALL)
 _LONGEST = 300
 _files: dict[Path, tuple[str, ModuleType]] = {}
@@ -99,7 +101,7 @@ def load(reference: CodeReference, what: str) -> object:
     OwnCodeError
         If the import fails.
     """
-    if reference.path and not reference.path.is_file():
+    if reference.path and not is_file(reference.path, ValueError):
         raise ValueError(f"{what}: there is no file {reference.where}; give the path of one")
     try:
         module = _from_file(reference.path) if reference.path else _from_module(reference.where)
@@ -124,7 +126,7 @@ def _from_module(dotted: str) -> ModuleType:
 
 def _from_file(path: Path) -> ModuleType:
     path = path.resolve()
-    text = path.read_bytes()
+    text = read_bytes(path, ValueError)
     digest = hashlib.sha256(text).hexdigest()
     if path in _files and _files[path][0] == digest:
         return _files[path][1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from dcgrid_env.core.suggestions import unknown
+from dcgrid_env.core.user_files import is_file
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.recording_file import read_file, served
 from dcgrid_env.traces.recordings import RECORDINGS, load_power, load_requests
@@ -29,7 +30,7 @@ def _read(name: str) -> PowerTrace:
             return served(load_requests(name, part_s=RECORDINGS[name].part_s))
         return load_power(name)
     path = Path(name)
-    if not path.is_file():
+    if not is_file(path, TraceError):
         raise TraceError(
             unknown("trace", name, (*TRACE_SOURCES, *RECORDINGS), "`dcgrid list traces` lists all; or give a file")
         )

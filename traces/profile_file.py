@@ -29,6 +29,7 @@ import numpy as np
 
 from dcgrid_env.core.files import write_text
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.user_files import MOST_MIB, is_file
 from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.logs.clock import date_of
 from dcgrid_env.traces.profile_table import ProfileTable, checked_table
@@ -65,7 +66,7 @@ def read_profiles(path: str | Path) -> ProfileTable:
     """
     path = Path(path)
     name = str(path)
-    if not path.is_file():
+    if not is_file(path, TraceError):
         raise TraceError(f"{name}: there is no such file; give a CSV or Parquet file of load profiles")
     raw = _parquet(path) if path.suffix.lower() in (".parquet", ".pq") else _csv(path)
     if raw.header[0] not in _TIMES:
@@ -103,7 +104,7 @@ def read_classes(path: str | Path) -> dict[str, str]:
         For a missing file or column, or a load that is there twice.
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_file(path, TraceError):
         raise TraceError(f"{path}: there is no such file; give a CSV file with the class of each load")
     raw = _csv(path)
     of, to = (("load", "bus", "node", "id"), ("class", "profile"))
@@ -123,7 +124,7 @@ def read_classes(path: str | Path) -> dict[str, str]:
 
 
 def _csv(path: Path) -> _Raw:
-    with open_table(path) as file:
+    with open_table(path, most_mib=MOST_MIB) as file:
         numbered = [
             (i, line)
             for i, line in enumerate(iter(file.readline, ""), start=1)

@@ -8,7 +8,6 @@ the names and shapes of the weights identify networks made by SB3's classes. The
 from __future__ import annotations
 
 import io
-import json
 import re
 import zipfile
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.core.user_files import is_file, parse_json
 
 SUFFIX = ".zip"
 MOST_MIB = 256
@@ -117,14 +117,14 @@ def read_actor(path: Path) -> Actor:
 
 def read_about(path: Path) -> dict[str, Any]:
     """Return the JSON description of the model, pickles as text; raise PolicyError if the file is not such a zip."""
-    if not path.is_file():
+    if not is_file(path, PolicyError):
         raise PolicyError("there is no such file; give the zip that Stable-Baselines3's model.save wrote")
     try:
         with zipfile.ZipFile(path) as archive:
-            return dict(json.loads(_part(archive, "data")))
+            return dict(parse_json(_part(archive, "data"), "data", ValueError, REMEDY))
     except PolicyError:
         raise
-    except (zipfile.BadZipFile, ValueError, TypeError, RecursionError):
+    except (zipfile.BadZipFile, ValueError, TypeError):
         raise PolicyError("not a zip that Stable-Baselines3 wrote; give one of model.save") from None
 
 

@@ -17,6 +17,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.baselines.score import SPLIT
 from dcgrid_env.core.files import sha256_of
+from dcgrid_env.core.user_files import is_file, read_bytes
 
 SUBMISSION, VERIFIED = "submission.json", "verified.json"
 FORMAT = 2
@@ -142,11 +143,11 @@ def plain(record: Submission | Verified) -> dict[str, Any]:
 
 def read(path: Path, kind: type[T]) -> T:
     """Read a record; raise SubmissionError, with file and field, if it is invalid or missing."""
-    if not path.is_file():
+    if not is_file(path, SubmissionError):
         remedy = {SUBMISSION: "give a folder that dcgrid submit wrote", VERIFIED: "run dcgrid verify on the folder"}
         raise SubmissionError(f"{path}: there is no such file; {remedy[path.name]}")
     try:
-        record = TypeAdapter(kind).validate_json(path.read_bytes())
+        record = TypeAdapter(kind).validate_json(read_bytes(path, SubmissionError))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"])) or "it"
@@ -203,7 +204,7 @@ def _check_files(folder: Path, files: Mapping[str, str]) -> None:
         path = folder / name
         if Path(name).name != name:
             raise SubmissionError(f"{folder / SUBMISSION}: files: {name!r} is outside the folder; submit again")
-        if not path.is_file():
+        if not is_file(path, SubmissionError):
             raise SubmissionError(f"{path}: is missing, and submission.json names it; submit again")
         if (found := sha256_of(path)) != expected:
             raise SubmissionError(

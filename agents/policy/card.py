@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import re
 from collections.abc import Mapping
@@ -16,12 +15,13 @@ from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.core.checked import Plain, finite
 from dcgrid_env.core.files import write_json
+from dcgrid_env.core.user_files import read_json
 from dcgrid_env.traces import ALL_SPLITS
 
 FORMAT = 3
 """Version of the card's format: 3 has costs on test and on validation of every seed, 2 had ``inputs`` and the interval
 over seeds and episodes, 1 had neither."""
-LARGEST_BYTES = 2**24
+MOST_MIB = 16
 """Maximum size of a file that is read."""
 ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
 """Fields that the caller may set; the other fields are computed."""
@@ -168,18 +168,15 @@ class Card:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a card; raise PolicyError, with the file, if it is invalid, and OSError if it cannot be opened."""
-        with Path(path).open("rb") as file:
-            text = file.read(LARGEST_BYTES + 1)
+        path = Path(path)
+        fields = read_json(path, PolicyError, "give a card that Policy.save wrote", MOST_MIB)
         try:
-            if len(text) > LARGEST_BYTES:
-                raise ValueError(f"it has more than {LARGEST_BYTES // 2**20} MiB")
-            fields = json.loads(text, object_pairs_hook=_once)
             if fields.get("scored") is not None:
                 fields["scored"] = Scored(**{name: _frozen(value) for name, value in fields["scored"].items()})
             if fields.get("inputs") is not None:
                 fields["inputs"] = {name: _range_of(stored) for name, stored in fields["inputs"].items()}
             return cls(**{"format": 1} | fields)
-        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, TypeError, AttributeError) as error:
             raise PolicyError(f"{path}: not a policy's card ({error}); give one that Policy.save wrote") from None
 
     def save(self, path: str | Path) -> None:
@@ -207,14 +204,6 @@ def card_of(weights: Path, policy: Any) -> Card | None:
     if card.inputs is not None and set(card.inputs) != set(policy.networks):
         raise PolicyError(f"{path}: inputs are of {sorted(card.inputs)}, the networks are {sorted(policy.networks)}")
     return card
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A mapping of JSON; ValueError for a name that is there twice."""
-    names = [name for name, _ in pairs]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise ValueError(f"{twice[0]} is there twice")
-    return dict(pairs)
 
 
 def _range_of(stored: Mapping[str, Any]) -> InputRange:

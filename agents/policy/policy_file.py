@@ -18,6 +18,7 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.core.user_files import parse_json, require_regular
 
 KEY = "dcgrid policy"
 """The one key: safetensors writes several in any order, and the same policy is to be the same bytes."""
@@ -50,13 +51,12 @@ def unpacked(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def _contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """What the metadata say, and the arrays."""
-    with path.open("rb") as file:
-        size_mib = file.seek(0, 2) / 2**20
+    size_mib = require_regular(path, PolicyError).st_size / 2**20
     if size_mib > MOST_MIB:
         raise PolicyError(f"{path}: has {size_mib:.0f} MiB; give a policy of at most {MOST_MIB} MiB")
     try:
         with safe_open(path, framework="numpy") as file:
-            about = dict(json.loads(file.metadata()[KEY]))
+            about = dict(parse_json(file.metadata()[KEY], KEY, PolicyError, ""))
             return about, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (no mapping)
     except Exception:  # the header, types that NumPy has not and JSON each have errors of their own
         raise PolicyError(f"{path}: not a policy file; give one that Policy.save wrote") from None

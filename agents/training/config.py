@@ -5,7 +5,6 @@ The fields of an algorithm's configuration are its options on the command line.
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from dcgrid_env.agents.training.preset_settings import settings
 from dcgrid_env.agents.training.setting_bounds import check_figures
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.core.user_files import read_json
 
 Act = Literal["both", "clock", "q"]
 
@@ -123,7 +123,7 @@ def stored_config(folder: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        stored: dict[str, Any] = read_json(path, ValueError, "train again")
         return {RENAMED.get(field, field): value for field, value in stored.items()}
     except (ValueError, AttributeError):
         raise ValueError(f"{path}: is no configuration of a training run") from None

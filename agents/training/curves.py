@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from dcgrid_env.agents import Card
 from dcgrid_env.baselines.benchmark.benchmark_figures import REFERENCE_COLOUR
 from dcgrid_env.baselines.reproduction.drawing import new_figure, say
 from dcgrid_env.baselines.score import REFERENCE
+from dcgrid_env.core.user_files import is_file, read_json, read_text
 
 X = {"seconds": "seconds", "steps": "env_steps"}
 """What a curve may run along, with its column in curve.csv: training time, or steps of environments."""
@@ -55,10 +55,9 @@ class Line:
 def read(folder: Path, x: str = "seconds") -> Curve:
     """A training folder's curve along one of ``X``; ValueError, naming file and fault, where it has none."""
     path = folder / "curve.csv"
-    if not path.is_file():
+    if not is_file(path, ValueError):
         raise ValueError(f"{folder}: there is no curve.csv; give the folder of a training run (dcgrid train)")
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = list(csv.DictReader(read_text(path, ValueError).splitlines()))
     along, j, j_droop = (_column(path, rows, name) for name in (X[x], "J", "J_droop"))
     measured = np.isfinite(j) & np.isfinite(j_droop) & np.isfinite(along)
     if not measured.any():
@@ -80,7 +79,7 @@ def _column(path: Path, rows: Sequence[Mapping[str, str | None]], name: str) -> 
 
 def _policy_kind(path: Path) -> str:
     try:
-        return str(json.loads(path.read_text(encoding="utf-8")).get("view", ""))
+        return str(read_json(path, ValueError, "train again").get("view", ""))
     except (OSError, ValueError, AttributeError):
         raise ValueError(f"{path}: is no configuration of a training run; train again") from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 from dcgrid_env.agents.policy.history_network import MOST_STEPS
@@ -11,9 +12,11 @@ MOST_SEEDS = 2**24
 """Training seeds whose episodes are not those of another one."""
 _MANY = 1e9
 ABOVE_0: Mapping[str, float] = {
-    **dict.fromkeys(("num_envs", "validation_episodes", "validate_every", "checkpoint_every"), _MANY),
-    **dict.fromkeys(("updates", "window", "epochs", "minibatches", "buffer", "batch", "gradient_steps"), _MANY),
-    **dict.fromkeys(("feeders", "validation_feeders", "population", "elites", "iterations"), _MANY),
+    **dict.fromkeys(("num_envs", "validation_episodes", "population", "elites", "window", "minibatches"), 100_000),
+    **dict.fromkeys(("feeders", "validation_feeders"), 10_000),
+    **dict.fromkeys(("buffer", "batch"), 10_000_000),
+    **dict.fromkeys(("updates", "epochs", "gradient_steps", "iterations"), _MANY),
+    **dict.fromkeys(("validate_every", "checkpoint_every"), _MANY),
     **dict.fromkeys(("wait", "max_grad_norm", "trip_width_s", "delay_limit_s", "violation_limit_pu"), _MANY),
     **dict.fromkeys(("tau", "learning_rate", "q_std", "last_std"), 1.0),
     **dict.fromkeys(("clip", "clock_std", "dual_rate", "std"), 10.0),
@@ -42,6 +45,8 @@ MOST_GAIN = 1e9
 """Largest gain of a droop that a policy corrects."""
 WIDEST = 65_536
 """Most units of a hidden layer."""
+MOST_WEIGHTS = 2**26
+"""Most weights between hidden layers; a policy file of them is as large as files that are read."""
 
 
 def check_figures(settings: Mapping[str, Any]) -> None:
@@ -57,3 +62,5 @@ def check_figures(settings: Mapping[str, Any]) -> None:
     hidden = settings["hidden"]
     if not hidden or not all(0 < width <= WIDEST for width in hidden):
         raise ValueError(f"hidden is {hidden}; give widths from 1 to {WIDEST}")
+    if sum(one * other for one, other in pairwise(hidden)) > MOST_WEIGHTS:
+        raise ValueError(f"hidden is {hidden}; give widths with at most {MOST_WEIGHTS:,} weights between the layers")

@@ -22,6 +22,7 @@ from dcgrid_env.agents.training.config import FREE
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.core.files import new_folder, write_bytes, write_json
 from dcgrid_env.core.lock import LockedError, locked
+from dcgrid_env.core.user_files import read_json
 from dcgrid_env.core.versions import command_of, command_words
 from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
 
@@ -54,7 +55,7 @@ def words_of(config: Any) -> list[str]:
 def finished(config: Any) -> bool:
     """Return whether the run is complete, with exactly these settings."""
     try:
-        return json.loads((config.out / FINISHED).read_text(encoding="utf-8")) == _settings(config)
+        return read_json(config.out / FINISHED, ValueError, "train again") == _settings(config)
     except (OSError, ValueError):
         return False
 

@@ -6,13 +6,13 @@ import contextlib
 import dataclasses
 import importlib
 import io
-import json
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import write_json
+from dcgrid_env.core.user_files import read_json
 
 TRIAL = "trial.json"
 """Name of the file with the :class:`TrialStatus` in the folder of a trial."""
@@ -38,7 +38,7 @@ def read_trial(folder: Path) -> TrialStatus:
     if not path.exists():
         return TrialStatus()
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
+        about = read_json(path, ValueError, "delete it")
         costs = {int(step): float(cost) for step, cost in about["costs"].items()}
         return TrialStatus(costs, bool(about["stopped"]), float(about["seconds"]))
     except (ValueError, KeyError, TypeError, AttributeError):

@@ -20,6 +20,7 @@ from dcgrid_env import __version__
 from dcgrid_env.baselines.benchmark.jobs import Unit
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.core.files import write_json
+from dcgrid_env.core.user_files import read_json
 
 FORMAT = {"what": "units of dcgrid benchmark", "format": 2}
 
@@ -85,10 +86,7 @@ def _digest(record: dict[str, Any]) -> str:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is no JSON ({error}); delete it, and it is computed anew") from None
+    content = read_json(path, ValueError, "delete it, and it is computed anew")
     if not isinstance(content, dict):
         raise ValueError(f"{path} is no unit; delete it, and it is computed anew")
     return content

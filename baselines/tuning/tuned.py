@@ -32,6 +32,7 @@ from dcgrid_env import (
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.scenario_spec import options_of
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
+from dcgrid_env.core.user_files import is_file, read_json
 from dcgrid_env.core.work.worker import shared
 
 CARRIED = "tuned parameters"
@@ -101,7 +102,7 @@ def require_tuned(path: str | Path | None) -> None:
     """Raise ValueError if the path is given and is not a file of ``dcgrid tune``."""
     if path is None:
         return
-    if str(path) not in shared(CARRIED, {}) and not Path(path).is_file():
+    if str(path) not in shared(CARRIED, {}) and not is_file(Path(path), ValueError):
         raise ValueError(f"tuned is {str(path)!r}, which is no file; give one that dcgrid tune wrote")
     read_tuned(Path(path))
 
@@ -114,11 +115,12 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
     carried = shared(CARRIED, {}).get(str(path))
     if carried is not None or not path.exists():
         return carried or {}
+    content = read_json(path, ValueError, "pass a file that dcgrid tune wrote")
     try:
-        laws = json.loads(path.read_text(encoding="utf-8"))["laws"]
+        laws = content["laws"]
         if all(isinstance(entry["parameters"], dict) for of_law in laws.values() for entry in of_law.values()):
             return laws
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (KeyError, TypeError, AttributeError):
         pass
     raise ValueError(f"{path}: is not a file of tuned parameters; pass a file that dcgrid tune wrote")
 

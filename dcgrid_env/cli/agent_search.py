@@ -11,7 +11,7 @@ import tyro
 
 from dcgrid_env.cli.command import GOES_ON
 from dcgrid_env.cli.names import one_scenario
-from dcgrid_env.cli.settings import alone_in, at_least
+from dcgrid_env.cli.settings import alone_in
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.suggestions import unknown
@@ -68,7 +68,6 @@ class TuneAgent(OverWorkers):
             if self.algorithm in ALGORITHMS:
                 raise ValueError(f"algorithm: must have a search space, got {self.algorithm!r}; {there}")
             raise ValueError(unknown("algorithm", self.algorithm, ALGORITHMS, there))
-        at_least(self, trials=1, seed=0, batch=1)
         base = self._base()
         folder = self.out or Path("results/tune-agent") / f"{base.scenario}-{self.algorithm}"
         place, console = self.place, plain_console()

@@ -69,8 +69,6 @@ class Benchmark(OverWorkers):
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.core.work.unit import require_all
 
-        if self.episodes < 1:
-            raise ValueError(f"episodes: must be at least 1, got {self.episodes}")
         require_tuned(self.tuned)
         place = self.place
         cases = [Case(spec, self.tuned) for spec in scenario_specs(self.scenarios, self.set, SPLIT).values()]

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Self
 
+from dcgrid_env.cli.option_limits import check_limits
 from dcgrid_env.cli.options import parsed
 
 GOES_ON = "run the same command again to resume"
@@ -27,8 +28,13 @@ class Command(ABC):
 
     @classmethod
     def parse(cls, words: Sequence[str], prog: str) -> Self:
-        """Parse the words after the command; raise SystemExit if a word is invalid, and after the help."""
-        return parsed(cls, words, prog, cls.about())
+        """Parse the words after the command.
+
+        Raises SystemExit if a word is invalid, and after the help, and ValueError for a number outside its limits.
+        """
+        made = parsed(cls, words, prog, cls.about())
+        check_limits(made)
+        return made
 
     @property
     def resumes(self) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.files import write_json, write_text
+from dcgrid_env.core.user_files import read_toml
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
@@ -82,11 +82,9 @@ def read_request(path: Path) -> StudyRequest:
     from dcgrid_env.core.checked import FieldError, from_mapping
 
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        given = read_toml(path, ValueError)
     except (FileNotFoundError, IsADirectoryError):
         raise ValueError(f"file: there is no study file {path}; write one (docs/connection-study.md)") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: {error}") from None
     try:
         return from_mapping(StudyRequest, given)
     except FieldError as error:

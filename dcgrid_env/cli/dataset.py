@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, at_least, check_folder, tuned_from
+from dcgrid_env.cli.settings import Overrides, check_folder, tuned_from
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.versions import meta, versions
@@ -103,13 +103,10 @@ def _check(cfg: Dataset) -> None:
     from dcgrid_env.baselines.offline_data.minari_writer import require_minari
     from dcgrid_env.baselines.tuning.tuned import require_tuned
 
-    at_least(cfg, episodes=1, seed=0, noise=0, behaviour_seed=0)
     if cfg.split not in SPLITS:
         raise ValueError(
             f"split: must be {' or '.join(SPLITS)}, got {cfg.split!r}; the other splits are reserved for evaluation"
         )
-    if not cfg.noise <= 2.0:
-        raise ValueError(f"noise: must be at most 2, the width of the action range, got {cfg.noise}")
     if set(cfg.controllers) == {RANDOM} and cfg.noise:
         raise ValueError(f"noise: must be 0 with random actions, got {cfg.noise}; remove --noise")
     if "" in cfg.controllers:

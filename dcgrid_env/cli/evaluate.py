@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from dcgrid_env.cli.settings import Overrides, check_folder, tuned_from
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import OverWorkers
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.user_files import read_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -85,9 +85,6 @@ class Evaluate(OverWorkers):
         from dcgrid_env.baselines.score import REFERENCE, static_rules
         from dcgrid_env.baselines.tuning.tuned import require_tuned
 
-        for field, least in (("episodes", 1), ("seed", 0)):
-            if getattr(self, field) < least:
-                raise ValueError(f"{field}: must be at least {least}, got {getattr(self, field)}")
         require_tuned(self.tuned)
         place, zipped = self.place, _zipped(self.policy)
         if zipped is not None:
@@ -180,11 +177,11 @@ def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
     if not config.is_file():
         return "", ()
     try:
-        trained = json.loads(config.read_text(encoding="utf-8"))
+        trained = read_json(config, ValueError, "repeat the training")
         where, overrides = trained.get("scenario", ""), tuple(trained.get("set", ()))
         if not all(isinstance(word, str) for word in (where, *overrides)):
             raise TypeError("scenario and set must be text")
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{config}: must be a file of dcgrid train ({type(error).__name__}: {error}); pass --scenario and the "
             "policy file"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from dcgrid_env.cli.import_record import (
 )
 from dcgrid_env.cli.settings import check_folder
 from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.core.user_files import parse_json
 
 if TYPE_CHECKING:
     from dcgrid_env import Feeder
@@ -247,11 +247,15 @@ def _arguments(words: tuple[str, ...]) -> dict[str, Any]:
         name, sign, text = word.partition("=")
         if not sign or not name.isidentifier():
             raise ValueError(f"arguments: must be NAME=VALUE, such as with_der=all, got {word!r}")
-        try:
-            made[name] = json.loads(text)
-        except json.JSONDecodeError:
-            made[name] = text
+        made[name] = _value(text)
     return made
+
+
+def _value(text: str) -> Any:
+    try:
+        return parse_json(text, "arguments", ValueError, "")
+    except ValueError:
+        return text
 
 
 def _write_merged(imported: ImportedFeeder, folder: Path) -> None:

@@ -54,8 +54,6 @@ class Hindsight(OverWorkers):
 
     def run(self) -> None:
         """Solve missing episodes; raise ValueError if a setting is invalid or a file is damaged or does not match."""
-        if self.episodes < 1:
-            raise ValueError(f"episodes: must be at least 1, got {self.episodes}")
         place = self.place
         specs = scenario_specs(self.scenarios, self.set, self.split)
         console = plain_console()

@@ -48,12 +48,14 @@ def main(args: list[str] | None = None, commands: Group = COMMANDS, prog: str = 
                 raise ValueError("set: must be given once; put every FIELD=VALUE after a single --set")
             command = parse([word for word in words if word != TRACEBACK], commands, prog)
             command.run()
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, MemoryError) as error:
         if TRACEBACK in words:
             traceback.print_exception(error)
         else:
             more = f"; add {TRACEBACK} for the full traceback" if getattr(error, "traced", False) else ""
-            print(f"dcgrid: {with_options(error, command)}{more}", file=sys.stderr)
+            no_memory = f"not enough memory ({error}); give fewer episodes"
+            message = no_memory if isinstance(error, MemoryError) else with_options(error, command)
+            print(f"dcgrid: {message}{more}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         how = f"; {command.resumes}" if command is not None and command.resumes else ""

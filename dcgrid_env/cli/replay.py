@@ -13,7 +13,7 @@ from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, at_least, check_file
+from dcgrid_env.cli.settings import Overrides, check_file
 from dcgrid_env.cli.stored_run import StoredRun, stored_run
 from dcgrid_env.cli.terminal import plain_console, say
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 COMPARED = "none,droop"
 """Default controllers with ``--scenario``."""
-MOST_FPS = 100
-"""Largest frame rate of an animation, 1/s; GIF frame times are multiples of 0.01 s."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,6 @@ class Replay(Command):
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.rendering import replay
 
-        at_least(self, every=1, fps=0.1)
         asked = _asked(self)
         require_tuned(asked.tuned)
         targets = [path for path in (self.gif, self.mp4) if path is not None]
@@ -138,15 +135,11 @@ def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:
     from dcgrid_env.rendering.film import require_imageio
     from dcgrid_env.rendering.replay_page import check_size, plotting_script
 
-    if asked.seed < 0:
-        raise ValueError(f"seed: must be at least 0, got {asked.seed}")
     if not asked.names:
         raise ValueError(f"compare: must name at least one controller (dcgrid list), got {cfg.compare!r}")
     check_size(asked.scenario.member(asked.seed), len(asked.names))
     if films and cfg.out is not None:
         raise ValueError("out: must not be combined with --gif or --mp4, as it is the HTML file; remove --out")
-    if cfg.fps > MOST_FPS:
-        raise ValueError(f"fps: must be at most {MOST_FPS}, got {cfg.fps:g}")
     for option, path in (("gif", cfg.gif), ("mp4", cfg.mp4)):
         if path is not None and path.suffix != f".{option}":
             raise ValueError(f"{option}: must end in .{option}, got {str(path)!r}")

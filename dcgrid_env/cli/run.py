@@ -91,8 +91,6 @@ class Run(Command):
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
 
-        if self.episodes < 1 or self.seed < 0:
-            raise ValueError(f"episodes, seed: must be at least 1 and at least 0, got {self.episodes} and {self.seed}")
         _check_options(self)
         require_tuned(self.tuned)
         scenario = scenario_of(self)

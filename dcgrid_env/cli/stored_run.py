@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import math
 import shlex
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.run import Run, controller_names, scenario_of
 from dcgrid_env.core.checked import finite
+from dcgrid_env.core.user_files import is_file, read_json
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
@@ -58,19 +58,19 @@ def stored_run(folder: Path, trust: bool) -> StoredRun:
     from dcgrid_env import scenario_hash
 
     path = folder / RESULTS
-    if not path.is_file():
+    if not is_file(path, ValueError):
         raise ValueError(
             f"{folder}: must be an output folder of dcgrid run with {RESULTS}; run dcgrid run first, {OTHERWISE}"
         )
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = read_json(path, ValueError, "repeat the run")
         words = shlex.split("" + stored["meta"]["command"])  # a TypeError if it is not text
         expected = stored["meta"]["scenario_hash"]
         costs = {(e["controller"], e["seed"]): e["J"] for e in stored["episodes"]}
         for (name, seed), cost in costs.items():
             if not (isinstance(name, str) and type(seed) is int and finite(cost)):
                 raise ValueError(f"J of episode {seed!r} of {name!r} must be a finite number, got {cost!r}")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{path}: must be a file of dcgrid run ({type(error).__name__}: {error}); repeat the run"
         ) from None

@@ -18,6 +18,7 @@ from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Entry
 from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.opening import offer
+from dcgrid_env.cli.option_limits import check_limit
 from dcgrid_env.cli.options import parsed
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.terminal import plain_console, say, working
@@ -202,8 +203,8 @@ def _seeds(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
     except argparse.ArgumentError as error:
         field = (error.argument_name or "seeds").lstrip("-")
         raise ValueError(f"{field}: {error.message}; give a value, for example --seeds 5 --workers 2") from None
-    if given.seeds is not None and given.seeds < 1:
-        raise ValueError(f"seeds: must be at least 1, got {given.seeds}")
+    if given.seeds is not None:
+        check_limit("seeds", given.seeds)
     if given.seeds is None and (given.workers is not None or given.ray is not None):
         raise ValueError(
             "seeds: must be given with --workers or --ray, which train several seeds; add --seeds N, or remove them"

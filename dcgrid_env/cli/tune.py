@@ -82,8 +82,6 @@ class Tune(OverWorkers):
                 raise ValueError(f"laws: {unknown('tunable law', law, TUNABLE, there)}")
         if not laws:
             raise ValueError(f"laws: must name at least one law, got {self.laws!r}; {there}")
-        if self.episodes < 1:
-            raise ValueError(f"episodes: must be at least 1, got {self.episodes}")
         place = self.place
         groups = [tuple(specs)] if self.together else [(name,) for name in specs]
         asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]

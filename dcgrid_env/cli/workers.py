@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from dcgrid_env.cli.command import Command
+from dcgrid_env.cli.option_limits import check_limit
 
 if TYPE_CHECKING:
     from dcgrid_env.core.work.unit import Place
@@ -40,8 +41,8 @@ def place(workers: int | None, ray: str | None) -> Place:
     from dcgrid_env.core.threads import n_threads
     from dcgrid_env.core.work.local_pool import LocalPool
 
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers: must be at least 1, got {workers}")
+    if workers is not None:
+        check_limit("workers", workers)
     if ray is None:
         return LocalPool(n_threads() if workers is None else workers)
     if workers is not None:

@@ -21,6 +21,9 @@ from dcgrid_env.core.suggestions import unknown
 
 Plain = Any
 """Data as JSON and TOML hold it: None, bool, int, float, str, and lists and dictionaries of these."""
+DEEPEST = 64
+"""Most lists and mappings within each other."""
+_LONGEST_SHOWN = 200
 _LARGEST = sys.float_info.max
 """Largest finite number; larger whole numbers are refused."""
 _SMALLEST = sys.float_info.min
@@ -49,19 +52,36 @@ class FieldError(ValueError):
 
     def said(self, name: str) -> str:
         """The message under another name of the field."""
-        return f"{name} {self.remedy}" if self.value is ... else f"{name} is {_shown(self.value)}; {self.remedy}"
+        return f"{name} {self.remedy}" if self.value is ... else f"{name} is {shown(self.value)}; {self.remedy}"
 
     def within(self, owner: str, field: str) -> FieldError:
         """The error of a value that is itself in a field of ``owner``."""
         return FieldError(owner, f"{field}.{self.name}", self.value, self.remedy)
 
 
-def _shown(value: object) -> str:
-    """Return a value as text, one too long for Python to write included."""
+def shown(value: object) -> str:
+    """Return a value as text for a message, shortened if it is long."""
     try:
-        return repr(value)
+        text = repr(value)
     except ValueError:
         return f"a number of more than {sys.get_int_max_str_digits()} digits"
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
+
+
+def is_deep(value: object) -> bool:
+    """Return whether lists, tuples and mappings are nested more than ``DEEPEST`` deep, or contain themselves."""
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [part for one in level for part in _parts(one) if isinstance(part, (dict, list, tuple))]
+        if not level:
+            return False
+    return True
+
+
+def _parts(value: object) -> Iterable[object]:
+    if isinstance(value, dict):
+        return value.values()
+    return value if isinstance(value, (list, tuple)) else ()
 
 
 class UnknownFieldError(FieldError):

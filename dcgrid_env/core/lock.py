@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
+from dcgrid_env.core.user_files import read_json
+
 
 class LockedError(OSError):
     """Error of a lock that another process has; the message names the process, the time and the remedy."""
@@ -77,7 +79,7 @@ def alone(lock: Path, timeout_s: float = -1) -> Iterator[None]:
 def _holder(note: Path) -> str:
     """Who holds the lock, as its note says."""
     try:
-        about = json.loads(note.read_text(encoding="utf-8"))
+        about = read_json(note, ValueError, "delete it")
         return f"another {about['what']} (process {about['pid']} on {about['host']}, since {about['began']})"
     except (OSError, ValueError, KeyError, TypeError):  # not written yet, or just gone
         return "another process"

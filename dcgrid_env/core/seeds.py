@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+MOST_EPISODES = 100_000
+"""Most episodes of one command."""
+MOST_ENVS = 2_000_000
+"""Most environments in a batch."""
+
 
 def whole_seed(seed: object) -> int:
     """A seed as an int; ValueError unless it is a whole number of at least 0."""

@@ -11,7 +11,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from dcgrid_env.core.seeds import as_seed
+from dcgrid_env.core.checked import shown
+from dcgrid_env.core.seeds import MOST_ENVS, as_seed
 from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, joint_reward, joint_spaces
 from dcgrid_env.envs.class_docs import documented
@@ -127,8 +128,10 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         max_episode_steps: int | None = None,
         **overrides: object,
     ):
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs!r}; give a whole number of at least 1")
+        whole = isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool)
+        if not whole or not 1 <= num_envs <= MOST_ENVS:
+            remedy = f"give a whole number of at least 1 and at most {MOST_ENVS:,}"
+            raise ValueError(f"num_envs is {shown(num_envs)}; {remedy}")
         self.autoreset_mode = as_autoreset_mode(autoreset_mode)
         self.metadata = type(self).metadata | {"autoreset_mode": self.autoreset_mode}
         overrides = with_horizon(overrides, "max_episode_steps", max_episode_steps)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.checked import FieldError, UnknownFieldError
+from dcgrid_env.core.checked import DEEPEST, FieldError, UnknownFieldError, is_deep
 from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.devices import DEVICE_REGISTRY, DataCenters, Device, Inverters, device_kind
 from dcgrid_env.scenario.background import Background
@@ -63,6 +63,7 @@ def assembled(base: Any, scenario_fields: Iterable[str], given: Mapping[str, Any
     ScenarioError
         For an invalid value.
     """
+    refuse_deep(given)
     names = list(scenario_fields)
     fields = {} if base is None else {name: getattr(base, name) for name in names}
     fields |= {name: _PLAIN[name](value) if name in _PLAIN else value for name, value in given.items() if name in names}
@@ -91,6 +92,13 @@ def assembled(base: Any, scenario_fields: Iterable[str], given: Mapping[str, Any
         raise ScenarioError(f"scenario {name!r}: devices is missing; give it, a list of groups of devices")
     fields["devices"] = _devices(name, base, given.get("devices"), changes)
     return fields
+
+
+def refuse_deep(given: Mapping[str, Any]) -> None:
+    """Raise ScenarioError for a value of lists and mappings too deep within each other."""
+    for name, value in given.items():
+        if is_deep(value):
+            raise ScenarioError(f"{name} is nested more than {DEEPEST} deep; give it without so many brackets")
 
 
 def _part_and_field(key: str, names: list[str]) -> tuple[str, str]:

@@ -9,6 +9,7 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from dcgrid_env.core.plugins import Entry, Registry
+from dcgrid_env.scenario.assembly import refuse_deep
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import reads_files
 from dcgrid_env.scenario.preset_table import TABLE
@@ -58,6 +59,7 @@ def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrid
         raise ScenarioError(f"scenario is {scenario!r}; give a name ({', '.join(PRESETS)}) or a Scenario")
     if not overrides:
         return base
+    refuse_deep(overrides)
     try:
         key = (base, *((name, _key(value)) for name, value in overrides.items()))
         kept = _ALIVE.get(key)

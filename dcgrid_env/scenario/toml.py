@@ -21,13 +21,13 @@ Fields and parts are those of ``Scenario``. ``[datacenters]`` and ``[inverters]`
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.checked import Plain
 from dcgrid_env.core.files import write_text
+from dcgrid_env.core.user_files import read_toml as read_toml_file
 from dcgrid_env.devices import device_kind
 from dcgrid_env.grid import FEEDER_REGISTRY
 from dcgrid_env.scenario.assembly import GROUPS, PARTS
@@ -55,14 +55,12 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
     """
     path = Path(path)
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        given = read_toml_file(path, ScenarioError)
     except (FileNotFoundError, IsADirectoryError):
         what = "a folder" if path.is_dir() else "no file"
         raise ScenarioError(f"{path} is {what}; give a scenario file, see Scenario.to_toml") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, OSError) as error:
+    except OSError as error:
         raise ScenarioError(f"{path}: {error}") from None
-    except ValueError as error:  # a null character
-        raise ScenarioError(f"{str(path)!r} is no path ({error}); give a scenario file") from None
     base = given.pop("base", None)
     if base is not None and not isinstance(base, str):
         raise ScenarioError(f"{path}: base is {base!r}; give the name of a preset")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from dcgrid_env.core.user_files import MOST_MIB, parse_json
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import seconds
 from dcgrid_env.traces.logs.meters import Meters, one_of
@@ -80,7 +80,7 @@ def read_power_json(
     ----------
     Prometheus documentation, "HTTP API"; DMTF DSP0268, "Redfish Data Model Specification"; mlenergy-data 0.3.2.
     """
-    with open_text(path) as file:
+    with open_text(path, MOST_MIB) as file:
         objects = _objects(file)
         sha256 = file.sha256()
     what, stated, readings = _found(file.name, objects, metric)
@@ -103,20 +103,19 @@ def read_power_json(
 
 def _objects(file: TextFile) -> list[Any]:
     """Return the JSON objects of a file: the only one, those of a list, or one a line."""
-    text = "".join(block.text for block in file.blocks())
+    text, remedy = "".join(block.text for block in file.blocks()), f"export {FORMS}"
     try:
-        content = json.loads(text)
+        content = parse_json(text, file.name, TraceError, remedy)
         return content if isinstance(content, list) else [content]
-    except json.JSONDecodeError as error:
+    except TraceError as error:
         whole = error
     objects: list[Any] = []
     for number, line in enumerate(text.split("\n"), 1):
         if line.strip():
             try:
-                objects.append(json.loads(line))
-            except json.JSONDecodeError as error:
-                at, fault = (number, error.msg) if objects else (whole.lineno, whole.msg)
-                raise TraceError(f"{file.name}, line {at}: is not JSON ({fault}); export {FORMS}") from None
+                objects.append(parse_json(line, f"{file.name}, line {number}", TraceError, remedy))
+            except TraceError as error:
+                raise (error if objects else whole) from None
     return objects
 
 

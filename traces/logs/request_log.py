@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from array import array
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dcgrid_env.core.user_files import parse_json
 from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.timestamps import TIMESTAMP, nanoseconds
 from dcgrid_env.traces.provenance import Provenance
@@ -205,7 +205,7 @@ def _splitter(
 
 def _mooncake_cells(file: str, number: int, line: str) -> tuple[str, str, str]:
     try:
-        request = json.loads(line)
+        request = parse_json(line, file, TraceError, "")
     except ValueError:
         request = None
     if not isinstance(request, dict):

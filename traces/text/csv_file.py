@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import os
 from array import array
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dcgrid_env.core.user_files import parse_json
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number
@@ -313,10 +313,8 @@ def _first_row(file: TableFile) -> tuple[dict[str, Any], list[str], Block]:
 
 def _noted(name: str, line: str) -> dict[str, Any]:
     """The JSON object of a recorder's first line."""
-    try:
-        noted = json.loads(line.removeprefix(RECORDED))
-    except ValueError as error:
-        raise TraceError(f"{name}, line 1: what follows {RECORDED!r} is not JSON ({error}); repair it") from error
+    where = f"{name}, line 1: what follows {RECORDED!r}"
+    noted = parse_json(line.removeprefix(RECORDED), where, TraceError, "repair it")
     if not isinstance(noted, dict):
         raise TraceError(f"{name}, line 1: what follows {RECORDED!r} is {noted!r}; give a JSON object")
     rated_kw = noted.get("rated_kw")

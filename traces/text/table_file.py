@@ -68,12 +68,16 @@ class TableFile:
 
 
 @contextmanager
-def open_table(path: str | os.PathLike[str], delimiter: str | None = None) -> Iterator[TableFile]:
-    """Open a text file of cells; `open_text` defines the encodings, and `delimiter` is found if it is None.
+def open_table(
+    path: str | os.PathLike[str], delimiter: str | None = None, *, most_mib: int | None = None
+) -> Iterator[TableFile]:
+    """Open a text file of cells; `open_text` defines the encodings and the limit of the size.
+
+    `delimiter` is found if it is None.
 
     Raises TraceError for a file with decimal points and decimal commas, or with a comma that may be either.
     """
-    with open_text(path) as file:
+    with open_text(path, most_mib) as file:
         yield TableFile(file, delimiter)
 
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from dcgrid_env.core.user_files import open_bytes
 from dcgrid_env.traces.checks import TraceError
 
 BLOCK_CHARS = 1 << 22
@@ -38,8 +39,10 @@ class Block(NamedTuple):
 class TextFile:
     """An open text file, made by `open_text`; line ends of every system come as one newline."""
 
-    def __init__(self, name: str, text: io.TextIOWrapper, hashed: "_Hashed") -> None:
+    def __init__(self, name: str, text: io.TextIOWrapper, hashed: "_Hashed", most_mib: int | None = None) -> None:
         self.name = name
+        self._most_mib = most_mib
+        self._n_read = 0
         self.line = 0
         """Number of the last line handed out."""
         self._text = text
@@ -49,6 +52,7 @@ class TextFile:
         """The next line with its line end, or an empty text at the end of the file."""
         line = self._rest_of_line()
         self.line += bool(line)
+        self._count(line)
         return line
 
     def blocks(self) -> Iterator[Block]:
@@ -58,6 +62,7 @@ class TextFile:
                 text += self._rest_of_line()
             first = self.line + 1
             self.line += text.count("\n") + (not text.endswith("\n"))
+            self._count(text)
             yield Block(first, text)
 
     def sha256(self) -> str:
@@ -65,6 +70,11 @@ class TextFile:
         while self._hashed.read(1 << 20):
             pass
         return self._hashed.sha256.hexdigest()
+
+    def _count(self, text: str) -> None:
+        self._n_read += len(text)
+        if self._most_mib is not None and self._n_read > self._most_mib * 2**20:
+            raise TraceError(f"{self.name}: has more than {self._most_mib} MiB of text; give a shorter file")
 
     def _rest_of_line(self) -> str:
         line = self._text.readline(LINE_LIMIT_CHARS)
@@ -93,19 +103,20 @@ class _Hashed(io.RawIOBase):
 
 
 @contextmanager
-def open_text(path: str | os.PathLike[str]) -> Iterator[TextFile]:
+def open_text(path: str | os.PathLike[str], most_mib: int | None = None) -> Iterator[TextFile]:
     """Open a text file: UTF-8, or UTF-16 with its mark (what redirection in PowerShell writes), gzip or plain.
 
+    ``most_mib`` bounds the text, for readers that keep all of it in memory; a longer one raises TraceError.
     Errors in the bytes while the file is open raise TraceError, naming the file and the line.
     """
     path = Path(path)
-    with path.open("rb", buffering=0) as raw, _Hashed(raw) as hashed, io.BufferedReader(hashed) as plain:
+    with open_bytes(path, TraceError) as raw, _Hashed(raw) as hashed, io.BufferedReader(hashed) as plain:
         file = None
         try:
             source = gzip.GzipFile(fileobj=plain) if plain.peek(2)[:2] == b"\x1f\x8b" else plain
             encoding = "utf-16" if source.peek(2)[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
             with source, io.TextIOWrapper(source, encoding) as text:
-                file = TextFile(path.name, text, hashed)
+                file = TextFile(path.name, text, hashed, most_mib)
                 yield file
         except (UnicodeDecodeError, csv.Error) as error:
             after = f"after line {file.line}: " if file else ""

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.grid.formats.feeder_folder import write_files
-from dcgrid_env.grid.formats.feeder_tables import cell_number, file_text, table_rows, table_text
+from dcgrid_env.grid.formats.feeder_tables import cell_number, head_of, table_rows, table_text
 from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network, summed_at_nodes
 from dcgrid_env.grid.network_checks import check_balanced
@@ -40,10 +39,7 @@ def read_csv(folder: Path) -> Network:
     FeederError
         For a missing or unknown file, key or column, or a cell that is not a number, naming the file and the line.
     """
-    try:
-        head = tomllib.loads(file_text(folder / "feeder.toml"))
-    except tomllib.TOMLDecodeError as error:
-        raise FeederError(f"{folder / 'feeder.toml'}: {error}") from None
+    head = head_of(folder / "feeder.toml")
     for key in head:
         if key not in (*_KEYS, *_TEXTS):
             there = ", ".join((*_KEYS, *_TEXTS))

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env.core.user_files import parse_toml, read_text
 from dcgrid_env.grid.topology import FeederError
 
 _NEEDED = "a feeder's folder has feeder.toml and buses.csv, and branches.csv if it is balanced"
@@ -17,13 +18,16 @@ _NEEDED = "a feeder's folder has feeder.toml and buses.csv, and branches.csv if 
 def file_text(path: Path) -> str:
     """Return the text of a file; FeederError if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_text(path, FeederError)
     except FileNotFoundError:
         raise FeederError(f"{path} is missing; {_NEEDED}") from None
-    except UnicodeDecodeError as error:
-        raise FeederError(f"{path}: {error}; save it as UTF-8") from None
     except OSError as error:
         raise FeederError(f"{path} cannot be read ({error.strerror}); give a file") from None
+
+
+def head_of(path: Path) -> dict[str, Any]:
+    """Return the tables of feeder.toml; FeederError if it cannot be read."""
+    return parse_toml(file_text(path), str(path), FeederError)
 
 
 def table_rows(

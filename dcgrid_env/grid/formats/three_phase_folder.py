@@ -15,13 +15,12 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.grid.formats.feeder_folder import write_files
-from dcgrid_env.grid.formats.feeder_tables import cell_number, file_text, table_rows, table_text
+from dcgrid_env.grid.formats.feeder_tables import cell_number, head_of, table_rows, table_text
 from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File, says_nothing
 from dcgrid_env.grid.network import Network, NodeTable, SourceTable
@@ -94,10 +93,7 @@ def _toml(pairs: Iterable[tuple[str, Any]]) -> list[str]:
 
 
 def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    try:
-        head = tomllib.loads(file_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise FeederError(f"{path}: {error}") from None
+    head = head_of(path)
     source = head.get("source")
     if not isinstance(source, dict):
         raise FeederError(f"{path}: the table [source] is missing")

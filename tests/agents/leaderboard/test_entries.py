@@ -197,7 +197,9 @@ def test_a_card_that_says_something_else_is_noticed(copied, capsys, tmp_path):
     line = stopped(capsys, "submit", weights, "--name", "x", "--episodes", 4, "--out", tmp_path / "out")
     assert "policy.json: sha256 is '0000" in line
     card.write_text("[" * 100_000)
-    assert "not a policy's card" in stopped(capsys, "submit", weights, "--name", "x", "--out", tmp_path / "out")
+    assert "nested more than 64 deep; give a card that Policy.save wrote" in stopped(
+        capsys, "submit", weights, "--name", "x", "--out", tmp_path / "out"
+    )
     assert not (tmp_path / "out").exists()
 
 

@@ -111,7 +111,7 @@ def test_what_contradicts_is_named(load, path, value, said):
 
 def test_a_name_that_is_there_twice_is_refused(load):
     found = load(CARD.replace(b'"version"', b'"seed": 1, "version"', 1))
-    assert "seed is there twice" in str(found)
+    assert "'seed' is there twice" in str(found)
 
 
 def test_a_policy_without_a_card_is_read(tmp_path):

@@ -38,8 +38,8 @@ def test_a_scenario_file_is_looked_at_and_judged(tmp_path, monkeypatch, capsys):
     ("arguments", "message"),
     [
         (["nothing.toml"], "nothing.toml is no file; give a scenario file"),
-        (["toy6", "--episodes", "0"], "episodes is 0 and seconds 40; give at least 1 and more than 0"),
-        (["toy6", "--seconds", "-1"], "seconds -1"),
+        (["toy6", "--episodes", "0"], "episodes: must be at least 1, got 0"),
+        (["toy6", "--seconds", "-1"], "seconds: must be at least 0.001, got -1"),
         (["toy6", "--workers", "0"], "workers: must be at least 1, got 0"),
         (["toy6", "--split", "all"], "split is 'all'"),
     ],

@@ -126,7 +126,7 @@ def test_hindsight_acts_as_it_planned(here, monkeypatch):
 
 def test_what_cannot_be_is_one_line_and_writes_nothing(here, capsys, monkeypatch):
     assert "split: must be train or validation, got 'test'" in refused(capsys, "--split", "test")
-    assert "noise: must be at most 2, the width of the action range, got 3.0" in refused(capsys, "--noise", "3")
+    assert "noise: must be at most 2, got 3" in refused(capsys, "--noise", "3")
     assert "noise: must be 0 with random actions, got 0.1" in refused(
         capsys, "--controller", "random", "--noise", "0.1"
     )

@@ -59,7 +59,7 @@ def test_the_same_command_gives_the_same_records(tmp_path):
         (["--scenario", "ieee124"], "no scenario 'ieee124'; did you mean ieee123"),
         (["--controllers", "none,pid"], "no controller 'pid'; "),
         (["--controllers", " , "], "must name at least one"),
-        (["--episodes", "0"], "episodes, seed: must be at least 1"),
+        (["--episodes", "0"], "episodes: must be at least 1, got 0"),
         (["--split", "exam"], "split is 'exam'; choose one of train, validation, test"),
         (["--set", "horizn=3"], "horizn"),
         (["--set", "horizon"], "set: 'horizon' is no field with its value"),

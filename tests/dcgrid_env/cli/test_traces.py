@@ -161,7 +161,7 @@ def test_check_with_power_as_recorded(tmp_path, capsys):
         ("time_s,kw\n0,1\n1,NaN\n", [], r"site.csv, line 3: column 1 \('kw'\) is nan; remove or repair the sample"),
         ("time_s,kw\n0,1\n1,2\n", ["--step-s", "1"], "numeric times has no option --step-s; it has --unit, --power-"),
         ("time_s,kw\n0,1\n1,2\n", ["--png", "x.png"], "lasts 1 s but 2 s are needed"),
-        ("time_s,kw\n0,1\n2,2\n", ["--rated-kw", "-1"], "rating_kw = -1.0 is not a finite number above 0"),
+        ("time_s,kw\n0,1\n2,2\n", ["--rated-kw", "-1"], "rated_kw: must be at least 1e-06, got -1"),
         ("time_s,kw\n0,1\n1,2\n", ["--out", "."], "out: must be a file, got the folder '.'"),
     ],
 )

@@ -281,7 +281,7 @@ WHOLE = {"seed": 0, "hash": "0" * 16, "J": 1.0, "bound": 1.0, "rounds": 2}
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "is no JSON"),
+        ("{", ": is not JSON"),
         ("{}", "has no 'scenario_hash' and 'episodes'"),
         ("[]", "has no 'scenario_hash' and 'episodes'"),
         ({}, "has 'episodes' that are no list"),

@@ -188,7 +188,7 @@ def test_gaps_are_refused_held_or_filled(write):
         (read_power_json, prometheus(series({}, [1, 2], step=float("inf"))), r"value 1: the time is nan; repair or"),
         (read_power_json, {"a": 1}, r"has the fields a; export a range query of Prometheus"),
         (read_power_json, "[1, 2]", r"is not a JSON object, or a list of them"),
-        (read_power_json, '{"a": 1,\n "b"', r"line 2: is not JSON"),
+        (read_power_json, '{"a": 1,\n "b"', r"is not JSON \(.*line 2 "),
         (read_power_json, '{"a": 1}\n{"b"\n', r"line 2: is not JSON"),
     ],
 )

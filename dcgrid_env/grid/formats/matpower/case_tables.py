@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dcgrid_env.core.user_files import read_text
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.matpower.case_conversions import Conversions, number
 from dcgrid_env.grid.formats.matpower.case_text import Statement, statements
@@ -16,7 +17,7 @@ from dcgrid_env.grid.topology import FeederError
 
 WIDTHS = {"bus": (13, 13), "gen": (10, 21), "branch": (11, 13), "dcline": (3, 17)}
 """Columns that a table must have, and those that are of the case rather than of a solution."""
-_MAX_BYTES = 256 * 2**20
+_MOST_MIB = 256
 _FUNCTION = re.compile(r"function\s+\w+\s*=\s*(\w+)(?:\s*\(\s*\))?\Z")
 _FIELD = re.compile(r"mpc\.([A-Za-z]\w*(?:\.\w+)*)\s*=\s*(.*)\Z", re.DOTALL)
 
@@ -49,11 +50,7 @@ class CaseTables:
 def case_text(path: Path) -> str:
     """Text of a file; FeederError where it cannot be read."""
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FeederError(f"{path} has more than {_MAX_BYTES // 2**20} MiB; give a case file")
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FeederError(f"{path}: {error}; save it as UTF-8") from None
+        return read_text(path, FeederError, _MOST_MIB)
     except OSError as error:
         raise FeederError(f"{path} cannot be read ({error.strerror}); give a MATPOWER case file") from None
 

@@ -7,16 +7,16 @@ objects are not created.
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
+from dcgrid_env.core.user_files import parse_json, read_json
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_schema import LARGEST_INDEX, REFUSED, SCHEMA, PandapowerNet
 from dcgrid_env.grid.topology import FeederError
 
-_MAX_BYTES = 512 * 2**20
+_REMEDY = "give a JSON file that pandapower.to_json wrote"
 _PLAIN_TABLES = (*SCHEMA, *REFUSED, "bus_dc", "trafo_characteristic_table", "shunt_characteristic_table", "bus_geodata")
 _NO_MATTER = {"std_types", "measurement", "pwl_cost", "poly_cost", "group", "user_pf_options", "controller"}
 
@@ -48,26 +48,13 @@ def _profiles_of(file: str, name: str, member: dict[str, Any]) -> Any:
 def _members(path: Path) -> dict[str, Any]:
     """What stands under the file's ``_object``."""
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FeederError(f"{path} has more than {_MAX_BYTES // 2**20} MiB; give a pandapower net")
-        whole = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=lambda pairs: _unique(path, pairs))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise FeederError(f"{path}: {str(error)[:200]}; give a JSON file that pandapower.to_json wrote") from None
+        whole = read_json(path, FeederError, _REMEDY)
     except OSError as error:
         raise FeederError(f"{path} cannot be read ({error.strerror}); give a pandapower net") from None
     members = whole.get("_object") if isinstance(whole, dict) else None
     if not isinstance(members, dict) or whole.get("_class") != "pandapowerNet":
         raise FeederError(f"{path} is no pandapower net; give a file that pandapower.to_json wrote")
     return members
-
-
-def _unique(where: object, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise FeederError(f"{where}: {twice!r} is there twice; leave one out")
-    return made
 
 
 def _is_table(member: object) -> bool:
@@ -81,10 +68,7 @@ def _table(file: str, name: str, member: dict[str, Any]) -> dict[str, Any]:
         raise FeederError(f"{where}: its orient is {member['orient']!r}; write the net anew by pandapower.to_json")
     plain = member.get("_object")
     if isinstance(plain, str):
-        try:
-            plain = json.loads(plain, object_pairs_hook=lambda pairs: _unique(where, pairs))
-        except (json.JSONDecodeError, RecursionError) as error:
-            raise FeederError(f"{where}: {str(error)[:200]}") from None
+        plain = parse_json(plain, where, FeederError, _REMEDY)
     if not isinstance(plain, dict) or not {"columns", "index", "data"} <= set(plain):
         raise FeederError(f"{where}: it has no columns, index and data")
     columns, index, data = plain["columns"], plain["index"], plain["data"]

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.user_files import require_regular
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.pandapower.net_json import net_from_json
 from dcgrid_env.grid.formats.pandapower.net_schema import PandapowerNet
@@ -46,6 +47,7 @@ def _from_file(path: Path, trust: bool, report: Report) -> PandapowerNet:
         return net_from_json(path, report)
     import pandapower
 
+    require_regular(path, FeederError)
     try:
         return pandapower.from_json(str(path))
     except Exception as error:

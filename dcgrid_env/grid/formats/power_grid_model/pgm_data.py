@@ -3,17 +3,17 @@ checks take it."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.user_files import parse_json, read_text
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.topology import FeederError
 
-_MAX_BYTES = 512 * 2**20
+_REMEDY = "give a JSON file that power-grid-model wrote"
 _LARGEST = 1e18
 _KEYS = ("version", "type", "is_batch", "attributes", "data")
 _MAY_BE_INFINITE = {"i_n", "x_grounding_from", "x_grounding_to", "r_grounding_from", "r_grounding_to"}
@@ -36,7 +36,7 @@ def input_data(path: Path, report: Report) -> tuple[Data, dict[int, str]]:
     text = _text(path)
     known: Any = power_grid_meta_data
     dtypes = {str(getattr(kind, "value", kind)): meta.dtype for kind, meta in known["input"].items()}
-    names = _Look(str(path), dtypes, report).whole(_parsed(path, text))
+    names = _Look(str(path), dtypes, report).whole(parse_json(text, str(path), FeederError, _REMEDY))
     try:
         read = json_deserialize(text)
     except (PowerGridError, ValueError, KeyError) as error:
@@ -48,28 +48,9 @@ def input_data(path: Path, report: Report) -> tuple[Data, dict[int, str]]:
 
 def _text(path: Path) -> str:
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FeederError(f"{path} has more than {_MAX_BYTES // 2**20} MiB; give power-grid-model's input data")
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FeederError(f"{path}: {error}; save it as UTF-8") from None
+        return read_text(path, FeederError)
     except OSError as error:
         raise FeederError(f"{path} cannot be read ({error.strerror}); give a power-grid-model JSON file") from None
-
-
-def _parsed(path: Path, text: str) -> Any:
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        made = dict(pairs)
-        if len(made) < len(pairs):
-            names = [name for name, _ in pairs]
-            twice = next(name for name in names if names.count(name) > 1)
-            raise FeederError(f"{path}: {twice!r} is there twice; leave one out")
-        return made
-
-    try:
-        return json.loads(text, object_pairs_hook=unique)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise FeederError(f"{path}: {str(error)[:200]}; give a JSON file that power-grid-model wrote") from None
 
 
 class _Look:
