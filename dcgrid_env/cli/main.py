@@ -12,11 +12,12 @@ from collections.abc import Sequence
 
 from dcgrid_command.command_table import COMMANDS, TRACEBACK, VERSION
 from dcgrid_command.group import HELP, Entry, Group, found
-from dcgrid_command.unread import ends_unread
+from dcgrid_command.streams import complain, standard_streams
 from dcgrid_env import __version__
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.remedies import with_options
 from dcgrid_env.cli.terminal import any_characters
+from dcgrid_env.core.plugins import tolerate_malformed
 from dcgrid_env.core.signals import raising
 from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.core.versions import command_of
@@ -32,34 +33,35 @@ def main(args: list[str] | None = None, commands: Group = COMMANDS, prog: str = 
     ``prog`` is the program name that precedes a command, as the user types it.
     """
     words = sys.argv[1:] if args is None else args
-    if words[:1] == [VERSION]:
-        print(f"dcgrid {__version__}")
-        return
     command: Command | None = None
     try:
         with (
+            standard_streams(),
             raising(signal.SIGINT, KeyboardInterrupt),
             any_characters(),
-            ends_unread(),
             terminated_in_order(),
             command_of([*prog.split(), *words]),
         ):
+            if words[:1] == [VERSION]:
+                print(f"dcgrid {__version__}")
+                return
+            tolerate_malformed()
             if sum(word.partition("=")[0] == "--set" for word in words) > 1:
                 raise ValueError("set: must be given once; put every FIELD=VALUE after a single --set")
             command = parse([word for word in words if word != TRACEBACK], commands, prog)
             command.run()
     except (ValueError, OSError, MemoryError) as error:
         if TRACEBACK in words:
-            traceback.print_exception(error)
+            complain("".join(traceback.format_exception(error)).rstrip("\n"))
         else:
             more = f"; add {TRACEBACK} for the full traceback" if getattr(error, "traced", False) else ""
-            no_memory = f"not enough memory ({error}); give fewer episodes"
+            no_memory = f"not enough memory {error}; give smaller numbers"
             message = no_memory if isinstance(error, MemoryError) else with_options(error, command)
-            print(f"dcgrid: {message}{more}", file=sys.stderr)
+            complain(f"dcgrid: {message}{more}")
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         how = f"; {command.resumes}" if command is not None and command.resumes else ""
-        print(f"dcgrid: interrupted{how}", file=sys.stderr)
+        complain(f"dcgrid: interrupted{how}")
         raise SystemExit(_INTERRUPTED) from None
 
 

@@ -35,7 +35,11 @@ def plain_console() -> Console:
     """
     from rich.console import Console
 
-    return Console(file=sys.stdout, markup=False, emoji=False, highlight=False)
+    class _Console(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return _Console(file=sys.stdout, markup=False, emoji=False, highlight=False)
 
 
 def say(console: Console, text: str) -> None:

@@ -9,7 +9,7 @@ import sys
 
 from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import help_page
-from dcgrid_command.unread import ends_unread
+from dcgrid_command.streams import complain, standard_streams
 
 
 def main() -> None:
@@ -17,8 +17,12 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else the shell has it ignored
         signal.signal(signal.SIGINT, _end)
     if page := help_page(COMMANDS, "dcgrid", sys.argv[1:]):
-        with ends_unread():
-            print(page)
+        try:
+            with standard_streams():
+                print(page)
+        except OSError as error:
+            complain(f"dcgrid: {error}")
+            raise SystemExit(2) from None
         return
     from dcgrid_env.cli.main import main as command_line
 

@@ -105,7 +105,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     Raises
     ------
     OSError
-        If it cannot be made, or exists and is not empty.
+        If it cannot be made, or exists and is not empty, also where another process has filled it meanwhile.
     """
     folder = folder.absolute()
     with new_folder(folder.parent):
@@ -113,9 +113,14 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         try:
             part.mkdir()
             yield part
-            if folder.exists():
-                folder.rmdir()
-            part.replace(folder)
+            try:
+                if folder.exists():
+                    folder.rmdir()
+                part.replace(folder)
+            except OSError as error:
+                if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise FileExistsError(f"{folder} has been filled meanwhile; give another folder") from None
+                raise
         finally:
             shutil.rmtree(part, ignore_errors=True)
 

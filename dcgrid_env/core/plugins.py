@@ -17,9 +17,11 @@ point that cannot be loaded, hands over something else or repeats a name is one 
 
 from __future__ import annotations
 
+import importlib.metadata
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from importlib.metadata import Distribution, EntryPoint, EntryPoints, distributions, entry_points
 from typing import Any
 
 from dcgrid_env.core.suggestions import unknown
@@ -116,12 +118,14 @@ class Registry(Mapping[str, Entry]):
     def _load_next(self) -> bool:
         """Load the next entry point; False where there is none."""
         if self._waiting is None:
-            self._waiting = sorted(entry_points(group=self.group), key=_place)
+            self._waiting = sorted(_points(self.group), key=_place)
             self._is_installed = any(map(_is_own, self._waiting))
         if not self._waiting:
             return False
         point = self._waiting.pop(0)
         try:
+            if not point.pattern.match(point.value):
+                raise ValueError(f"{point.value!r} does not have the form module:object")
             handed_over = point.load()
             _check(handed_over)
         except (Exception, SystemExit) as error:
@@ -161,8 +165,54 @@ def _check(handed_over: object) -> None:
             raise TypeError(f"{name!r} has no pair of what it is (a text) and what makes it (a function)")
 
 
+def tolerate_malformed() -> None:
+    """Leave out packages with a malformed file of entry points for all libraries of this process, with a warning.
+
+    Such a file otherwise ends the import of libraries that look for their plug-ins, such as typeguard and numba.
+    """
+    try:
+        entry_points(group="dcgrid.controllers")
+    except Exception:
+        importlib.metadata.entry_points = lambda **wanted: EntryPoints(_readable_points()).select(**wanted)
+
+
+def _points(group: str) -> Iterable[EntryPoint]:
+    try:
+        return entry_points(group=group)
+    except Exception:  # one malformed file of any package fails them all
+        return [point for point in _readable_points() if point.group == group]
+
+
+@cache
+def _readable_points() -> list[EntryPoint]:
+    """Return the entry points of all packages whose file of them can be read; one warning for each other package."""
+    points: list[EntryPoint] = []
+    seen: set[str] = set()
+    for distribution in distributions():
+        called = _called(distribution)
+        try:
+            found = list(distribution.entry_points)
+        except Exception as error:
+            said = f"the entry points of {called} cannot be read: {_described(error)}; mend or uninstall it"
+            warnings.warn_explicit(said, PluginWarning, filename=called, lineno=0)
+            continue
+        if called.split()[0] not in seen:  # the first of a name hides later ones
+            points += found
+        seen.add(called.split()[0])
+    return points
+
+
+def _called(distribution: Distribution) -> str:
+    """Return the name and version of a package, or where its metadata are if these cannot be read."""
+    try:
+        name, version = distribution.metadata["Name"], distribution.version
+    except Exception:
+        name = version = None
+    return f"{name} {version}" if name and version else str(distribution.locate_file("an unknown package"))
+
+
 def _is_own(point: EntryPoint) -> bool:
-    return point.dist is not None and point.dist.name == OWN_DISTRIBUTION
+    return _origin(point).split()[0] == OWN_DISTRIBUTION
 
 
 def _place(point: EntryPoint) -> tuple[bool, str, str]:
@@ -170,7 +220,7 @@ def _place(point: EntryPoint) -> tuple[bool, str, str]:
 
 
 def _origin(point: EntryPoint) -> str:
-    return "an unknown package" if point.dist is None else f"{point.dist.name} {point.dist.version}"
+    return "an unknown package" if point.dist is None else _called(point.dist)
 
 
 def _described(error: BaseException) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from dcgrid_env.core.files import write_text
+from dcgrid_env.core.files import new_folder, write_text
+from dcgrid_env.core.lock import locked
 from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE
 from dcgrid_env.grid.formats.three_phase_columns import FILES
 from dcgrid_env.grid.topology import FeederError
@@ -30,14 +31,22 @@ def is_three_phase(folder: Path) -> bool:
 def write_files(folder: Path, tables: Mapping[str, str], head: str) -> None:
     """Write the tables and ``feeder.toml`` of a feeder; tables of an earlier feeder in the folder are deleted.
 
-    ``feeder.toml`` makes a folder a feeder, so it is deleted first and written last.
+    ``feeder.toml`` makes a folder a feeder, so it is deleted first and written last. The folder is locked meanwhile, so
+    two feeders do not mix.
 
     Raises
     ------
     FeederError
         If the folder has no ``feeder.toml`` but another table, of another program or of an interrupted writing, that
         would be read with the new feeder. Nothing is written then.
+    LockedError
+        If another process writes a feeder there.
     """
+    with new_folder(folder), locked(folder, "feeder's export", "give another folder, or wait until it has ended"):
+        _write(folder, tables, head)
+
+
+def _write(folder: Path, tables: Mapping[str, str], head: str) -> None:
     feeder_file = folder / "feeder.toml"
     others = {"branches.csv", RATINGS_FILE, *(file.name for file in FILES.values())} - set(tables)
     stale = [folder / name for name in sorted(others) if (folder / name).exists()]
