@@ -25,6 +25,7 @@ from dcgrid_env.core.checked import finite, is_number, refuse
 
 Rating = float | tuple[float, ...]
 """One number for all devices of a kind, or one for each."""
+SMALLEST_RATING = 1e-9
 LARGEST_RATING = 1e9
 """Largest rating of a device, kW or kVA: a thousand gigawatts."""
 
@@ -52,7 +53,7 @@ def check_rating(owner: object, name: str, n: int) -> None:
     """Raise FieldError unless a field of a dataclass instance is a rating of ``n`` devices."""
     value = getattr(owner, name)
     values = value if isinstance(value, tuple) else (value,) * n
-    if len(values) != n or not all(is_number(v) and 0 < v <= LARGEST_RATING for v in values):
+    if len(values) != n or not all(is_number(v) and SMALLEST_RATING <= v <= LARGEST_RATING for v in values):
         remedy = f"give one positive number of at most {LARGEST_RATING:g}, or one for each of the {n} devices"
         raise refuse(owner, name, remedy)
 

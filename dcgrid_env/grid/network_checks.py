@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any
 
+from dcgrid_env.core.magnitudes import wrong_magnitude
 from dcgrid_env.grid.network import LineTable, Network
 from dcgrid_env.grid.seasonal_ratings import check_ratings
 from dcgrid_env.grid.topology import FeederError
@@ -37,6 +38,9 @@ def check_numbers(
                 raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
             if math.isinf(value):
                 raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value!r}; give a finite number")
+            quantity = str(i).split()[0] if field == "value" else field
+            if wrong := wrong_magnitude(quantity, value):
+                raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value}; {wrong}")
             if (non_negative and value < 0) or (positive and value <= 0):
                 wanted = "> 0" if positive else ">= 0"
                 raise FeederError(f"feeder {name!r}: {component} {i}: {field} is {value}; it must be {wanted}")

@@ -18,6 +18,7 @@ from dcgrid_env.core.checked import (
     refuse,
     settle,
 )
+from dcgrid_env.core.magnitudes import LARGEST_OF_ANY
 from dcgrid_env.grid.network import buses_as_text
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 
@@ -97,8 +98,10 @@ class Cost:
         if not isinstance(self.weights, CostWeights):
             raise refuse(self, "weights", "give CostWeights(voltage=..., ...) or a mapping such as {'backlog': 0.3}")
         for name, value in self.weights._asdict().items():
-            if not finite(value, 0.0):
-                raise FieldError("Cost", f"weights.{name}", value, "give a finite number >= 0")
+            if not finite(value, 0.0, LARGEST_OF_ANY):
+                raise FieldError(
+                    "Cost", f"weights.{name}", value, f"give a finite number >= 0 and at most {LARGEST_OF_ANY:g}"
+                )
         for name in ("ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"):
             value = getattr(self, name)
             if value is not None and not finite(value, 1e-9, 1e9):

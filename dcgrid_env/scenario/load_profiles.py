@@ -59,7 +59,7 @@ class LoadProfiles:
             raise refuse(self, "file", "give the path of a CSV or Parquet file, a ProfileTable, or None")
         if self.classes is not None and not _are_pairs(self.classes):
             raise refuse(self, "classes", "give a mapping from loads to classes, or a CSV file")
-        if self.start_h is not None and not finite(self.start_h, 0.0):
+        if self.start_h is not None and not finite(self.start_h, 0.0, 1e9):
             raise refuse(self, "start_h", "give hours since the midnight before the file's first sample, or None")
         self._check_others()
 

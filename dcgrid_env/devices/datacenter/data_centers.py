@@ -51,11 +51,11 @@ class DataCenters(PickledByFields):
     """Rated power, kW."""
     idle_share: float = number(0.0, 0.99, default=0.23)
     """Idle draw as a share of the rating."""
-    f_max_mhz: float = number(1e-9, float("inf"), default=1410.0)
+    f_max_mhz: float = number(1e-9, 1e6, default=1410.0)
     """Highest clock, MHz."""
     f_min_mhz: float = number(1e-9, "f_max_mhz", default=210.0)
     """Lowest clock, MHz."""
-    s_rated_share: float = number(1.0, float("inf"))
+    s_rated_share: float = number(1.0, 1e6)
     """Converter rating as a share of the rated power; with cooling, of the draw at the rating, see ``cooling``."""
     q_max_share: float = number(0.0, "s_rated_share")
     """Reactive limit as a share of the rated power."""

@@ -66,7 +66,7 @@ def _table(name: str, given: Any, sign: float) -> tuple[Threshold, ...]:
     for v_pu, time_s in table:
         if not finite(v_pu, 0.0, 10.0) or sign * (v_pu - 1.0) <= 0.0:
             raise FieldError("RideThroughCurve", name, given, f"the voltage {v_pu!r} cannot be; give them {side}")
-        if not finite(time_s, 0.0):
+        if not finite(time_s, 0.0, 1e9):
             raise FieldError(
                 "RideThroughCurve", name, given, f"the time {time_s!r} cannot be; give seconds of at least 0"
             )

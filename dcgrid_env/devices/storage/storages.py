@@ -17,7 +17,7 @@ from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import FieldError, finite, refuse, settle
 from dcgrid_env.devices.device import Channel, CostTerm, Field, GridChange, Q
 from dcgrid_env.devices.phases import Phases, check_phases
-from dcgrid_env.devices.ratings import Rating, check_rating, per_device, read_only
+from dcgrid_env.devices.ratings import LARGEST_RATING, SMALLEST_RATING, Rating, check_rating, per_device, read_only
 from dcgrid_env.devices.storage import energy_balance, figures, sizes
 from dcgrid_env.devices.storage.energy_balance import StorageParams, StorageState
 from dcgrid_env.grid import buses_as_text
@@ -172,7 +172,7 @@ def _each(name: str, value: Any, buses: tuple[int | str, ...]) -> tuple[float, .
     """Return a positive figure for each storage; FieldError otherwise. The group checks the buses."""
     n = len(buses) if isinstance(buses, tuple | list) else 1
     values = tuple(value) if isinstance(value, tuple | list) else (value,) * n
-    if len(values) != n or not all(finite(v) and v > 0 for v in values):
+    if len(values) != n or not all(finite(v, SMALLEST_RATING, LARGEST_RATING) for v in values):
         raise FieldError(
             "Storages", name, value, "give one positive number" + (f", or one for each of {n}" if n > 1 else "")
         )

@@ -171,10 +171,10 @@ RANGES = {
     # field: values that will not do, and the range that the message must name
     "source_voltage_pu": ((0.4, 1.6, -1.0, "1"), "0.5, 1.5"),
     "datacenters.idle_share": ((-0.01, 1.0), "0, 0.99"),
-    "datacenters.s_rated_share": ((0.99, float("inf"), None), "1, inf"),
+    "datacenters.s_rated_share": ((0.99, float("inf"), None), "1, 1e+06"),
     "datacenters.q_max_share": ((-0.1, 1.11), "0, s_rated_share = 1.1"),
     "datacenters.f_min_mhz": ((0.0, -1.0, 1411.0), "1e-09, f_max_mhz = 1410"),
-    "datacenters.f_max_mhz": ((float("inf"),), "1e-09, inf"),
+    "datacenters.f_max_mhz": ((float("inf"),), "1e-09, 1e+06"),
     "datacenters.boost_share": ((0.99, 2.1, None), "1, 2"),
     "workload.site_correlation": ((-0.1, 1.1), "0, 1"),
     "workload.compute_share": ((-0.1, 1.1, True), "0, 1"),
