@@ -107,7 +107,7 @@ def recorded_actions(scenario: Scenario, folder: Path | None = None) -> dict[int
     remedy = "delete it and the JSON file next to it"
     if not path.is_file():
         raise ValueError(f"{path} is missing; {remedy}")
-    packed_actions = read_bytes(path, ValueError)
+    packed_actions = read_bytes(Path(str(path)), ValueError)
     if checksum(packed_actions) != content["actions_sha256"]:
         raise ValueError(f"{path} is not the file that its JSON file names; {remedy}")
     seeds = [episode["seed"] for episode in content["episodes"]]
