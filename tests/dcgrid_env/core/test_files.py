@@ -60,7 +60,7 @@ def test_a_folder_is_filled_whole_or_not_at_all(tmp_path):
         assert ((out / "one").read_text(), len(list(out.parent.iterdir()))) == (text, 1)
         (out / "one").unlink()
     (out / "kept").touch()
-    with pytest.raises(OSError, match="not empty"), whole_folder(out) as folder:
+    with pytest.raises(FileExistsError, match="filled meanwhile"), whole_folder(out) as folder:
         (folder / "one").touch()
     assert [path.name for path in out.iterdir()] == ["kept"]
     assert len(list(out.parent.iterdir())) == 1

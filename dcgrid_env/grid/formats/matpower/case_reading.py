@@ -71,7 +71,10 @@ def read_matpower(
         _sources_and_generators(grid, case, rows, report, _drawn_kva(model, case) if fix_generators else None)
         notes = ()
         if not per_phase and says_single_phase(text):
-            notes = ("the file speaks of single-phase MW: --per-phase multiplies its powers by three and its base voltages by sqrt(3)",)
+            notes = (
+                "the file speaks of single-phase MW: --per-phase multiplies its powers by three and its base voltages by "
+                "sqrt(3)",
+            )
 
         def voltages() -> dict[str, float]:
             v, converged = solved(model)
