@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from dcgrid_env import PRESETS, SCENARIO_REGISTRY, Scenario, ScenarioError, make_scenario
+from dcgrid_env import PRESETS, SCENARIO_REGISTRY, RandomFeeders, Scenario, ScenarioError, make_scenario
+from dcgrid_env.baselines.source_voltage import CENTRED, centred_voltage
 from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
 from dcgrid_env.core.checked import shown
 from dcgrid_env.core.user_files import parse_json, parse_toml
@@ -198,7 +199,8 @@ def _scenario_of(spec: ScenarioSpec, base: str | Scenario, split: str, chosen: t
 def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Mapping[str, Any]) -> Scenario:
     """Make a scenario on a split with the fields that the user sets and those that a command sets itself.
 
-    Raises ValueError for an invalid field or value, or a field that both set; the message names it and the remedy.
+    ``source_voltage_pu=centred`` asks for ``centred_voltage``. Raises ValueError for an invalid field or value, or a
+    field that both set; the message names it and the remedy.
     """
     overrides = read_overrides(texts)
     if "split" in overrides:
@@ -206,8 +208,16 @@ def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Map
     for field in chosen:
         if field in overrides:
             raise ValueError(f"set: {field} is chosen by an option of the command; leave one of them out")
+    is_centred = overrides.get("source_voltage_pu") == CENTRED
+    if is_centred:
+        del overrides["source_voltage_pu"]
     try:
-        return make_scenario(base, **overrides, **chosen, split=split)
+        scenario = make_scenario(base, **overrides, **chosen, split=split)
     except (TypeError, OverflowError, MemoryError) as error:
         is_field = not str(error).startswith("no scenario field")
         raise ValueError(f"set: {f'{shlex.join(texts)} cannot be: ' * is_field}{error}") from None
+    if not is_centred:
+        return scenario
+    if isinstance(scenario.feeder, RandomFeeders):
+        raise ValueError(f"set: source_voltage_pu is {CENTRED!r} on random feeders; give a number")
+    return scenario.replace(source_voltage_pu=centred_voltage(scenario).v_pu)

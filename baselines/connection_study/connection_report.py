@@ -169,7 +169,7 @@ def page(job: Job, found: Capacities | None, sections: Sequence[Section]) -> str
         f"Limits: {study.v_min_pu:g} to {study.v_max_pu:g} p.u. and {study.loading_max_pct:g} % of known ratings."
     )
     parts = [
-        f"<p>{html.escape(asked)}</p>",
+        f"<p>{html.escape(asked)}</p><p>{html.escape(sentences((job.source,)))}</p>",
         f"<div class=answer>{said}<p>{html.escape(confidence(job))}</p><ul>{more}</ul></div>",
         f"<nav>{links}</nav>",
         *(_section(section) for section in sections),
@@ -182,6 +182,7 @@ def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> di
     """The report's tables and answers as JSON values."""
     return {
         "meta": meta(),
+        "source_voltage": job.source,
         "answers": answers(job, found),
         "confidence": confidence(job),
         "capacity": None if found is None else record(found),
@@ -241,18 +242,12 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
     files = [file, *_feeder_files(scenario.feeder)]
     files += [Path(profiles.asked_by)] if profiles is not None and profiles.asked_by is not None else []
     hashes = tuple((path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files)
-    if "source_voltage_pu" in job.request.set:
-        chosen = "given in the study's file"
-    elif job.request.scenario is not None:
-        chosen = f"of scenario {job.request.scenario}"
-    else:
-        chosen = "chosen to centre the voltage band; set source_voltage_pu in [set] for another"
     centres, trace = scenario.datacenters, scenario.workload.trace
     trace = trace if isinstance(trace, str) else "recordings"
     assumptions = (
         ("feeder", scenario.feeder.name),
         ("scenario hash", scenario_hash(scenario)),
-        ("source voltage", f"{scenario.source_voltage_pu:.6g} p.u., {chosen}"),
+        ("source voltage", job.source),
         ("limits", f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u., {study.loading_max_pct:g} % of known ratings"),
         ("windows", f"{study.samples} of {study.window_s:g} s, {study.load} load, split {scenario.split}"),
         ("load profiles", "none" if profiles is None else str(profile_coverage(scenario))),

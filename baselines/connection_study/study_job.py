@@ -13,6 +13,7 @@ from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import study_controller
 from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
+from dcgrid_env.baselines.source_voltage import source_line, source_origin
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,12 @@ class Job:
     def sized(self) -> int:
         """The requested rating in steps of the study, rounded up."""
         return int(np.ceil(self.request.mw / self.study.step_mw - 1e-9))
+
+    @property
+    def source(self) -> str:
+        """The source voltage and where it comes from, in a line."""
+        asked, scenario = self.request.set.get("source_voltage_pu"), self.study.scenario
+        return source_line(scenario, source_origin(scenario, asked, self.request.scenario, "[set] of the study's file"))
 
     def scenario(self, mw: float, **changes: Any) -> Scenario:
         """The study's scenario with a site of a rating at the requested bus, 0 MW for none, and other changes."""

@@ -192,7 +192,7 @@ def _mw(capacity: BusCapacity) -> str:
 def _notes(found: Capacities) -> Iterator[str]:
     study = found.study
     yield (
-        f"Source at {study.scenario.source_voltage_pu:.5g} p.u.; snapshot: one power flow at peak load, without "
+        "Snapshot: one power flow at peak load, without "
         f"control. Sizes are multiples of {study.step_mw:g} MW up to {study.largest_mw:g}; >= where "
         f"the largest still fits. Limits count from {study.settle_s:g} s into a window on, and may be "
         f"broken in {study.allowed_pct:g} % of the seconds."

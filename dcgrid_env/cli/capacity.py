@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder, voltage_line
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.settings import Overrides, check_folder
 from dcgrid_env.cli.terminal import plain_console, say
@@ -39,13 +39,14 @@ class Capacity(OverWorkers):
 
     feeder: str | None = None
     """Feeder: a folder, for example from dcgrid import, or the name of a bundled feeder. Default: the feeder of
-    --scenario. Without --scenario, the added site is the only device, and the source voltage is set to centre the
-    voltage band unless --set source_voltage_pu is given."""
+    --scenario. Without --scenario, the added site is the only device. The source voltage is that of the feeder's file;
+    bundled feeders that leave the band without any site have one that centres the voltages."""
     scenario: str | None = None
     """Scenario that defines the other devices, and the trace and type of the added site: a name (dcgrid list),
     path/to/file.toml or path/to/file.py:function."""
     set: Overrides = ()
-    """Scenario fields to override, for example --set source_voltage_pu=1.05 datacenters.s_rated_share=1.1."""
+    """Scenario fields to override, for example --set source_voltage_pu=1.05 datacenters.s_rated_share=1.1. With
+    source_voltage_pu=centred, voltages without control are around 1 p.u."""
     controllers: Controllers = "none,droop-tuned"
     """Controllers, separated by commas, as for dcgrid run. A tuned law without gains for the scenario uses its default
     gains. A policy acts on the observations of the site."""
@@ -144,6 +145,8 @@ class Capacity(OverWorkers):
                     at_once.append(
                         sites_together(study, controller, name, self.together, lambda: progress.advance(task))
                     )
+        source = voltage_line(study.scenario, self.set, self.scenario)
+        say(console, source)
         tables = [capacity_table(found)]
         tables += [outages_table(found, by_outage)] if by_outage else []
         tables += [together_table(at_once)] if at_once else []
@@ -158,7 +161,7 @@ class Capacity(OverWorkers):
             write_text(self.out / "outages.csv", outages_csv(by_outage))
             written.insert(1, "outages.csv")
         more = {"together": [asdict(one) for one in at_once]} if at_once else {}
-        write_json(self.out / "results.json", {"meta": meta(), **record(found), **more})
+        write_json(self.out / "results.json", {"meta": meta(), "source_voltage": source, **record(found), **more})
         write_figure(self.out / "capacity.png", figure, dpi=130)
         paths = [str(self.out / name) for name in written]
         say(console, f"wrote {', '.join(paths[:-1])} and {paths[-1]}")

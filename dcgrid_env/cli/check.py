@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import tyro
 
+from dcgrid_env.cli.own_feeder import voltage_line
 from dcgrid_env.cli.settings import Overrides
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import OverWorkers
@@ -42,6 +43,7 @@ class Check(OverWorkers):
             check = check_scenario(
                 scenario, self.episodes, self.seconds, self.place, lambda stage: status.update(f"{stage} ..")
             )
+        say(console, voltage_line(scenario, self.set, self.scenario))
         console.print(check.table.rich(console.width))
         for verdict in check.verdicts:
             say(console, f"- {verdict}")

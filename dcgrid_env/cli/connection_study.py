@@ -67,7 +67,7 @@ class ConnectionStudy(OverWorkers):
             task = progress.add_task("sections", total=len(asked_sections(job)) + len(job.outages))
             sections = sections_of(job, found, self.file, place, lambda: progress.advance(task))
         written = page(job, found, sections)
-        for text in answers(job, found):
+        for text in (job.source, *answers(job, found)):
             say(console, text)
         if found is not None:
             write_text(self.out / "capacity.csv", capacity_csv(found))

@@ -28,7 +28,7 @@ class Asked(NamedTuple):
 def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]) -> Scenario:
     """Return the scenario on a feeder.
 
-    If the devices are chosen for the feeder, the source voltage centres the voltage band.
+    The source voltage is that of the feeder's file, or as ``source_voltage.default_voltage`` has it for bundled feeders.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
     """
     from dcgrid_env import scenario_on
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec, read_overrides, varied
-    from dcgrid_env.baselines.source_voltage import centred_voltage
+    from dcgrid_env.baselines.source_voltage import default_voltage
     from dcgrid_env.scenario.on_feeder import power_flow_of
 
     feeder, scenario = asked.feeder, asked.scenario
@@ -54,9 +54,7 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
     made = _feeder(feeder)
     if scenario is None:
         on_it = varied(scenario_on(made, asked.datacenters, asked.inverters), overrides, split, chosen)
-        if "source_voltage_pu" in given:
-            return on_it
-        return on_it.replace(source_voltage_pu=centred_voltage(on_it).v_pu)
+        return on_it if "source_voltage_pu" in given else default_voltage(on_it)
     for option in ("datacenters", "inverters"):
         if getattr(asked, option) is not None:
             raise ValueError(
@@ -101,6 +99,15 @@ def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any])
             )
 
 
+def voltage_line(scenario: Scenario, overrides: tuple[str, ...], name: str | None, place: str = "--set") -> str:
+    """Return a line with the source voltage and where it comes from; arguments as for ``source_origin``."""
+    from dcgrid_env.baselines.scenario_spec import read_overrides
+    from dcgrid_env.baselines.source_voltage import source_line, source_origin
+
+    asked = read_overrides(overrides).get("source_voltage_pu")
+    return source_line(scenario, source_origin(scenario, asked, name, place))
+
+
 def chosen_line(scenario: Scenario) -> str:
     """Return a line with the feeder, its devices and their sizes, and the power flow."""
     from dcgrid_env import Feeder
@@ -110,8 +117,7 @@ def chosen_line(scenario: Scenario) -> str:
     balanced = isinstance(feeder, Feeder)
     groups = [_group(device, scenario, balanced) for device in scenario.devices if device.count]
     kind = "balanced" if balanced else "three-phase"
-    file_voltage = "" if scenario.source_voltage_pu == feeder.v0_pu else f" (feeder file: {feeder.v0_pu:g} p.u.)"
-    grid = [f"source at {scenario.source_voltage_pu:g} p.u.{file_voltage}", f"power flow {scenario.power_flow}"]
+    grid = [f"power flow {scenario.power_flow}"]
     if not balanced and feeder.n_regulator:
         regulators = scenario.grid_control.regulators
         grid.append(f"regulators {regulators if isinstance(regulators, str) else dict(regulators)}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.opening import offer
-from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder, voltage_line
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.runs import Runs
 from dcgrid_env.cli.settings import Overrides, tuned_from, with_horizon
@@ -38,9 +38,9 @@ class Run(Command):
     that makes one. Default: ieee33-weak, or a new scenario if --feeder is given."""
     feeder: str | None = None
     """Feeder: the name of a bundled one, or a folder, for example one that dcgrid import wrote. Settings that
-    --datacenters and --inverters leave open are chosen to suit its load, and the source voltage is chosen to centre the
-    band. The result is printed and written as TOML; --set changes any field. With --scenario, the devices of that
-    scenario are placed on this feeder."""
+    --datacenters and --inverters leave open are chosen to suit its load. The source voltage is that of the feeder's
+    file; --set source_voltage_pu=centred chooses one that centres the voltages. The result is printed and written as
+    TOML; --set changes any field. With --scenario, the devices of that scenario are placed on this feeder."""
     datacenters: str | None = None
     """Data centres on --feeder: COUNT x SIZE kW or MW, then their buses: drawn in each episode (default), at ends, or
     at BUS,BUS. Join groups of different size by +, or give none. Example: '3 x 1 MW at ends'."""
@@ -106,6 +106,7 @@ class Run(Command):
                 task = progress.add_task(name, total=scenario.horizon)
                 runs.add(name, controller, lambda task=task: progress.advance(task))
         if self.feeder is not None:
+            say(console, voltage_line(scenario, self.set, self.scenario))
             say(console, f"{chosen_line(scenario)}\n\n{scenario.replace(split='train').to_toml(brief=True)}")
         records = [
             record

@@ -1,6 +1,6 @@
 """Feeders: the frozen description of a radial network and the named published cases."""
 
-from dcgrid_env.grid.cases import FEEDER_REGISTRY, FEEDERS, load_feeder
+from dcgrid_env.grid.cases import FEEDER_REGISTRY, FEEDERS, is_bundled, load_feeder
 from dcgrid_env.grid.feeder import Feeder, FeederError
 from dcgrid_env.grid.folder import AnyFeeder, read_feeder
 from dcgrid_env.grid.network import BusId, Network, bus_numbers, bus_text, buses_as_text
@@ -22,6 +22,7 @@ __all__ = [
     "bus_numbers",
     "bus_text",
     "buses_as_text",
+    "is_bundled",
     "load_feeder",
     "read_feeder",
     "with_ratings",

@@ -52,3 +52,8 @@ def load_feeder(name: str) -> Any:
     if name not in FEEDER_REGISTRY:
         raise FeederError(f"{FEEDER_REGISTRY.unknown(name)}; your own: Feeder.from_csv(folder)")
     return FEEDER_REGISTRY.make(name)
+
+
+def is_bundled(feeder: Feeder | ThreePhaseFeeder) -> bool:
+    """Whether a feeder is one of ``FEEDERS``, unchanged and as ``load_feeder`` returns it."""
+    return feeder.name in FEEDERS and feeder is load_feeder(feeder.name)

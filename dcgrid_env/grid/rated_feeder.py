@@ -51,4 +51,6 @@ def with_ratings(feeder: AnyFeeder, rating: RatingKind = "normal", season: str =
     if rating == "normal" and not season:
         return RatedFeeder(feeder, ())
     made: Any = type(feeder)
-    return RatedFeeder(made.from_network(chosen.network), chosen.without)
+    rated = made.from_network(chosen.network)
+    rated.__dict__["_folder"] = feeder.folder  # its other facts are still those of the files there
+    return RatedFeeder(rated, chosen.without)

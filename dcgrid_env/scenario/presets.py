@@ -13,6 +13,7 @@ from dcgrid_env.scenario.assembly import refuse_deep
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import reads_files
 from dcgrid_env.scenario.preset_table import TABLE
+from dcgrid_env.scenario.replaced_feeder import with_overrides
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.toml import SUFFIX, read_toml
 
@@ -35,7 +36,8 @@ def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrid
 
     A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
 
-    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder. While the
+    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder; a
+    feeder that is not bundled brings its source voltage along unless ``source_voltage_pu`` is set too. While the
     frozen scenario is referenced, the same call returns the same object, so equal environments share derived data.
 
     Raises
@@ -64,9 +66,9 @@ def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrid
         key = (base, *((name, _key(value)) for name, value in overrides.items()))
         kept = _ALIVE.get(key)
     except TypeError:  # an override that cannot be a key
-        return base.replace(**overrides)
+        return with_overrides(base, overrides)
     if kept is None:
-        kept = base.replace(**overrides)
+        kept = with_overrides(base, overrides)
         if not any(reads_files(name, value) for name, value in overrides.items()):
             _ALIVE[key] = kept
     return kept

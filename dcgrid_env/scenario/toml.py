@@ -33,6 +33,7 @@ from dcgrid_env.grid import FEEDER_REGISTRY
 from dcgrid_env.scenario.assembly import GROUPS, PARTS
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import refuse_objects, to_plain
+from dcgrid_env.scenario.replaced_feeder import with_overrides
 
 SUFFIX = ".toml"
 """Ending of a scenario file's name."""
@@ -73,7 +74,7 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
     try:
         if base is None:
             return new(**{"name": path.stem, **given})
-        return preset(base).replace(**{"name": path.stem, **given})
+        return with_overrides(preset(base), {"name": path.stem, **given})
     except (TypeError, ValueError) as error:
         raise ScenarioError(f"{path}: {error}") from None
 
@@ -112,7 +113,8 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None, bri
         plain = to_plain(getattr(scenario, field.name))
         if base is not None:
             before = to_plain(getattr(base, field.name))
-            if field.name != "name" and plain == before:
+            on_other = field.name == "source_voltage_pu" and "feeder" in table  # which would bring its own
+            if field.name != "name" and plain == before and not on_other:
                 continue
             if field.name in PARTS:
                 plain = {name: now for name, now in plain.items() if now != before[name]}
