@@ -42,11 +42,17 @@ def with_outage(scenario: Scenario, outage: str) -> Scenario:
     network: Any = getattr(scenario.feeder, "network", None)
     if not isinstance(scenario.feeder, ThreePhaseFeeder):
         raise ValueError(f"outages: the balanced feeder {scenario.feeder.name!r} has no elements for {outage!r}")
+    modes: Any = scenario.grid_control.regulators
     for part in outage.split("+"):
         word, _, name = part.strip().partition(" ")
         network = _changed(network, word, name.strip(), outage)
+        if word == "regulator" and isinstance(modes, tuple):
+            modes = tuple((bank, "fixed" if bank == name.strip() else mode) for bank, mode in modes)
+    if not isinstance(modes, tuple) and not any(network.regulator.max_taps_per_move):
+        modes = "controlled"  # which moves no fixed tap
     try:
-        return scenario.replace(feeder=ThreePhaseFeeder.from_network(network))
+        feeder = ThreePhaseFeeder.from_network(network)
+        return scenario.replace(feeder=feeder, grid_control={"regulators": modes})
     except FeederError as error:
         raise ValueError(f"outages: {outage!r} leaves a feeder that cannot be solved: {error}") from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -111,6 +112,7 @@ def voltage_line(scenario: Scenario, overrides: tuple[str, ...], name: str | Non
 def chosen_line(scenario: Scenario) -> str:
     """Return a line with the feeder, its devices and their sizes, and the power flow."""
     from dcgrid_env import Feeder
+    from dcgrid_env.scenario.grid_control import regulator_deciders
     from dcgrid_env.scenario.on_feeder import base_load_kw
 
     feeder = scenario.feeder
@@ -119,8 +121,9 @@ def chosen_line(scenario: Scenario) -> str:
     kind = "balanced" if balanced else "three-phase"
     grid = [f"power flow {scenario.power_flow}"]
     if not balanced and feeder.n_regulator:
-        regulators = scenario.grid_control.regulators
-        grid.append(f"regulators {regulators if isinstance(regulators, str) else dict(regulators)}")
+        modes = Counter(regulator_deciders(scenario.grid_control, feeder))
+        counts = ", ".join(f"{n} {mode}" for mode, n in modes.items())
+        grid.append(f"regulators {counts if len(modes) > 1 else next(iter(modes))}")
     return (
         f"{kind} feeder {feeder.name}, {feeder.n_bus} buses, {base_load_kw(feeder):.0f} kW of load: "
         f"{'; '.join(groups)}; {', '.join(grid)}; use --set to change fields"

@@ -32,6 +32,7 @@ CAPACITORS: Decider = "fixed"
 class GridControl:
     """Control of regulators and capacitor banks: one mode for all, or a mapping from banks to modes.
 
+    Regulators with a fixed tap (``max_taps_per_move`` 0 in the table) stay there in every mode.
     A bank of regulators is identified by the column ``bank`` of its table, a capacitor bank by its name. In a bank of
     regulators in mode ``"agent"``, each tap is a separate agent; in mode ``"setpoint"`` the bank is one. A balanced
     feeder has neither and accepts only the defaults.
@@ -70,8 +71,10 @@ class GridControl:
 
 
 def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
-    """Return the mode of each regulator, in the order of its table."""
-    return _by_row(control.regulators, feeder.network.regulator.bank, REGULATORS)
+    """Return the mode of each regulator, in the order of its table; a fixed tap stays ``fixed`` in every mode."""
+    table = feeder.network.regulator
+    modes = _by_row(control.regulators, table.bank, REGULATORS)
+    return tuple(mode if most else "fixed" for mode, most in zip(modes, table.max_taps_per_move, strict=True))
 
 
 def capacitor_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
@@ -126,15 +129,29 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Back
                 )
         if not there:
             raise refuse(control, name, f"feeder {feeder.name!r} has none; leave it out")
+        if name == "regulators" and value != "fixed":
+            _check_fixed_taps(control, feeder)
         if name == "capacitors" and not background.capacitors:
             raise refuse(control, name, "the background has its capacitors disconnected; connect them or leave it out")
+
+
+def _check_fixed_taps(control: GridControl, feeder: ThreePhaseFeeder) -> None:
+    """Raise FieldError for a mode that no regulator of the feeder, or of a named bank, can have at a fixed tap."""
+    table, value = feeder.network.regulator, control.regulators
+    movable = {bank for bank, most in zip(table.bank, table.max_taps_per_move, strict=True) if most}
+    asked = [bank for bank, mode in value if mode != "fixed"] if isinstance(value, tuple) else table.bank
+    fixed = [bank for bank in dict.fromkeys(asked) if bank not in movable]
+    if fixed and (isinstance(value, tuple) or not movable):
+        remedy = f"the taps of {', '.join(fixed)} are fixed in feeder {feeder.name!r}; leave it out, or give a "
+        raise refuse(control, "regulators", f"{remedy}max_taps_per_move of at least 1 in its regulators.csv")
 
 
 def _check_offsets(control: GridControl, feeder: AnyFeeder, background: Background) -> None:
     """Raise FieldError for the offset of a bank or regulator that the feeder lacks, or a schedule that cannot apply."""
     settings, modes = control.regulator_settings, {}
     if isinstance(feeder, ThreePhaseFeeder):
-        table, deciders = feeder.network.regulator, regulator_deciders(control, feeder)
+        table = feeder.network.regulator
+        deciders = _by_row(control.regulators, table.bank, REGULATORS)
         modes = dict(zip(table.bank, deciders, strict=True)) | dict(zip(table.name, deciders, strict=True))
     for name, value in settings.offset_v if isinstance(settings.offset_v, tuple) else ():
         remedy = None

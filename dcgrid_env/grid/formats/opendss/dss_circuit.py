@@ -23,6 +23,8 @@ Engine = Any
 """An engine of OpenDSSDirect.py, which is optional and has no types."""
 _CONTROLS_STILL_ACT = 485
 """OpenDSS's error of a solution whose controls act in every iteration; the circuit is then as the last one left it."""
+_CONTROLS_OFF = -1
+"""OpenDSS's code of the control mode in which no control acts."""
 _SNAPSHOT = 0
 """OpenDSS's code of the mode that solves the present."""
 TOLERANCE = 1e-10
@@ -48,6 +50,8 @@ class DssCircuit:
         unsettled: Sequence[str] = (),
     ) -> None:
         self.engine = engine
+        self.has_controls_off = engine.Solution.ControlMode() == _CONTROLS_OFF
+        """Whether the script ends with ``ControlMode=off``; ``solve`` sets it in any case."""
         self.skipped = tuple(skipped)
         """Commands and options that were left out of the script, each with its file and line."""
         self.unsettled = tuple(unsettled)

@@ -5,6 +5,9 @@ other transformer whose fed-from side is tapped, such as a substation transforme
 transformer at the neutral tap and an ideal regulator behind it. A separate bus connects the two. With the impedance z
 of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, which is equivalent. If the transformer is a row of the
 admittances, the matrix at its neutral tap takes that place. A tap on the side that is fed from is fixed.
+
+A control that does not act (disabled, ``MaxTapChange=0``, or all with ``ControlMode=off``) leaves a fixed tap:
+``max_taps_per_move`` is 0, or, where the transformer is no regulator proper, it is one without a control.
 """
 
 from __future__ import annotations
@@ -39,23 +42,39 @@ class Regulation:
     """Which of the transformer's phases it senses, from 0."""
     values: dict[str, Any]
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the control does not act, so its tap is fixed."""
+        return not self.values["max_taps_per_move"]
+
 
 def read_regulations(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters) -> dict[str, Regulation]:
     """The control of each transformer that has one, by the transformer's name."""
     found: dict[str, Regulation] = {}
-    disabled = circuit.disabled("regcontrol")
+    disabled, transformers = circuit.disabled("regcontrol"), {name.lower() for name in circuit.names("transformer")}
     for name in [*circuit.names("regcontrol"), *disabled]:
         circuit.activate("regcontrol", name)
         unit = circuit.text("transformer").lower().removeprefix("transformer.")
-        if name in disabled and unit not in found:
-            report.add("nothing lost", "regcontrol", name, "disabled: the regulator is taken at its tap all the same")
-        elif name in disabled:
+        if name in disabled and (unit in found or unit not in transformers):
+            report.add("nothing lost", "regcontrol", name, "disabled: it is not in the circuit")
             continue
         if unit in found:
             report.add("lost", "regcontrol", name, "a second control of one transformer is left out")
             continue
-        found[unit] = _regulation(circuit, report, supply, letters, name, unit)
+        why = "disabled" if name in disabled else _why_fixed(circuit)
+        if why:
+            report.add("nothing lost", "regcontrol", name, f"{why}: its tap is fixed")
+        found[unit] = _regulation(circuit, Report() if why else report, supply, letters, name, unit)
+        if why:
+            found[unit].values["max_taps_per_move"] = 0
     return found
+
+
+def _why_fixed(circuit: DssCircuit) -> str:
+    """Why the active control, which is enabled, moves no tap; empty if it acts."""
+    if circuit.has_controls_off:
+        return "ControlMode=off"
+    return "" if circuit.figure("maxtapchange") >= 1.0 else "MaxTapChange=0"
 
 
 def _regulation(
@@ -109,6 +128,22 @@ def is_regulator(unit: Unit) -> bool:
     return alike and first.tap == 1.0 and math.isclose(first.kv_ll, second.kv_ll, rel_tol=_SAME)
 
 
+def has_row(unit: Unit, tapped: Winding, regulation: Regulation) -> bool:
+    """Whether an oriented transformer at a fixed tap is a regulator proper at a whole tap of its range."""
+    to = unit.windings[1]
+    if not is_regulator(unit) or tapped is not to or regulation.sensed >= len(unit.nodes):
+        return False
+    if not (to.n_tap and to.tap_min <= to.tap <= to.tap_max and to.tap_min < to.tap_max):
+        return False
+    return max(abs(value - round(value)) for value in _taps(to)) <= _WHOLE
+
+
+def _taps(winding: Winding) -> tuple[float, float, float]:
+    """The tap of a winding, and its lowest and highest one, in steps from the neutral one."""
+    step = (winding.tap_max - winding.tap_min) / winding.n_tap
+    return (winding.tap - 1.0) / step, (winding.tap_min - 1.0) / step, (winding.tap_max - 1.0) / step
+
+
 def regulator_row(
     unit: Unit, regulation: Regulation, from_bus: str, report: Report, connection: str = "wye"
 ) -> dict[str, Any] | None:
@@ -117,7 +152,7 @@ def regulator_row(
     if to.connection == "between":
         connection = "delta"
     step = (to.tap_max - to.tap_min) / to.n_tap
-    tap, lowest, highest = ((value - 1.0) / step for value in (to.tap, to.tap_min, to.tap_max))
+    tap, lowest, highest = _taps(to)
     if abs(tap - round(tap)) > _WHOLE or max(abs(end - round(end)) for end in (lowest, highest)) > _WHOLE:
         report.add("refused", "transformer", unit.name, f"its tap {to.tap:g} is not 1 plus whole steps of {step:g}")
         return None
@@ -127,7 +162,8 @@ def regulator_row(
         return None
     if to.connection == "delta":
         report.add("lost", "regcontrol", regulation.name, "it senses a phase to ground here, not the delta's voltage")
-    report.add("taken", "regcontrol", regulation.name, "in regulators.csv")
+    if not regulation.is_fixed:
+        report.add("taken", "regcontrol", regulation.name, "in regulators.csv")
     if not proper:
         between = "its transformer is a row of its own, at its neutral tap, with a bus between them"
         report.add("nothing lost", "regcontrol", regulation.name, between)

@@ -22,6 +22,7 @@ from dcgrid_env.grid.formats.opendss.dss_losses import LossEffect, Solved, effec
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.dss_regulators import (
     Regulation,
+    has_row,
     is_regulator,
     read_regulations,
     regulated_admittance,
@@ -174,7 +175,8 @@ def _network(
     for name, unit in units.items():
         tables.add(name, unit, tables.regulations.pop(name.lower(), None))
     for regulation in tables.regulations.values():
-        report.add("lost", "regcontrol", regulation.name, "its transformer is not in the tables")
+        fate = "nothing lost" if regulation.is_fixed else "lost"
+        report.add(fate, "regcontrol", regulation.name, "its transformer is not in the tables")
     generation = read_generation(circuit, report, supply, letters)
     loads = [*read_loads(circuit, report, supply, letters, shapes), *generation]
     profiles = shapes.profiles()
@@ -264,10 +266,12 @@ class _Tables:
             report.add("lost", "isolated", f"transformer {name}", "without supply: it is left out")
             return
         if isinstance(unit, str):
-            self._add_admittance(name, unit, regulation)
+            self._add_admittance(name, unit, None if regulation and regulation.is_fixed else regulation)
             return
         tapped = unit.windings[regulation.winding - 1] if regulation else None
         cores, unit = core_rows(unit, report), oriented(unit, supply.depth)
+        if regulation and tapped and regulation.is_fixed and not has_row(unit, tapped, regulation):
+            regulation = None  # a transformer holds any fixed tap
         between = unit.windings[0].connection == "between"
         if between and not (regulation and tapped is unit.windings[1] and is_regulator(unit)):
             self._add_admittance(name, "its windings stand between two phases", regulation)
@@ -289,7 +293,8 @@ class _Tables:
             self.transformers.append(joint)
             report.add("taken", "transformer", unit.name, "in transformers.csv")
         else:
-            report.add("taken", "transformer", unit.name, "in regulators.csv, with its control")
+            held = "at its fixed tap" if regulation and regulation.is_fixed else "with its control"
+            report.add("taken", "transformer", unit.name, f"in regulators.csv, {held}")
         row = regulator_row(unit, regulation, joint.ends[1] if joint else first.bus, report) if regulation else None
         self.regulators += [row] if row else []
 
