@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import date, timedelta
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -85,6 +86,17 @@ class ProfileTable:
     def n_days(self) -> int:
         """Number of days that the samples touch."""
         return math.ceil((self.begin_h + self.duration_h) / DAY_H - 1e-9)
+
+    def time_text(self, hour: float) -> str:
+        """Return the date, or the number of the day from 1, and the time of day.
+
+        Parameters
+        ----------
+        hour : time, h since the midnight before the first sample.
+        """
+        day, minutes = divmod(round(60.0 * hour), 1440)
+        dated = date.fromisoformat(self.first_day) + timedelta(days=day) if self.first_day else None
+        return f"{dated.isoformat() if dated else f'day {day + 1}'} {minutes // 60:02d}:{minutes % 60:02d}"
 
     def at(self, hour: FloatArray, *, linear: bool, repeat: bool) -> FloatArray:
         """Return the values at times, (row, column).

@@ -5,14 +5,15 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import html
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env import Scenario, profile_coverage, scenario_hash
+from dcgrid_env import Feeder, Scenario, profile_coverage, scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.carried import carried
-from dcgrid_env.baselines.connection_study.checklists import ERCOT, NERC, OTHER_MEANS
+from dcgrid_env.baselines.connection_study.checklists import checklists, other_means
 from dcgrid_env.baselines.connection_study.outage_section import capacities_with, outages_section
 from dcgrid_env.baselines.connection_study.section import Section, sentences, under
 from dcgrid_env.baselines.connection_study.sections import BUILDERS
@@ -26,6 +27,7 @@ from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
 from dcgrid_env.grid import AnyFeeder
+from dcgrid_env.scenario.plain import to_plain
 
 ORDER = (
     "base-case", "capacity", "worst-window", "outages", "several-sites", "day", "year", "ride-through", "fluctuation",
@@ -120,7 +122,7 @@ def sections_of(
     made.append(_not_checked(job, found))
     if "checklists" not in job.request.leave_out:
         text = "What follows is no legal advice. Sources are secondary; check each line against the final text."
-        made.append(Section("checklists", "Checklists for large loads", "", (text,), (NERC, ERCOT)))
+        made.append(Section("checklists", "Checklists for large loads", "", (text,), checklists(job.request.leave_out)))
     made.append(_inputs(job, file, meta()))
     return made
 
@@ -135,6 +137,8 @@ def answers(job: Job, found: Capacities | None) -> list[str]:
         fits = request.mw <= capacity.capacity_mw + 1e-9
         size = f"{'at least ' if capacity.at_most else ''}{capacity.capacity_mw:g} MW"
         why = "" if capacity.at_most else f" The next size breaks: {capacity.limit}."
+        if not capacity.capacity_mw and capacity.margin < 0.0:
+            why = f" Limits are broken without any site: {capacity.limit}."
         waits = capacity.delay_mean_s >= 0.005
         delay = f" Work waits {capacity.delay_mean_s:.2f} s on average at that size." if waits else ""
         verdict = "fits" if fits else "does not fit"
@@ -145,12 +149,16 @@ def answers(job: Job, found: Capacities | None) -> list[str]:
 
 def confidence(job: Job) -> str:
     """State the number of windows, the bound that it gives and what was not checked, in sentences."""
-    study, coverage = job.study, job.study.coverage
+    study, coverage, sizes = job.study, job.study.coverage, ""
+    if "capacity" not in job.request.leave_out:
+        sizes = (
+            f"These sizes rest on {study.samples} windows of {study.window_s:g} s. If none of them breaks a limit, less "
+            f"than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. "
+        )
+    others = "; the others were not checked" if coverage.not_checked else ""
     return (
-        f"These sizes rest on {study.samples} windows of {study.window_s:g} s. If none of them breaks a limit, less "
-        f"than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. Ratings are known for "
-        f"{coverage.known} of {coverage.of} elements; the others were not checked. Faults, protection, harmonics, "
-        "stability and the transmission grid need other studies."
+        f"{sizes}Ratings are known for {coverage.known} of {coverage.of} elements{others}. Faults, protection, "
+        "harmonics, stability and the transmission grid need other studies."
     )
 
 
@@ -201,8 +209,11 @@ def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> di
 
 def _capacity(job: Job, found: Capacities) -> Section:
     picture = ("The largest data centre at each bus, MW", png(capacity_maps(found)))
+    allowed_pct, rule = job.study.allowed_pct, "no window breaks a limit"
+    if allowed_pct:
+        rule = f"limits are broken in at most {allowed_pct:g} % of the seconds of all windows"
     text = (
-        "One data centre at one bus at a time. A size fits if no window breaks a limit. Every window has a step of the "
+        f"One data centre at one bus at a time. A size fits if {rule}. Every window has a step of the "
         "site to its full rating."
     )
     whole, tables = capacity_table(found), []
@@ -220,20 +231,21 @@ def _not_checked(job: Job, found: Capacities | None) -> Section:
     coverage = job.study.coverage
     texts = [f"Elements without a known rating, which were not checked: {first_of(coverage.not_checked)}."]
     if found is not None:
-        left = job.study.left_out()
-        texts.append(f"Buses without an answer: {first_of([f'{bus} ({why})' for bus, why in left.items()])}.")
-        texts.append("report.json lists all of both, in capacity.ratings and capacity.without_answer.")
+        left = [f"{bus} ({why})" for bus, why in job.study.left_out().items()]
+        untried = job.study.scenario.feeder.n_bus - 1 - len(found.buses)
+        without = first_of(left) if left else f"{untried}, which were not among the buses to try" if untried else "none"
+        texts.append(f"Buses without an answer: {without}.")
+        more = " and the reasons in capacity.without_answer" * bool(left)
+        texts.append(f"report.json lists all elements in capacity.ratings{more}.")
         if found.overloaded:
             texts.append(f"Overloaded without the site: {first_of(found.overloaded)}. They do not count elsewhere.")
     if job.request.leave_out:
         texts.append(f"Sections left out on request: {', '.join(job.request.leave_out)}.")
     if not job.outages:
         texts.append("No outages were asked for (outages in the study's file).")
-    answer = (
-        f"{len(coverage.not_checked)} of {coverage.of} elements have no known rating, and the studies in the table "
-        "must be done by other means."
-    )
-    return Section("not-checked", "What was not checked", answer, tuple(texts), (OTHER_MEANS,))
+    missing = f"{len(coverage.not_checked)} of {coverage.of} elements have no known rating, and the"
+    answer = f"{missing if coverage.not_checked else 'The'} studies in the table must be done by other means."
+    return Section("not-checked", "What was not checked", answer, tuple(texts), (other_means(coverage),))
 
 
 def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
@@ -242,26 +254,43 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
     files = [file, *_feeder_files(scenario.feeder)]
     files += [Path(profiles.asked_by)] if profiles is not None and profiles.asked_by is not None else []
     hashes = tuple((path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files)
-    centres, trace = scenario.datacenters, scenario.workload.trace
+    sited = job.scenario(job.request.mw)
+    centres, trace = sited.datacenters, scenario.workload.trace
+    law = to_plain(centres.clock_law)
+    law = law["law"] if isinstance(law, dict) else law
     trace = trace if isinstance(trace, str) else "recordings"
     assumptions = (
         ("feeder", scenario.feeder.name),
+        (
+            "connection",
+            f"{job.request.mw:g} MW at bus {job.request.bus}, {_base_kv(scenario.feeder, job.request.bus):g} kV",
+        ),
         ("scenario hash", scenario_hash(scenario)),
-        ("source voltage", job.source),
+        ("source voltage", job.source.removeprefix("source at ")),
         ("limits", f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u., {study.loading_max_pct:g} % of known ratings"),
         ("windows", f"{study.samples} of {study.window_s:g} s, {study.load} load, split {scenario.split}"),
         ("load profiles", "none" if profiles is None else str(profile_coverage(scenario))),
         ("other loads", f"noise of {100.0 * scenario.background.load_sigma:g} %"),
         (
             "site",
-            f"converter of {centres.s_rated_share:g} x rating, clock law {centres.clock_law}, idle share "
-            f"{centres.idle_share}, trace {trace}",
+            f"converter of {centres.s_rated_share:g} x rating, clock {centres.f_min_mhz:g} to {centres.f_max_mhz:g} "
+            f"MHz, clock law {law}, idle share {centres.idle_share}, "
+            f"trace {trace}",
         ),
+        ("ride-through", f"curve {job.request.ride_through.curve}, sags {job.request.ride_through.sags}"),
         ("controllers", ", ".join(job.request.controllers)),
         ("versions", ", ".join(f"{name} {version}" for name, version in about["versions"].items() if version)),
     )
     tables = (Table("Files", ("file", "SHA-256"), hashes), Table("Assumptions", ("what", "value"), assumptions))
     return Section("inputs", "Inputs and assumptions", "", (), tables)
+
+
+def _base_kv(feeder: Any, bus: str) -> float:
+    """Nominal voltage of a bus, line to line, kV."""
+    at = feeder.index(bus)
+    if isinstance(feeder, Feeder):
+        return feeder.base_kv if feeder.bus_base_kv is None else float(feeder.bus_base_kv[at])
+    return float(f"{math.sqrt(3.0) * feeder.base_kv_ln[at]:.5g}")
 
 
 def _feeder_files(feeder: AnyFeeder) -> list[Path]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dcgrid_env import rating_coverage
+from dcgrid_env import begin_hour, rating_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_at, limit_of
@@ -14,13 +14,18 @@ from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERL
 
 
 def time_of(study: Study, window: int) -> str:
-    """The time of day at which a window begins, as text."""
+    """When a window begins, with the date if load profiles have it, or that it is at nominal load, as text."""
     if study.load == "peak":
-        return "nominal load"
-    if study.begins_h is None:
-        return "a time of the load profiles"
-    minutes = round(60.0 * float(study.begins_h[window])) % 1440
-    return f"{minutes // 60:02d}:{minutes % 60:02d}"
+        return "at nominal load"
+    profiles, begins_h = study.scenario.load_profiles, study.begins_h
+    if begins_h is None:
+        begin_h = begin_hour(study.scenario.replace(**study.window_fields), window)
+    else:
+        begin_h = float(begins_h[window])
+    if profiles.file is not None:
+        return f"from {profiles.table.time_text(begin_h)} on"
+    minutes = round(60.0 * begin_h) % 1440
+    return f"from {minutes // 60:02d}:{minutes % 60:02d} on"
 
 
 def limit_values(study: Study, kind: int, margin: float) -> tuple[str, str]:
@@ -68,7 +73,7 @@ def limits_table(study: Study, title: str, by_controller: Mapping[str, Trial]) -
             where = limit_at(study.scenario, kind, int(trial.nodes[window, kind]))
             verdict = "kept" if margin >= -1e-9 else "broken"
             rows.append((name, where, value, limit, time_of(study, window), verdict))
-    header = ("controller", "limit and place", "nearest value", "limit", "window begins at", "verdict")
+    header = ("controller", "limit and place", "nearest value", "limit", "window", "verdict")
     return Table(title, header, tuple(rows))
 
 

@@ -29,6 +29,11 @@ def figure_of(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}"
 
 
+def rise_or_fall(before: float, after: float) -> str:
+    """The verb for a change from one figure to another."""
+    return "rise" if after >= before else "fall"
+
+
 def under(controller: str) -> str:
     """A controller's name in a sentence."""
     return "without control" if controller == UNCONTROLLED else f"under {controller}"

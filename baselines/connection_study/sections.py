@@ -10,13 +10,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, metrics_in
+from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, acting_relays, begin_hour, metrics_in
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.limit_distances import limits_table, nearest, time_of
-from dcgrid_env.baselines.connection_study.section import Section, figure_of, sentences, under
+from dcgrid_env.baselines.connection_study.section import Section, figure_of, rise_or_fall, sentences, under
 from dcgrid_env.baselines.connection_study.several_sites import several_sites
 from dcgrid_env.baselines.connection_study.study_job import Job
-from dcgrid_env.baselines.connection_study.study_request import NOT_STATED
 from dcgrid_env.baselines.connection_study.year_section import year
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
@@ -26,17 +25,19 @@ from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
 from dcgrid_env.core.html_page import png
 from dcgrid_env.rendering import draw_feeder, positions, run_figure
+from dcgrid_env.scenario.grid_control import capacitor_deciders
 
-DAY_DT_S, DAY_STEPS = 60.0, 1440
+DAY_H, DAY_DT_S, DAY_STEPS = 24.0, 60.0, 1440
 FLICKER_DT_S, FLICKER_STEPS = 0.1, 6000
 RIDE_THROUGH_S = 300.0
+NOMINAL: dict[str, Any] = {"background.start_hour": None, "load_profiles": LoadProfiles()}
+"""Fields of a scenario of at most an hour at nominal load, whatever the day or the load profiles."""
 
 
 def base_case(job: Job) -> Section:
     """The feeder at nominal load without the site: voltages, loadings, losses, taps."""
     study, feeder = job.study, job.study.scenario.feeder
-    nominal = {"background": {"load_sigma": 0.0, "start_hour": None}, "load_profiles": LoadProfiles()}
-    scenario = job.scenario(0.0, horizon=1, **nominal)
+    scenario = job.scenario(0.0, horizon=1, **NOMINAL, **{"background.load_sigma": 0.0})
     steps = transitions(scenario, NoControl(), [0])
     start = next(steps)
     steps.close()
@@ -74,7 +75,7 @@ def base_case(job: Job) -> Section:
     drawn = draw_feeder(ax, feeder, positions(feeder), by_bus, site, band_pu=_half_band(study))
     figure.colorbar(drawn.dots, cax=figure.add_axes((0.9, 0.15, 0.02, 0.7)), label="voltage (p.u.)")
     picture = ("The feeder in the base case: colour is voltage, the large circle is the requested bus", png(figure))
-    text = "Loads are at their nominal values, without noise. Nothing is controlled except regulators."
+    text = f"Loads are at their nominal values, without noise. {_acting(scenario)}"
     kept = study.v_min_pu <= v[lowest] and v[highest] <= study.v_max_pu
     verdict = "within" if kept else "outside"
     answer = (
@@ -109,7 +110,7 @@ def worst_window(job: Job) -> Section:
     series = {name: rollout(scenario, law, [worst], name=name).series(0) for name, law in controllers}
     text = (
         f"All {study.samples} windows were simulated with {mw:g} MW, the requested size in steps of the study. The "
-        f"figure and the metrics are those of window {worst} (begins at {time_of(study, worst)}), which comes nearest "
+        f"figure and the metrics are those of window {worst} ({time_of(study, worst)}), which comes nearest "
         f"to a limit {under(first)}. The site is at its full rating from {study.full_load_s[0]:g} to "
         f"{study.full_load_s[1]:g} s."
     )
@@ -126,20 +127,24 @@ def day(job: Job) -> Section:
     """A day with and without the site at its full rating: voltages, loadings, losses, taps."""
     study = job.study
     changes: dict[str, Any] = {
-        "dt_s": DAY_DT_S, "horizon": DAY_STEPS, "background.start_hour": 0.0,
+        "dt_s": DAY_DT_S, "horizon": DAY_STEPS, **_from_midnight(study.scenario.load_profiles),
         "workload.full_load_s": (0.0, DAY_DT_S * DAY_STEPS),
     }  # fmt: skip
     series = {}
     for name, mw in (("without the site", 0.0), (f"with {job.request.mw:g} MW", job.request.mw)):
         series[name] = rollout(job.scenario(mw, **changes), NoControl(), [0]).series(0)
+    profiles, other = study.scenario.load_profiles, "the other loads follow the hour of the day"
+    if profiles.file is not None:
+        begins = profiles.file.time_text(begin_hour(job.scenario(0.0, **changes), 0))
+        other = f"the other loads follow the load profiles from {begins} on"
     text = (
-        "One day in steps of a minute. The other loads follow the hour of the day, and the site draws its full rating "
+        f"One day in steps of a minute: {other}, and the site draws its full rating "
         "all day, without control: sites rarely do, so losses are upper values. Changes within a minute do not count."
     )
     metrics = _metrics(series, "Metrics of the day", _outside(study.scenario))
     tables = [_day_limits(study, series), *_day_taps(study, series), metrics]
     loss = [run.loss_kw.sum() * DAY_DT_S / 3600.0 for run in series.values()]
-    answer = f"Losses of a day rise from {loss[0]:.0f} to {loss[1]:.0f} kWh"
+    answer = f"Losses of a day {rise_or_fall(*loss)} from {loss[0]:.0f} to {loss[1]:.0f} kWh"
     if len(tables) == 3:
         taps = [int(run.three_phase.equipment.regulators.moved[1:].sum()) for run in series.values()]
         answer += f", and the regulators make {taps[1]} instead of {taps[0]} taps a day ({taps[1] - taps[0]:+d})"
@@ -154,10 +159,8 @@ def ride_through(job: Job) -> Section:
     study, asked = job.study, job.request.ride_through
     scenario = job.scenario(
         job.request.mw, horizon=round(RIDE_THROUGH_S / study.scenario.dt_s), sags=asked.sags,
-        **{
-            "datacenters.ride_through": {"curve": asked.curve}, "background.start_hour": None,
-            "workload.full_load_s": (0.0, RIDE_THROUGH_S),
-        },
+        **NOMINAL,
+        **{"datacenters.ride_through": {"curve": asked.curve}, "workload.full_load_s": (0.0, RIDE_THROUGH_S)},
     )  # fmt: skip
     series = {name: rollout(scenario, controller, [0], name=name).series(0) for name, controller in job.controllers()}
     text = (
@@ -166,15 +169,16 @@ def ride_through(job: Job) -> Section:
         "battery and comes back by the rule of docs/ride-through.md, which also has the sources of curves and sags. No "
         "controller can prevent a sag; it changes the voltages after the loss and the return."
     )
-    first = next(iter(series.values())).metrics()
+    name, run = next(iter(series.items()))
+    first, control = run.metrics(), under(name)
     trips = int(first["ups_trips"])
     if trips:
         answer = (
-            f"By the curve {asked.curve}, the sags {asked.sags} disconnect the site {trips} times, and "
-            f"{first['ups_lost_step_kw']:.0f} kW are lost in a step."
+            f"By the curve {asked.curve}, the sags {asked.sags} disconnect the site {trips} time{'s' * (trips > 1)} "
+            f"{control}, and up to {first['ups_lost_step_kw']:.0f} kW are lost in a step."
         )
     else:
-        answer = f"By the curve {asked.curve}, the site stays connected during the sags {asked.sags}."
+        answer = f"By the curve {asked.curve}, the site stays connected during the sags {asked.sags} {control}."
     tables = (_curve(asked.curve), _metrics(series, "Metrics of the sags", _outside(scenario)))
     return Section("ride-through", "Ride-through and return", answer, (text,), tables)
 
@@ -185,10 +189,7 @@ def fluctuation(job: Job) -> Section:
     cost = {"ramp_window_s": limits.ramp_window_s, "voltage_step_limit_pu": limits.voltage_step_pct / 100.0}
     ramp = limits.ramp_kw_per_s
     cost["ramp_limit_kw_per_s"] = 1000.0 * job.request.mw if ramp is None else ramp
-    scenario = job.scenario(
-        job.request.mw, dt_s=FLICKER_DT_S, horizon=FLICKER_STEPS, cost=cost,
-        **{"background.start_hour": None},
-    )  # fmt: skip
+    scenario = job.scenario(job.request.mw, dt_s=FLICKER_DT_S, horizon=FLICKER_STEPS, cost=cost, **NOMINAL)
     rows, exceeded = [], []
     for name, controller in job.controllers():
         m = rollout(scenario, controller, [0], name=name).metrics()[0]
@@ -205,11 +206,11 @@ def fluctuation(job: Job) -> Section:
     header = ("controller", f"largest ramp over {limits.ramp_window_s:g} s, kW/s",
               f"largest voltage change in {FLICKER_DT_S:g} s, %", "largest short-term flicker Pst")  # fmt: skip
     text = (
-        f"Ten minutes of the trace in steps of {FLICKER_DT_S:g} s. Source of the limits: {limits.source}. Pst is that "
-        "of IEC 61000-4-15 for a lamp of 120 V and 60 Hz, without fluctuations above 5 Hz."
+        f"Ten minutes of the trace in steps of {FLICKER_DT_S:g} s, at nominal load. Source of the limits: "
+        f"{limits.source}; limits that the study's file does not set are defaults of dcgrid study. Pst is that of "
+        "IEC 61000-4-15 for a lamp of 120 V and 60 Hz, without fluctuations above 5 Hz."
     )
-    source = "defaults of dcgrid study" if limits.source == NOT_STATED else limits.source
-    answer = f"Above the limits ({source}): {', '.join(exceeded)}." if exceeded else f"Within the limits ({source})."
+    answer = f"Above the limits: {', '.join(exceeded)}." if exceeded else "Within the limits."
     if ramp is None:
         answer += " No limit of ramps is stated."
     tables = (Table("Largest values in ten minutes", header, (*rows, allowed)),)
@@ -235,7 +236,7 @@ def sensitivity(job: Job) -> Section:
     rows = []
     for name, changed in cases:
         (found,) = snapshot_capacity(changed, bus)
-        rows.append((name, f"{'>=' if found.at_most else ''}{found.capacity_mw:g}", found.limit or "none found"))
+        rows.append((name, f"{'at least ' * found.at_most}{found.capacity_mw:g}", found.limit or "none found"))
     text = (
         f"Capacity of bus {job.request.bus} in one power flow at peak load without control, one assumption changed at "
         "a time. Windows and controllers give other sizes; the differences between the rows are what counts here."
@@ -261,6 +262,25 @@ BUILDERS: dict[str, Callable[[Job], Section]] = {
     "several-sites": several_sites,
 }
 """Sections that need the request and the study alone."""
+
+
+def _acting(scenario: Scenario) -> str:
+    """Say which equipment acts by its own control, in a sentence."""
+    feeder, acting = scenario.feeder, []
+    if acting_relays(scenario) is not None:
+        acting.append("regulators")
+    if not isinstance(feeder, Feeder) and "controlled" in capacitor_deciders(scenario.grid_control, feeder):
+        acting.append("capacitor banks")
+    return f"Nothing is controlled except {' and '.join(acting)}." if acting else "Nothing is controlled."
+
+
+def _from_midnight(profiles: LoadProfiles) -> dict[str, Any]:
+    """Fields of a scenario whose episodes begin at midnight, on the day of ``start_h`` of its load profiles if set."""
+    if profiles.start_h is None:
+        return {"background.start_hour": 0.0}
+    table = profiles.table
+    midnight_h = DAY_H * float(np.floor(profiles.start_h / DAY_H))
+    return {"background.start_hour": None, "load_profiles": {"start_h": max(midnight_h, table.begin_h)}}
 
 
 def _half_band(study: Study) -> float:

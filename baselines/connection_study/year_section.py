@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import profile_coverage
+from dcgrid_env import acting_relays, profile_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.connection_study.section import Section, figure_of
+from dcgrid_env.baselines.connection_study.section import Section, figure_of, rise_or_fall
 from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.year_flow import YearFlow, hour_scenario, year_flow
@@ -30,11 +30,12 @@ def year(job: Job) -> Section:
     last = flows[size]
     limits = (study.v_min_pu, study.v_max_pu, study.loading_max_pct / 100.0)
     table = with_site.load_profiles.table
+    acts = acting_relays(with_site) is not None
+    regulators = "Regulators follow their control within a day and have settled at its begin. " * acts
     texts = (
         f"{len(table.values)} power flows in steps of {table.step_s / 60.0:g} min by the load profiles of "
         f"{Path(table.label).name}, without control and without noise. The site draws its full rating all the time. "
-        "Regulators follow their control within a day and have settled at its begin. "
-        f"{profile_coverage(with_site)}.",
+        f"{regulators}{profile_coverage(with_site)}.",
         "The worst hours are then simulated in steps of a second with the trace of the site, which draws its full "
         "rating in the middle third of the hour.",
     )
@@ -42,13 +43,19 @@ def year(job: Job) -> Section:
     picture = ("Lowest and highest voltage of each day of the load profiles", png(_figure(flows, study)))
     both = (last, flows["without the site"])
     hours = [[f"{value:g}" for value in flow.hours_outside(*limits).values()] for flow in both]
-    loss = [figure_of(flow.loss_mwh) for flow in both]
+    loss, change = [figure_of(flow.loss_mwh) for flow in both], rise_or_fall(both[1].loss_mwh, both[0].loss_mwh)
+    unsolved_h = [float((~flow.solved).sum()) * flow.step_h for flow in both]
     answer = (
         f"Over the load profiles {size}, voltages are below the limit for {hours[0][0]} h and above it for "
         f"{hours[0][1]} h, and ratings are exceeded for {hours[0][2]} h. Without the site these are "
-        f"{hours[1][0]}, {hours[1][1]} and {hours[1][2]} h. Losses rise from {loss[1]} to {loss[0]} MWh."
+        f"{hours[1][0]}, {hours[1][1]} and {hours[1][2]} h. Losses {change} from {loss[1]} to {loss[0]} MWh."
     )
-    return Section("year", "A year of load profiles", answer, texts, tuple(tables), (picture,))
+    if any(unsolved_h):
+        answer += (
+            f" These figures leave out {unsolved_h[0]:g} h {size}, and {unsolved_h[1]:g} h without the site, that have "
+            "no power-flow solution or follow one without in the day."
+        )
+    return Section("year", "All hours of the load profiles", answer, texts, tuple(tables), (picture,))
 
 
 def _counts(flows: dict[str, YearFlow], limits: tuple[float, float, float]) -> Table:

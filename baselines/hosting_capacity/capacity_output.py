@@ -191,11 +191,13 @@ def _mw(capacity: BusCapacity) -> str:
 
 def _notes(found: Capacities) -> Iterator[str]:
     study = found.study
+    allowed = (
+        "may not be broken" if not study.allowed_pct else f"may be broken in {study.allowed_pct:g} % of the seconds"
+    )
     yield (
-        "Snapshot: one power flow at peak load, without "
-        f"control. Sizes are multiples of {study.step_mw:g} MW up to {study.largest_mw:g}; >= where "
-        f"the largest still fits. Limits count from {study.settle_s:g} s into a window on, and may be "
-        f"broken in {study.allowed_pct:g} % of the seconds."
+        f"Snapshot: one power flow at peak load, without control. Sizes are multiples of {study.step_mw:g} MW up to "
+        f"{study.largest_mw:g}; >= where the largest still fits. Limits count from {study.settle_s:g} s into a window "
+        f"on, and {allowed}."
     )
     yield (
         f'"95 % of windows" is the size that as many of the windows alone would carry. If no window of {study.samples} '
@@ -218,7 +220,7 @@ def _notes(found: Capacities) -> Iterator[str]:
     for name in found.controllers:
         broken = [c for c in found.by_controller[name] if not c.capacity_mw and c.margin < 0.0]
         if len(broken) == len(found.buses):
-            remedy = "--set source_voltage_pu may help, or --limits."
+            remedy = "another source_voltage_pu or other limits may help."
             yield f"{name}: limits are broken without any site: {broken[0].limit}; {remedy}"
     for capacity in _all(found):
         if capacity.smaller_fails_mw:

@@ -198,7 +198,8 @@ class Study:
     @property
     def window_fields(self) -> dict[str, Any]:
         """Fields of a scenario whose episodes are the windows."""
-        hour = "random" if self.load == "day" else None
+        by_day = self.load == "day" and self.scenario.load_profiles.file is None
+        hour = "random" if by_day else None  # load profiles have times of their own
         without = {} if self.load == "day" else {"load_profiles": LoadProfiles()}  # at nominal load
         return {
             **without,

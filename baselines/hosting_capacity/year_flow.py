@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import date, timedelta
 from typing import Any
 
 import numpy as np
@@ -102,10 +101,7 @@ class YearFlow:
 
     def time_text(self, sample: int) -> str:
         """Return the date, or the number of the day from 1, and the time of day of a sample."""
-        day, minutes = divmod(round(60.0 * float(self.hours[sample])), 1440)
-        first = self.scenario.load_profiles.table.first_day
-        name = (date.fromisoformat(first) + timedelta(days=day)).isoformat() if first else f"day {day + 1}"
-        return f"{name} {minutes // 60:02d}:{minutes % 60:02d}"
+        return self.scenario.load_profiles.table.time_text(float(self.hours[sample]))
 
 
 def year_flow(scenario: Scenario, on_step: Callable[[int, int], None] | None = None) -> YearFlow:

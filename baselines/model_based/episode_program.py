@@ -90,8 +90,8 @@ class EpisodeProgram(Trajectory):
         if result.status != 0:
             raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
         d, q = (self._part(result.x, name).reshape(s.horizon, -1) for name in "dq")
-        received, sent = (self._part(result.x, name).reshape(-1, s.datacenters.count) for name in "yo")
-        moved = received - sent if len(received) else self.moved_kw
+        received, sent = (self._part(result.x, name) for name in "yo")
+        moved = (received - sent).reshape(s.horizon, -1) if len(received) else self.moved_kw
         self._solution = self._done = (d[:, : s.datacenters.count], d[:, s.datacenters.count :], q, moved)
         moves = np.abs(np.diff(self.taps, axis=0)).sum() if self.tap_price else 0.0
         return float(result.fun + price * voltages.at_zero + self.tap_price * moves), self.actions()

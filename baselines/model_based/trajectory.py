@@ -142,7 +142,7 @@ class Trajectory:
         """Inputs of equipment to the power flow by taps and switches in each step, (flow, T, n); flattened."""
         if self.episode.capacitor_on is not None:
             on = on * self.episode.capacitor_on
-        taps, on = (rows.reshape(-1, rows.shape[-1]) for rows in (taps, on))
+        taps, on = (rows.reshape(rows.shape[0] * rows.shape[1], -1) for rows in (taps, on))
         return Control(self.scenario.feeder.tap_ratio(taps), None, on)
 
     def actions(self) -> np.ndarray:

@@ -29,7 +29,7 @@ class Asked(NamedTuple):
 def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]) -> Scenario:
     """Return the scenario on a feeder.
 
-    The source voltage is that of the feeder's file, or as ``source_voltage.default_voltage`` has it for bundled feeders.
+    The source voltage is that of the feeder's file; for bundled feeders see ``source_voltage.default_voltage``.
 
     Parameters
     ----------
