@@ -152,8 +152,8 @@ def confidence(job: Job) -> str:
     study, coverage, sizes = job.study, job.study.coverage, ""
     if "capacity" not in job.request.leave_out:
         sizes = (
-            f"These sizes rest on {study.samples} windows of {study.window_s:g} s. If none of them breaks a limit, less "
-            f"than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. "
+            f"These sizes rest on {study.samples} windows of {study.window_s:g} s. If none of them breaks a limit, "
+            f"less than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. "
         )
     others = "; the others were not checked" if coverage.not_checked else ""
     return (

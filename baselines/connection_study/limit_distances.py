@@ -12,20 +12,22 @@ from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_at, limit_of
 from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, UNLIMITED, Trial
 
+NOMINAL_LOAD = "nominal load"
+
 
 def time_of(study: Study, window: int) -> str:
-    """When a window begins, with the date if load profiles have it, or that it is at nominal load, as text."""
+    """When a window begins, with the date if load profiles have it, or ``nominal load``, as text."""
     if study.load == "peak":
-        return "at nominal load"
+        return NOMINAL_LOAD
     profiles, begins_h = study.scenario.load_profiles, study.begins_h
     if begins_h is None:
         begin_h = begin_hour(study.scenario.replace(**study.window_fields), window)
     else:
         begin_h = float(begins_h[window])
     if profiles.file is not None:
-        return f"from {profiles.table.time_text(begin_h)} on"
+        return profiles.table.time_text(begin_h)
     minutes = round(60.0 * begin_h) % 1440
-    return f"from {minutes // 60:02d}:{minutes % 60:02d} on"
+    return f"{minutes // 60:02d}:{minutes % 60:02d}"
 
 
 def limit_values(study: Study, kind: int, margin: float) -> tuple[str, str]:
@@ -73,7 +75,7 @@ def limits_table(study: Study, title: str, by_controller: Mapping[str, Trial]) -
             where = limit_at(study.scenario, kind, int(trial.nodes[window, kind]))
             verdict = "kept" if margin >= -1e-9 else "broken"
             rows.append((name, where, value, limit, time_of(study, window), verdict))
-    header = ("controller", "limit and place", "nearest value", "limit", "window", "verdict")
+    header = ("controller", "limit and place", "nearest value", "limit", "window begins at, or load", "verdict")
     return Table(title, header, tuple(rows))
 
 

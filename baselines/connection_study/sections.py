@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, acting_relays, begin_hour, metrics_in
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.connection_study.limit_distances import limits_table, nearest, time_of
+from dcgrid_env.baselines.connection_study.limit_distances import NOMINAL_LOAD, limits_table, nearest, time_of
 from dcgrid_env.baselines.connection_study.section import Section, figure_of, rise_or_fall, sentences, under
 from dcgrid_env.baselines.connection_study.several_sites import several_sites
 from dcgrid_env.baselines.connection_study.study_job import Job
@@ -107,10 +107,11 @@ def worst_window(job: Job) -> Section:
         )
     at_hour = None if study.begins_h is None else float(study.begins_h[worst])
     scenario = job.scenario(job.request.mw, **study.window_fields | {"background.start_hour": at_hour})
+    begins = NOMINAL_LOAD if study.load == "peak" else f"begins at {time_of(study, worst)}"
     series = {name: rollout(scenario, law, [worst], name=name).series(0) for name, law in controllers}
     text = (
         f"All {study.samples} windows were simulated with {mw:g} MW, the requested size in steps of the study. The "
-        f"figure and the metrics are those of window {worst} ({time_of(study, worst)}), which comes nearest "
+        f"figure and the metrics are those of window {worst} ({begins}), which comes nearest "
         f"to a limit {under(first)}. The site is at its full rating from {study.full_load_s[0]:g} to "
         f"{study.full_load_s[1]:g} s."
     )
@@ -236,14 +237,15 @@ def sensitivity(job: Job) -> Section:
     rows = []
     for name, changed in cases:
         (found,) = snapshot_capacity(changed, bus)
-        rows.append((name, f"{'at least ' * found.at_most}{found.capacity_mw:g}", found.limit or "none found"))
+        rows.append((name, f"{'>=' if found.at_most else ''}{found.capacity_mw:g}", found.limit or "none found"))
     text = (
         f"Capacity of bus {job.request.bus} in one power flow at peak load without control, one assumption changed at "
         "a time. Windows and controllers give other sizes; the differences between the rows are what counts here."
     )
+    mw = [row[1].replace(">=", "at least ") for row in rows]
     answer = (
-        f"In a snapshot the bus carries {rows[0][1]} MW, {rows[1][1]} MW with 1 % less source voltage and "
-        f"{rows[2][1]} MW with 1 % more."
+        f"In a snapshot the bus carries {mw[0]} MW, {mw[1]} MW with 1 % less source voltage and {mw[2]} MW with 1 % "
+        "more."
     )
     return Section(
         "sensitivity", "Sensitivity to assumptions", answer, (text,),

@@ -136,8 +136,8 @@ def _band(scenario: Scenario, figures: Figures, best: Reached) -> list[Verdict]:
     remedy = _centre(scenario, low, high)
     if bare is not None and bare.mean(OUTSIDE) > 0.5 * outside and remedy == _lower(scenario):
         remedy = (
-            f"the feeder's own load leaves it in {bare.mean(OUTSIDE):.1f} % without any data centre: give inverters "
-            f"more than {_kvar(scenario)} kvar near bus {figures.lowest_bus}, or the feeder less load"
+            f"the feeder's own load leaves it in {bare.mean(OUTSIDE):.1f} % without any data centre: "
+            f"{_more_kvar(scenario)} near bus {figures.lowest_bus}, or give the feeder less load"
         )
     hopeless = outside > LOST_PCT
     return [Verdict(f"{'hopeless' if hopeless else 'hard'}: even hindsight leaves the band {said}", remedy, hopeless)]
@@ -155,19 +155,21 @@ def _centre(scenario: Scenario, low: float, high: float) -> str:
         way = "raise" if taps > 0 else "lower"
         to_pu = scenario.source_voltage_pu + taps * TAP_PU
         return f"{way} source_voltage_pu from {scenario.source_voltage_pu:g} to {to_pu:g}"
-    return _lower(scenario) if low < bottom else f"give inverters more than {_kvar(scenario)} kvar, or shed PV"
+    return _lower(scenario) if low < bottom else _more_kvar(scenario) + ", or shed PV" * (scenario.schedule is not None)
 
 
 def _lower(scenario: Scenario) -> str:
     rated = scenario.datacenters.parameters.p_rated_kw
     if not len(rated):
-        return f"give inverters more than their {_kvar(scenario)} kvar"
+        return _more_kvar(scenario)
     lower = f"lower the data centres' rating (datacenters.p_rated_kw, now {rated.sum():g} kW in all)"
-    return f"{lower} or give inverters more kvar"
+    return f"{lower} or {_more_kvar(scenario)}"
 
 
-def _kvar(scenario: Scenario) -> str:
-    return f"{scenario.q_scale_kvar[scenario.datacenters.count :].sum():g}"
+def _more_kvar(scenario: Scenario) -> str:
+    """Recommend more reactive power of inverters than a scenario has."""
+    kvar = float(scenario.q_scale_kvar[scenario.datacenters.count :].sum())
+    return f"give inverters more than {kvar:g} kvar" if kvar else "add inverters"
 
 
 def _droop(largest_k_q: float) -> list[Verdict]:
@@ -220,7 +222,7 @@ def _harder(scenario: Scenario) -> str:
         if len(rated)
         else ""
     )
-    return f"{raised}put devices at the ends, or give inverters more than {_kvar(scenario)} kvar"
+    return f"{raised}put devices at the ends, or {_more_kvar(scenario)}"
 
 
 def _sum_without_hindsight(reached: Mapping[str, Reached]) -> list[Verdict]:

@@ -41,6 +41,17 @@ def test_tables_change_in_the_rows_of_the_element_alone(scenario):
         assert lost.tap[row] == (network.regulator.tap[row] if kept else 0)
 
 
+@pytest.mark.parametrize("modes", ["agent", {"reg4": "setpoint", "reg1a": "agent"}])
+def test_agents_cannot_move_a_bank_that_is_out_of_service(scenario, modes):
+    before = scenario.replace(grid_control={"regulators": modes})
+    after = with_outage(before, "regulator reg4")
+    (group,) = [device for device in after.devices if device.kind == "tap_changer"]
+    assert "creg4a" not in group.names
+    assert not [device for device in after.devices if device.kind == "regulator_setpoint"]
+    everything = " + ".join(f"regulator {bank}" for bank in ("reg1a", "reg2", "reg3", "reg4"))
+    assert not [device for device in with_outage(before, everything).devices if device.kind == "tap_changer"]
+
+
 def test_a_tie_takes_over_behind_an_open_switch(scenario):
     table = scenario.feeder.network.switch
     ties = [name for name, state in zip(table.name, table.state, strict=True) if state == "open"]

@@ -1,10 +1,11 @@
 """Who decides over regulators and capacitor banks: given in any way, kept in files, refused by name."""
 
 import pickle
+from dataclasses import replace
 
 import pytest
 
-from dcgrid_env import ScenarioError, make_scenario, scenario_hash
+from dcgrid_env import ScenarioError, ThreePhaseFeeder, acting_relays, make_scenario, scenario_hash
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.scenario.grid_control import GridControl, capacitor_deciders, regulator_deciders
 from helpers.three_phase import ieee13, ieee123
@@ -178,3 +179,37 @@ def test_a_balanced_feeder_has_nothing_to_control(given):
 def test_settings_of_capacitors_are_an_object_too():
     settings = CapacitorControl(measures="kvar")
     assert ieee13().replace(grid_control={"capacitor_settings": settings}).grid_control.capacitor_settings is settings
+
+
+def fixed_in(feeder, *banks):
+    """The feeder with regulators of some banks at fixed taps."""
+    table = feeder.network.regulator
+    most = tuple(0 if bank in banks else 16 for bank in table.bank)
+    return ThreePhaseFeeder.from_network(
+        replace(feeder.network, regulator=replace(table, max_taps_per_move=most), name=feeder.name)
+    )
+
+
+@pytest.mark.parametrize("mode", ["controlled", "agent", "setpoint"])
+def test_a_fixed_tap_stays_fixed_in_every_mode(mode):
+    scenario = ieee123().replace(
+        feeder=fixed_in(ieee123().feeder, "reg1a", "reg3"), **{"grid_control.regulators": mode}
+    )
+    feeder = scenario.feeder
+    deciders = regulator_deciders(scenario.grid_control, feeder)
+    deciders = dict(zip(feeder.network.regulator.bank, deciders, strict=True))
+    assert deciders == {"reg1a": "fixed", "reg2": mode, "reg3": "fixed", "reg4": mode}
+    agents = {"controlled": 0, "agent": 4, "setpoint": 2}[mode]
+    assert sum(name.startswith("reg") for name in scenario.agents) == agents
+
+
+def test_a_mode_that_a_fixed_tap_cannot_have_is_refused_by_name():
+    feeder = fixed_in(ieee123().feeder, "reg1a")
+    with pytest.raises(
+        ScenarioError, match="the taps of reg1a are fixed in feeder 'ieee123-3ph'; leave it out, or give"
+    ):
+        ieee123().replace(feeder=feeder, **{"grid_control.regulators": {"reg1a": "agent", "reg2": "agent"}})
+    rigid = fixed_in(ieee123().feeder, "reg1a", "reg2", "reg3", "reg4")
+    with pytest.raises(ScenarioError, match="the taps of reg1a, reg2, reg3, reg4 are fixed"):
+        ieee123().replace(feeder=rigid, **{"grid_control.regulators": "setpoint"})
+    assert acting_relays(ieee123().replace(feeder=rigid)) is None
