@@ -1,11 +1,12 @@
-"""The substation voltage that centres the band."""
+"""The source voltage: that of the file, the one that centres the band, and what is said about it."""
 
 import numpy as np
 import pytest
 
-from dcgrid_env import load_feeder, scenario_on
+from dcgrid_env import load_feeder, make_scenario, read_feeder, scenario_on
 from dcgrid_env.baselines import NoControl, centred_voltage, rollout
-from dcgrid_env.baselines.source_voltage import TAP_PU
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.source_voltage import CENTRED, TAP_PU, default_voltage, source_line, source_origin
 
 
 @pytest.mark.parametrize("name", ["ieee123", "das69", "toy6"])
@@ -34,3 +35,47 @@ def test_a_feeder_that_regulators_hold_keeps_its_own():
     assert centred_voltage(scenario, episodes=1).v_pu == scenario.source_voltage_pu
     fixed = scenario.replace(grid_control={"regulators": "fixed"})
     assert not centred_voltage(fixed, episodes=1).is_own
+
+
+def test_only_bundled_feeders_that_leave_the_band_by_themselves_are_centred(tmp_path):
+    weak, strong = (scenario_on(load_feeder(name)) for name in ("ieee33", "toy6"))
+    assert default_voltage(weak).source_voltage_pu == pytest.approx(1.05)
+    assert default_voltage(strong).source_voltage_pu == 1.0
+    load_feeder("ieee33").to_csv(tmp_path / "mine")
+    assert default_voltage(scenario_on(read_feeder(tmp_path / "mine"))).source_voltage_pu == 1.0
+
+
+def test_a_centred_voltage_can_be_asked_for_where_fields_are_overridden(tmp_path):
+    load_feeder("ieee33").scaled(1.1, 1.0).to_csv(tmp_path / "mine")
+    texts = (f"feeder={tmp_path / 'mine'}", "source_voltage_pu=centred")
+    scenario = ScenarioSpec("ieee33", texts).make("train")
+    plain = ScenarioSpec("ieee33", texts[:1]).make("train")
+    assert scenario.source_voltage_pu == centred_voltage(plain).v_pu != plain.source_voltage_pu
+    with pytest.raises(ValueError, match="source_voltage_pu is 'centred' on random feeders; give a number"):
+        ScenarioSpec("zero-shot", texts[1:]).make("train")
+    with pytest.raises(ValueError, match="source_voltage_pu is 'middle'; give a"):
+        ScenarioSpec("ieee33", ("source_voltage_pu=middle",)).make("train")
+
+
+def test_the_origin_of_a_voltage_is_said(tmp_path):
+    load_feeder("toy6").to_csv(tmp_path / "mine")
+    scenario = scenario_on(read_feeder(tmp_path / "mine"))
+    raised = scenario.replace(source_voltage_pu=1.02)
+    bundled = scenario_on(load_feeder("ieee33")).replace(source_voltage_pu=1.05)
+    held = scenario_on(load_feeder("ieee13-3ph"))
+    said = {
+        source_origin(scenario): "from mine/feeder.toml",
+        source_origin(raised, 1.02): "set by --set; mine/feeder.toml has 1 p.u.",
+        source_origin(raised, None, "s.toml"): "from scenario s.toml; mine/feeder.toml has 1 p.u.",
+        source_origin(raised, CENTRED): "centred as --set asks, so voltages without control are around 1 p.u.; "
+        "mine/feeder.toml has 1 p.u.",
+        source_origin(bundled): "centred, because the bundled feeder ieee33 leaves 0.95 to 1.05 p.u. by itself at its "
+        "1 p.u.",
+        source_origin(
+            held, CENTRED
+        ): "from the bundled feeder ieee13-3ph, not centred as --set asks, because regulators act",
+        source_origin(make_scenario("zero-shot"), None, "zero-shot"): "from scenario zero-shot",
+    }
+    for found, expected in said.items():
+        assert found == expected
+    assert source_line(raised, "set by --set") == "source at 1.02 p.u., set by --set"

@@ -5,13 +5,14 @@ import time
 import numpy as np
 import pytest
 
-from dcgrid_env import make_scenario
+from dcgrid_env import ThreePhaseFeeder, load_feeder, make_scenario, scenario_on
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.sanity.batch_search import fitted
 from dcgrid_env.baselines.sanity.scenario_check import check_scenario
 from dcgrid_env.baselines.sanity.verdicts import BARE, CONSTANT, DROOP, HINDSIGHT, NONE, PAPER, PINNED
 from dcgrid_env.baselines.tuning.search import tune
+from dcgrid_env.grid.network import Network, NodeTable, PhaseLineTable, PhaseLoadTable, SourceTable
 
 SHORT = {"split": "validation", "horizon": 20}
 
@@ -77,3 +78,33 @@ def test_a_scenario_that_hindsight_refuses_is_judged_without_it():
 def test_settings_that_cannot_be_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         check_scenario(make_scenario("toy6"), **given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("feeder", ["toy6", "three phases"])
+@pytest.mark.parametrize(("datacenters", "inverters"), [("1 x 100 kW at {}", "none"), ("none", "1 x 50 kvar at {}")])
+def test_hindsight_is_known_without_inverters_data_centres_or_equipment(feeder, datacenters, inverters):
+    made, bus = (load_feeder("toy6"), "4") if feeder == "toy6" else (pair_of_buses(), "r")
+    scenario = scenario_on(made, datacenters.format(bus), inverters.format(bus)).replace(**SHORT)
+    check = check_scenario(scenario, episodes=1, seconds=1.0)
+    reached = check.figures.reached
+    assert not check.figures.refused
+    assert (
+        reached[HINDSIGHT].mean("J") <= min(reached[name].mean("J") for name in (NONE, PAPER, DROOP, CONSTANT)) + 1e-3
+    )
+    assert not any("more than 0 kvar" in str(verdict) for verdict in check.verdicts)
+
+
+def pair_of_buses():
+    """A three-phase line to one load, without regulators and capacitor banks."""
+    diagonal = tuple(tuple(0.3 if i == j else 0.0 for j in range(3)) for i in range(3))
+    matrix, zero = (diagonal,), (tuple((0.0,) * 3 for _ in range(3)),)
+    load = ("wye",), ("PQ",), (7.2,), ((500.0,) * 3,), ((150.0,) * 3,), (0.5,), (1.5,), (0.4,), ((),)
+    network = Network(
+        name="pair",
+        source=SourceTable(("s",), (12.47,), (1.0,), (0.0,), zero, zero),
+        node=NodeTable(["s"] * 3 + ["r"] * 3, [1, 2, 3] * 2, [0.0] * 6, [0.0] * 6, base_kv_ln=[7.2] * 6),
+        phase_line=PhaseLineTable(("l",), ("s",), ("r",), ("abc",), (1000.0,), matrix, matrix, zero),
+        phase_load=PhaseLoadTable(("d",), ("r",), *load),
+    )
+    return ThreePhaseFeeder.from_network(network)

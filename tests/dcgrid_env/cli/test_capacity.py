@@ -3,12 +3,13 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from dcgrid_env import load_feeder
+from dcgrid_env import Feeder, load_feeder
 from dcgrid_env.baselines.hosting_capacity.capacity_output import read_capacity_csv
 from dcgrid_env.cli.main import main
-from dcgrid_env.grid.network import RatingTable
+from dcgrid_env.grid.network import LineTable, NodeTable, RatingTable, balanced_network
 
 SHORT = ("--samples", "2", "--window-s", "10", "--settle-s", "4", "--workers", "1")
 IEEE33 = ("--feeder", "ieee33", "--set", "source_voltage_pu=1.05")
@@ -128,3 +129,48 @@ def test_outages_and_sites_that_cannot_be_asked(capsys, tmp_path, more, message)
         run(*IEEE33, *more)
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["capacity", "study"])
+def test_the_voltage_of_the_feeders_file_holds_and_is_stated(command, tmp_path, capsys):
+    # A resistance to a bus of 1 MW: 1.03 p.u. at the source leave P = V (1.03 - V) / r for the voltage V at the bus.
+    nodes = NodeTable(["s", "b"], [0, 0], [0.0, 1.0], [0.0, 0.0])
+    lines = LineTable(["s"], ["b"], [2.0], [0.0])
+    network = balanced_network(
+        "pair", base_kv=10.0, substation="s", v0_pu=1.03, nodes=nodes, lines=lines, p_kw=[0.0, 1000.0],
+        q_kvar=[0.0, 0.0], capacitor_kvar=[0.0, 0.0],
+    )  # fmt: skip
+    Feeder.from_network(network).to_csv(tmp_path / "pair")
+    most_mw = 0.95 * (1.03 - 0.95) / (2.0 / 10.0**2) - 1.0
+    if command == "capacity":
+        run("--feeder", "pair", "--controllers", "none", "--load", "peak", "--tolerance-mw", "0.01")
+        record = json.loads((tmp_path / "out/results.json").read_text())
+        found = record
+    else:
+        (tmp_path / "s.toml").write_text(
+            'feeder = "pair"\nbus = "b"\nmw = 1.0\ncontrollers = ["none"]\nleave_out = ["day", "fluctuation", '
+            '"ride-through", "sensitivity", "worst-window"]\n'
+            '[capacity]\nload = "peak"\nsamples = 2\nwindow_s = 10.0\nsettle_s = 4.0\ntolerance_mw = 0.01\n'
+        )
+        main(["study", "s.toml", "--out", "out", "--workers", "1"])
+        record = json.loads((tmp_path / "out/report.json").read_text())
+        found = record["capacity"]
+        assert "Source at 1.03 p.u., from pair/feeder.toml." in (tmp_path / "out/report.html").read_text()
+    printed = [line for line in capsys.readouterr().out.splitlines() if "━" not in line]
+    assert printed[0] == record["source_voltage"] == "source at 1.03 p.u., from pair/feeder.toml"
+    (snapshot,) = [c["capacity_mw"] for c in found["capacities"] if c["controller"] == "snapshot"]
+    assert snapshot == pytest.approx(np.floor(100.0 * most_mw) / 100.0)
+
+
+@pytest.mark.slow
+def test_load_profiles_that_begin_where_the_user_sets_it_have_a_capacity(tmp_path, capsys):
+    hours = "\n".join(f"2025-01-{1 + h // 24:02d} {h % 24:02d}:00,{0.5 + 0.5 * (h == 100)}" for h in range(240))
+    load_feeder("toy6").to_csv(tmp_path / "mine")
+    (tmp_path / "p.csv").write_text(f"time,all\n{hours}\n")
+    (tmp_path / "c.csv").write_text("load,class\n" + "".join(f"{b},all\n" for b in load_feeder("toy6").bus_ids[1:]))
+    fields = ("file=p.csv", "columns=class", "classes=c.csv", "uncovered=nominal", "days=all")
+    changes = [f"load_profiles.{field}" for field in fields]
+    for begin in ([], ["load_profiles.start_h=100.0"]):
+        run("--feeder", "mine", "--controllers", "none", "--buses", "4", "--set", *changes, *begin)
+    assert "source at 1 p.u., from mine/feeder.toml" in capsys.readouterr().out

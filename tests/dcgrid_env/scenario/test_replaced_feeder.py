@@ -1,0 +1,52 @@
+"""A feeder that is not bundled brings its source voltage into a scenario, in every way to name it."""
+
+from dataclasses import replace
+
+import pytest
+
+from dcgrid_env import Feeder, load_feeder, make_scenario
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("feeders") / "mine"
+    feeder = load_feeder("ieee33")
+    network = replace(feeder, name="mine").to_network()
+    Feeder.from_network(replace(network, source=replace(network.source, v_pu=(1.03,)))).to_csv(made)
+    return made
+
+
+def made_from_toml(folder):
+    path = folder.parent / "s.toml"
+    path.write_text('base = "ieee33-weak"\nfeeder = "mine"\n', encoding="utf-8")
+    return make_scenario(path)
+
+
+WAYS = {
+    "path": lambda folder: make_scenario("ieee33-weak", feeder=folder),
+    "feeder": lambda folder: make_scenario("ieee33-weak", feeder=Feeder.from_csv(folder)),
+    "command line": lambda folder: ScenarioSpec("ieee33-weak", (f"feeder={folder}",)).make("test"),
+    "file": made_from_toml,
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_voltage_of_its_file_comes_along(folder, way):
+    assert WAYS[way](folder).source_voltage_pu == 1.03
+
+
+def test_a_voltage_that_is_set_too_wins_also_in_a_file_that_was_written(folder):
+    base = make_scenario("ieee33-weak")
+    scenario = make_scenario(base, feeder=folder, source_voltage_pu=base.source_voltage_pu)
+    assert scenario.source_voltage_pu == 1.05
+    path = folder.parent / "written.toml"
+    scenario.to_toml(path, base=base)
+    assert make_scenario(path).source_voltage_pu == 1.05
+    assert make_scenario(scenario, feeder=folder).source_voltage_pu == 1.05  # the scenario's feeder already
+
+
+def test_bundled_feeders_and_variants_keep_the_voltage_of_the_scenario():
+    assert make_scenario("ieee33-weak", feeder="das69", **{"datacenters.buses": None}).source_voltage_pu == 1.05
+    heavier = load_feeder("ieee33").scaled(1.1, 1.0)
+    assert make_scenario("ieee33-weak", feeder=heavier).source_voltage_pu == 1.05
