@@ -32,6 +32,13 @@ def test_regulators_keep_their_taps_and_settings(model):
 
 
 @pytest.mark.slow
+def test_taps_that_are_set_by_hand_are_fixed(model):
+    found = rows(read_gridlabd(model(LDC.replace("LINE_DROP_COMP", "MANUAL"))).network.regulator)
+    assert [found[f"r1_{phase}"]["tap"] for phase in "abc"] == [5, -3, 16]
+    assert {row["max_taps_per_move"] for row in found.values()} == {0}
+
+
+@pytest.mark.slow
 def test_a_band_in_volts_of_the_line_is_referred_to_a_potential_transformer(model):
     one = rows(read_gridlabd(model(OUTPUT)).network.regulator)["r1_a"]
     assert (one["vreg_v"], one["band_v"], one["pt_ratio"]) == (122.0, 2.0, 60.0)
