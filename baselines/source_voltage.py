@@ -1,9 +1,9 @@
 """The voltage of a feeder's source: where it comes from, and the choice of one that centres the voltages.
 
 A feeder keeps the voltage of its file. Most published feeders specify 1 p.u., at which all their voltages are below
-1 p.u. A learner would then be rewarded for compensating a badly chosen tap. On request, and for bundled feeders that
-leave the band without any device, the source is set as a tap changer would set it: the mean voltages of the buses over
-episodes without control extend as far above 1 p.u. as below it. If automatic regulators act on the feeder, they control
+1 p.u. A learner would then be rewarded for compensating a badly chosen tap. On request the source is set as a tap
+changer would set it, and also for bundled feeders that leave the band without any device. The mean voltages of the
+buses over episodes without control then extend as far above 1 p.u. as below it. If automatic regulators act on the feeder, they control
 its voltages, and the source is left unchanged. The effect of the rule on costs is described in docs/own-feeder.md.
 """
 
@@ -78,7 +78,7 @@ def default_voltage(scenario: Scenario) -> Scenario:
 
 
 def source_origin(scenario: Scenario, asked: object = None, name: str | None = None, place: str = "--set") -> str:
-    """Say where a scenario's source voltage comes from.
+    """Return where a scenario's source voltage comes from, in words.
 
     Parameters
     ----------

@@ -27,7 +27,6 @@ from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
 from dcgrid_env.grid import AnyFeeder
-from dcgrid_env.scenario.plain import to_plain
 
 ORDER = (
     "base-case", "capacity", "worst-window", "outages", "several-sites", "day", "year", "ride-through", "fluctuation",
@@ -256,8 +255,6 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
     hashes = tuple((path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files)
     sited = job.scenario(job.request.mw)
     centres, trace = sited.datacenters, scenario.workload.trace
-    law = to_plain(centres.clock_law)
-    law = law["law"] if isinstance(law, dict) else law
     trace = trace if isinstance(trace, str) else "recordings"
     assumptions = (
         ("feeder", scenario.feeder.name),
@@ -274,7 +271,7 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
         (
             "site",
             f"converter of {centres.s_rated_share:g} x rating, clock {centres.f_min_mhz:g} to {centres.f_max_mhz:g} "
-            f"MHz, clock law {law}, idle share {centres.idle_share}, "
+            f"MHz, clock law {type(centres.clock_law).__name__}, idle share {centres.idle_share}, "
             f"trace {trace}",
         ),
         ("ride-through", f"curve {job.request.ride_through.curve}, sags {job.request.ride_through.sags}"),

@@ -25,7 +25,6 @@ from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
 from dcgrid_env.core.html_page import png
 from dcgrid_env.rendering import draw_feeder, positions, run_figure
-from dcgrid_env.scenario.grid_control import capacitor_deciders
 
 DAY_H, DAY_DT_S, DAY_STEPS = 24.0, 60.0, 1440
 FLICKER_DT_S, FLICKER_STEPS = 0.1, 6000
@@ -267,12 +266,10 @@ BUILDERS: dict[str, Callable[[Job], Section]] = {
 
 
 def _acting(scenario: Scenario) -> str:
-    """Say which equipment acts by its own control, in a sentence."""
-    feeder, acting = scenario.feeder, []
-    if acting_relays(scenario) is not None:
-        acting.append("regulators")
-    if not isinstance(feeder, Feeder) and "controlled" in capacitor_deciders(scenario.grid_control, feeder):
-        acting.append("capacitor banks")
+    """Return a sentence on the equipment whose built-in control acts."""
+    modes = scenario.grid_control.capacitors
+    acting = ["regulators"] * (acting_relays(scenario) is not None)
+    acting += ["capacitor banks"] * ("controlled" in (dict(modes).values() if isinstance(modes, tuple) else (modes,)))
     return f"Nothing is controlled except {' and '.join(acting)}." if acting else "Nothing is controlled."
 
 

@@ -8,6 +8,7 @@ from dcgrid_env import make_scenario
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 from dcgrid_env.baselines.hosting_capacity.outages import outage_names, outages_asked, with_outage
+from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def test_tables_change_in_the_rows_of_the_element_alone(scenario):
 def test_agents_cannot_move_a_bank_that_is_out_of_service(scenario, modes):
     before = scenario.replace(grid_control={"regulators": modes})
     after = with_outage(before, "regulator reg4")
-    (group,) = [device for device in after.devices if device.kind == "tap_changer"]
+    (group,) = [device for device in after.devices if isinstance(device, TapChangers)]
     assert "creg4a" not in group.names
     assert not [device for device in after.devices if device.kind == "regulator_setpoint"]
     everything = " + ".join(f"regulator {bank}" for bank in ("reg1a", "reg2", "reg3", "reg4"))

@@ -6,8 +6,8 @@ transformer at the neutral tap and an ideal regulator behind it. A separate bus 
 of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, which is equivalent. If the transformer is a row of the
 admittances, the matrix at its neutral tap takes that place. A tap on the side that is fed from is fixed.
 
-A control that does not act (disabled, ``MaxTapChange=0``, or all with ``ControlMode=off``) leaves a fixed tap:
-``max_taps_per_move`` is 0, or, where the transformer is no regulator proper, it is one without a control.
+A control that does not act (disabled, ``MaxTapChange=0``, or all with ``ControlMode=off``) leaves a fixed tap. The row
+of a regulator proper then has a ``max_taps_per_move`` of 0. Any other transformer is taken as one without a control.
 """
 
 from __future__ import annotations
