@@ -3,8 +3,9 @@
 A feeder keeps the voltage of its file. Most published feeders specify 1 p.u., at which all their voltages are below
 1 p.u. A learner would then be rewarded for compensating a badly chosen tap. On request the source is set as a tap
 changer would set it, and also for bundled feeders that leave the band without any device. The mean voltages of the
-buses over episodes without control then extend as far above 1 p.u. as below it. If automatic regulators act on the feeder, they control
-its voltages, and the source is left unchanged. The effect of the rule on costs is described in docs/own-feeder.md.
+buses over episodes without control then extend as far above 1 p.u. as below it. If automatic regulators act on the
+feeder, they control its voltages, and the source is left unchanged. The effect of the rule on costs is described in
+docs/own-feeder.md.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ def source_origin(scenario: Scenario, asked: object = None, name: str | None = N
     if asked == CENTRED and acting_relays(scenario) is not None:
         return f"from {file}, not {CENTRED} as {place} asks, because regulators act"
     if asked == CENTRED:
-        return f"{CENTRED} as {place} asks, so voltages without control are around 1 p.u.; {has}"
+        return f"{CENTRED} as {place} asks; {has}"
     if asked is not None:
         return f"set by {place}; {has}"
     if scenario.source_voltage_pu == feeder.v0_pu:

@@ -54,7 +54,8 @@ def base_case(job: Job) -> Section:
         most = int(loading[0].argmax())
         rows.append(("highest loading", f"{100.0 * loading[0, most]:.1f} % of the rating", branch_to(feeder, most)))
         side = "above" if 100.0 * loading[0, most] > study.loading_max_pct else "within"
-        loaded = f", and the highest loading is {rows[-1][1]} ({rows[-1][2]}), {side} its limit"
+        known = "known " * bool(study.coverage.not_checked)
+        loaded = f", and the highest {known}loading is {rows[-1][1]} ({rows[-1][2]}), {side} its limit"
     else:
         loaded = ", and no rating is known"
     coverage = study.coverage

@@ -167,7 +167,7 @@ def _lowered(found: Capacities) -> Iterator[str]:
         pairs = zip(alone, found.by_controller[name], strict=True)
         buses = [before.bus for before, after in pairs if after.capacity_mw < before.capacity_mw]
         if buses:
-            yield f"{name} lowers the capacity of {len(buses)} buses against no control: {first_of(buses)}."
+            yield f"{name} lowers the capacity of {_buses(buses)} against no control: {first_of(buses)}."
 
 
 def _cells(capacity: BusCapacity) -> dict[str, str]:
@@ -181,6 +181,11 @@ def first_of(names: Sequence[str]) -> str:
     """Return the first of some names, and how many more there are."""
     more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
     return f"{', '.join(names[:_SHOWN])}{more}" if names else "none"
+
+
+def _buses(names: Sequence[str]) -> str:
+    """Number of buses in words."""
+    return f"{len(names)} bus{'es' * (len(names) > 1)}"
 
 
 def _mw(capacity: BusCapacity) -> str:
@@ -216,7 +221,7 @@ def _notes(found: Capacities) -> Iterator[str]:
     for bus, reason in study.left_out().items():
         by_reason.setdefault(reason, []).append(bus)
     for reason, buses in by_reason.items():
-        yield f"No answer for {len(buses)} buses, {reason}: {first_of(buses)}."
+        yield f"No answer for {_buses(buses)}, {reason}: {first_of(buses)}."
     for name in found.controllers:
         broken = [c for c in found.by_controller[name] if not c.capacity_mw and c.margin < 0.0]
         if len(broken) == len(found.buses):

@@ -89,6 +89,7 @@ class Run(Command):
         from dcgrid_env.baselines.benchmark.jobs import episode_records
         from dcgrid_env.baselines.laws import stability
         from dcgrid_env.baselines.tuning.tuned import require_tuned
+        from dcgrid_env.grid import AnyFeeder, is_bundled
         from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
 
         _check_options(self)
@@ -105,8 +106,9 @@ class Run(Command):
             for name, controller in controllers.items():
                 task = progress.add_task(name, total=scenario.horizon)
                 runs.add(name, controller, lambda task=task: progress.advance(task))
-        if self.feeder is not None:
+        if self.feeder is not None or (isinstance(scenario.feeder, AnyFeeder) and not is_bundled(scenario.feeder)):
             say(console, voltage_line(scenario, self.set, self.scenario))
+        if self.feeder is not None:
             say(console, f"{chosen_line(scenario)}\n\n{scenario.replace(split='train').to_toml(brief=True)}")
         records = [
             record

@@ -67,8 +67,7 @@ def test_the_origin_of_a_voltage_is_said(tmp_path):
         source_origin(scenario): "from mine/feeder.toml",
         source_origin(raised, 1.02): "set by --set; mine/feeder.toml has 1 p.u.",
         source_origin(raised, None, "s.toml"): "from scenario s.toml; mine/feeder.toml has 1 p.u.",
-        source_origin(raised, CENTRED): "centred as --set asks, so voltages without control are around 1 p.u.; "
-        "mine/feeder.toml has 1 p.u.",
+        source_origin(raised, CENTRED): "centred as --set asks; mine/feeder.toml has 1 p.u.",
         source_origin(bundled): "centred, because the bundled feeder ieee33 leaves 0.95 to 1.05 p.u. by itself at its "
         "1 p.u.",
         source_origin(
