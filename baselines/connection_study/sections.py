@@ -16,6 +16,7 @@ from dcgrid_env.baselines.connection_study.limit_distances import NOMINAL_LOAD, 
 from dcgrid_env.baselines.connection_study.section import Section, figure_of, rise_or_fall, sentences, under
 from dcgrid_env.baselines.connection_study.several_sites import several_sites
 from dcgrid_env.baselines.connection_study.study_job import Job
+from dcgrid_env.baselines.connection_study.study_request import NOT_STATED
 from dcgrid_env.baselines.connection_study.year_section import year
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
@@ -175,8 +176,8 @@ def ride_through(job: Job) -> Section:
     trips = int(first["ups_trips"])
     if trips:
         answer = (
-            f"By the curve {asked.curve}, the sags {asked.sags} disconnect the site {trips} time{'s' * (trips > 1)} "
-            f"{control}, and up to {first['ups_lost_step_kw']:.0f} kW are lost in a step."
+            f"By the curve {asked.curve}, the sags {asked.sags} disconnect the site {trips} "
+            f"time{'s' * (trips > 1)}, and {first['ups_lost_step_kw']:.0f} kW are lost in the largest step, {control}."
         )
     else:
         answer = f"By the curve {asked.curve}, the site stays connected during the sags {asked.sags} {control}."
@@ -211,7 +212,8 @@ def fluctuation(job: Job) -> Section:
         f"{limits.source}; limits that the study's file does not set are defaults of dcgrid study. Pst is that of "
         "IEC 61000-4-15 for a lamp of 120 V and 60 Hz, without fluctuations above 5 Hz."
     )
-    answer = f"Above the limits: {', '.join(exceeded)}." if exceeded else "Within the limits."
+    source = "defaults of dcgrid study" if limits.source == NOT_STATED else limits.source
+    answer = f"Above the limits ({source}): {', '.join(exceeded)}." if exceeded else f"Within the limits ({source})."
     if ramp is None:
         answer += " No limit of ramps is stated."
     tables = (Table("Largest values in ten minutes", header, (*rows, allowed)),)
