@@ -47,7 +47,7 @@ def with_outage(scenario: Scenario, outage: str) -> Scenario:
         word, _, name = part.strip().partition(" ")
         network = _changed(network, word, name.strip(), outage)
         if word == "regulator" and isinstance(modes, tuple):
-            modes = tuple((bank, "fixed" if bank == name.strip() else mode) for bank, mode in modes)
+            modes = tuple((bank, mode) for bank, mode in modes if bank != name.strip())
     if not isinstance(modes, tuple) and not any(network.regulator.max_taps_per_move):
         modes = "controlled"  # which moves no fixed tap
     try:

@@ -45,8 +45,8 @@ class Capacity(OverWorkers):
     """Scenario that defines the other devices, and the trace and type of the added site: a name (dcgrid list),
     path/to/file.toml or path/to/file.py:function."""
     set: Overrides = ()
-    """Scenario fields to override, for example --set source_voltage_pu=1.05 datacenters.s_rated_share=1.1. With
-    source_voltage_pu=centred, voltages without control are around 1 p.u."""
+    """Scenario fields to override, for example --set source_voltage_pu=1.05 datacenters.s_rated_share=1.1. The
+    value source_voltage_pu=centred chooses a voltage that centres those of the buses."""
     controllers: Controllers = "none,droop-tuned"
     """Controllers, separated by commas, as for dcgrid run. A tuned law without gains for the scenario uses its default
     gains. A policy acts on the observations of the site."""

@@ -36,9 +36,9 @@ def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrid
 
     A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
 
-    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder; a
-    feeder that is not bundled brings its source voltage along unless ``source_voltage_pu`` is set too. While the
-    frozen scenario is referenced, the same call returns the same object, so equal environments share derived data.
+    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder. A feeder that is
+    not bundled brings its source voltage along unless ``source_voltage_pu`` is set too. While the frozen scenario is
+    referenced, the same call returns the same object, so equal environments share derived data.
 
     Raises
     ------

@@ -97,3 +97,13 @@ def test_outages_that_cannot_be(scenario, outage, message):
         with_outage(scenario, outage)
     with pytest.raises(ValueError, match="balanced feeder 'ieee33' has no elements"):
         with_outage(make_scenario("ieee33", split="test"), outage)
+
+
+def test_an_outage_of_a_bank_with_scheduled_set_points_is_possible(scenario):
+    schedule = {"offset_v": {"reg4": [(6.0, 0.0), (18.0, 1.5)]}}
+    modes = {"reg4": "controlled", "reg1a": "fixed"}
+    day = scenario.replace(
+        background={"start_hour": 12.0}, grid_control={"regulators": modes, "regulator_settings": schedule}
+    )
+    table = with_outage(day, "regulator reg4").feeder.network.regulator
+    assert {most for bank, most in zip(table.bank, table.max_taps_per_move, strict=True) if bank == "reg4"} == {0}
