@@ -208,9 +208,9 @@ def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Map
     for field in chosen:
         if field in overrides:
             raise ValueError(f"set: {field} is chosen by an option of the command; leave one of them out")
-    is_centred = overrides.get("source_voltage_pu") == CENTRED
-    if is_centred:
-        del overrides["source_voltage_pu"]
+    is_centred = isinstance(overrides.get("source_voltage_pu"), str)
+    if is_centred and (word := overrides.pop("source_voltage_pu")) != CENTRED:
+        raise ValueError(f"set: source_voltage_pu is {word!r}; give a voltage in p.u., or {CENTRED}")
     try:
         scenario = make_scenario(base, **overrides, **chosen, split=split)
     except (TypeError, OverflowError, MemoryError) as error:
