@@ -39,6 +39,7 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "step_s": (1e-6, _A_YEAR_S),
     "part_s": (0.0, 1e12),
     "max_gap_s": (0.0, _A_YEAR_S),
+    "limit_kw": (1e-6, 1e7),
     "rated_kw": (1e-6, 1e7),
     "window_s": (1e-3, 3600.0),
     "settle_s": (0.0, 3600.0),

@@ -209,7 +209,7 @@ def _interrupted(*_, **__):
     ("make", "message"),
     [
         (lambda path: path.mkdir(), "out: must be a file, got the folder"),
-        (lambda path: path.write_text("{"), "is not a file of tuned parameters; pass a file that dcgrid tune wrote"),
+        (lambda path: path.write_text("{"), "pass a file that dcgrid tune wrote"),
         (lambda path: path.write_text('{"laws": []}'), "is not a file of tuned parameters"),
         (lambda path: path.write_text('{"laws": {"droop": {"toy6": {}}}}'), "is not a file of tuned parameters"),
         (lambda path: path.parent.write_text(""), "a folder that can be created"),
@@ -281,7 +281,7 @@ WHOLE = {"seed": 0, "hash": "0" * 16, "J": 1.0, "bound": 1.0, "rounds": 2}
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", ": is not JSON"),
+        ("{", "is not JSON"),
         ("{}", "has no 'scenario_hash' and 'episodes'"),
         ("[]", "has no 'scenario_hash' and 'episodes'"),
         ({}, "has 'episodes' that are no list"),
@@ -299,7 +299,7 @@ def test_a_damaged_file_is_named(text, message, tmp_path, capsys):
     path.write_text(text)
     with pytest.raises(SystemExit) as stopped:
         main(["hindsight", "--scenarios", "toy6", "--episodes", "1", "--out", str(tmp_path)])
-    _is_one_line(stopped, capsys, f"{path} {message}", "; delete it, or choose another --out")
+    _is_one_line(stopped, capsys, str(path), message, "; delete it, or choose another --out")
     assert path.read_text() == text
 
 
