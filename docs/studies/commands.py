@@ -25,7 +25,7 @@ COMMANDS = Group(
         "Studies": {
             "ablate": _entry("Train a policy without some of its parts and score each.", "ablate:Ablate"),
             "circuits": _entry("Import every OpenDSS circuit in a folder.", "circuits:Circuits"),
-            "corpus": _entry("Import public collections of grids and compare each grid with its program.", "corpus:Corpus"),
+            "corpus": _entry("Compare imports of public grids with their programs.", "corpus:Corpus"),
             "fit-paper": _entry("Search for the values that the paper does not state.", "fit_paper:FitPaper"),
             "generalise": _entry("Train on all scenarios but one and score on that one.", "generalise:Generalise"),
             "gradient-cosine": _entry("Compare two estimates of PPO's gradient.", "gradient_cosine:GradientCosine"),

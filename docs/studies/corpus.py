@@ -422,7 +422,7 @@ def page_with(summary_text: str, page: str) -> str:
 
 @dataclass(frozen=True)
 class Corpus(Command):
-    """Import public collections of grids and compare each grid with its program.
+    """Compare imports of public grids with their programs.
 
     It prints a row for each grid, then writes docs/corpus.csv and the table of docs/import.md.
     """
