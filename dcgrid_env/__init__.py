@@ -30,7 +30,9 @@ from dcgrid_env.engine.cost.flicker import short_term_flicker
 from dcgrid_env.engine.cost.metric_list import METRICS, metrics_in
 from dcgrid_env.engine.cost.observation import field_names
 from dcgrid_env.engine.cost.reward import end_costs
+from dcgrid_env.engine.exogenous.clock_starts import recording_lines
 from dcgrid_env.engine.exogenous.forecast import Forecast, begin_hour, episode_hash, forecast, sag_times
+from dcgrid_env.engine.exogenous.profile_loads import profile_loads
 from dcgrid_env.engine.physics.acting_relays import ActingRelays, BankControl, acting_relays
 from dcgrid_env.engine.physics.actions import ActionError, ActionLayout, action_layout
 from dcgrid_env.engine.physics.connections import (
@@ -76,7 +78,7 @@ from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest, LoadTarget
-from dcgrid_env.scenario.load_profiles import LoadProfiles, ProfileCoverage, profile_coverage
+from dcgrid_env.scenario.load_profiles import LoadProfiles, ProfileCoverage, profile_begins_h, profile_coverage
 from dcgrid_env.scenario.on_feeder import scenario_on
 from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
@@ -180,10 +182,13 @@ __all__ = [
     "nodes_by_bus",
     "own_sensitivity",
     "parallel_env",
+    "profile_begins_h",
     "profile_coverage",
+    "profile_loads",
     "random_feeder",
     "rating_coverage",
     "read_feeder",
+    "recording_lines",
     "register_device",
     "relay_slopes",
     "sag_times",

@@ -25,7 +25,7 @@ from dcgrid_env.traces.pv import SUN, PvParams, generate_pv, pv_rows
 from dcgrid_env.traces.recorded_rows import from_recordings
 from dcgrid_env.traces.recorder import record
 from dcgrid_env.traces.recordings import RECORDINGS, Recording, cache_folder, fetch, load_power, load_requests
-from dcgrid_env.traces.rows import ALL_SPLITS, SPLITS, TraceRows, require_window
+from dcgrid_env.traces.rows import ALL_SPLITS, SPLITS, WHOLE, TraceRows, require_window
 from dcgrid_env.traces.serving.arrivals import Arrivals
 from dcgrid_env.traces.serving.hardware import GPUS, MODELS, Gpu, Model, Replica, replica
 from dcgrid_env.traces.serving.pool import Served, serve
@@ -52,6 +52,7 @@ __all__ = [
     "SPLITS",
     "SUN",
     "TRACE_SOURCES",
+    "WHOLE",
     "Arrivals",
     "Gpu",
     "InferenceParams",

@@ -20,8 +20,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -78,6 +79,8 @@ def read_profiles(path: str | Path) -> ProfileTable:
             raise TraceError(f"{name}: the column {column!r} is there twice; give each column one name")
     times_s, day = _times(name, raw)
     table = _long(name, raw, times_s, day) if raw.header[1] in _LONG else _wide(name, raw, times_s, day)
+    if day:
+        table = replace(table, utc_offset_h=_utc_offset_h(raw.columns[0][0]))
     table.__dict__["_asked_by"] = str(path.absolute())
     return table
 
@@ -87,10 +90,20 @@ def write_profiles(table: ProfileTable, path: Path, comments: Sequence[str] = ()
     text = io.StringIO()
     text.writelines(f"# {comment}\n" for comment in comments)
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["time_s", *table.names])
-    times = table.begin_h * 3600.0 + table.step_s * np.arange(len(table.values))
-    writer.writerows([f"{t:.12g}", *map(repr, row)] for t, row in zip(times, table.values.tolist(), strict=True))
+    writer.writerow(["time" if table.first_day else "time_s", *table.names])
+    writer.writerows([time, *map(repr, row)] for time, row in zip(_texts(table), table.values.tolist(), strict=True))
     write_text(path, text.getvalue())
+
+
+def _texts(table: ProfileTable) -> Iterator[str]:
+    """Times of the samples as texts: dates if they are known, else seconds."""
+    times = (table.begin_h * 3600.0 + table.step_s * np.arange(len(table.values))).tolist()
+    if not table.first_day:
+        return (f"{t:.12g}" for t in times)
+    offset = table.utc_offset_h
+    zone = None if offset is None else timezone(timedelta(hours=offset))
+    midnight = datetime.fromisoformat(table.first_day).replace(tzinfo=zone)
+    return ((midnight + timedelta(seconds=round(t, 6))).isoformat() for t in times)
 
 
 def read_classes(path: str | Path) -> dict[str, str]:
@@ -217,6 +230,11 @@ def _seconds(cells: Sequence[Any], refuse: Callable[[int, str], TraceError]) -> 
     start = midnight if zone is None else midnight.astimezone(zone)
     times = [((date if zone is None else date.astimezone(zone)) - start).total_seconds() for date in dates]
     return np.array(times, np.float64), first.date().isoformat()
+
+
+def _utc_offset_h(cell: object) -> float | None:
+    offset = (cell if isinstance(cell, datetime) else date_of(str(cell))).utcoffset()
+    return None if offset is None else offset.total_seconds() / 3600.0
 
 
 def _numbers(cells: Sequence[Any]) -> FloatArray:

@@ -39,6 +39,8 @@ class ProfileTable:
     """Samples, (sample, column); their unit is defined by who uses the table."""
     first_day: str = ""
     """Date of the first sample, ISO 8601; "" if the times are not dates."""
+    utc_offset_h: float | None = None
+    """UTC offset of the first sample, h; None if the times state none."""
 
     def __post_init__(self) -> None:
         values = np.array(self.values, np.float64)

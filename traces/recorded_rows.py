@@ -11,12 +11,13 @@ import numpy as np
 from dcgrid_env.traces.boost import boosted_trace
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive, steps_in
 from dcgrid_env.traces.provenance import Provenance
-from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, TraceRows, checked_boost, checked_split
+from dcgrid_env.traces.recording_clock import Clock, clock_of
+from dcgrid_env.traces.rows import OUT_OF_DISTRIBUTION, SPLITS, WHOLE, TraceRows, checked_boost, checked_split
 from dcgrid_env.traces.time_grid import IDLE_SHARE
 from dcgrid_env.traces.trace import PowerTrace, RequestTimes
 
 # Shares of a recording's time, train 60 %, validation 20 %, test 20 %, as bounds.
-_SPLIT_BOUNDS = {"train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0)}
+_SPLIT_BOUNDS = {"train": (0.0, 0.6), "validation": (0.6, 0.8), "test": (0.8, 1.0), WHOLE: (0.0, 1.0)}
 
 
 def from_recordings(
@@ -26,6 +27,8 @@ def from_recordings(
     window_s: float = 0.0,
     boost_share: float = 1.0,
     by: str = "time",
+    *,
+    full_rows: bool = False,
 ) -> TraceRows:
     """Return rows of power from recordings, each as a share of its rating, or of its peak if the rating is unknown.
 
@@ -33,15 +36,20 @@ def from_recordings(
     the recordings in their order. A row is as long as the shortest part. A longer part gives several rows that together
     cover it, with overlap if necessary.
 
+    The split "whole" has all of every recording. One that is shorter than a window is repeated there, every second time
+    backwards, so that its power has no jump where it begins again.
+
     Parameters
     ----------
     traces : at least one recording.
-    split : "train", "validation" or "test"; no two share a sample.
+    split : "train", "validation" or "test", no two of which share a sample, or "whole".
     dt_s : step, s.
     window_s : the longest window that will be taken, s; 0 if not known yet.
     boost_share : highest short draw as a share of the rating, at least 1. If the rating is unknown, it is taken to be
         the peak of the recording. Traces whose compute-bound part is known get the boost as generated ones do.
     by : "time" cuts each recording, "recording" gives whole recordings to the splits and needs at least 3.
+    full_rows : whether each part is one row; shorter ones then hold their last value to the end, see
+        `TraceRows.row_steps`.
 
     Returns
     -------
@@ -52,7 +60,7 @@ def from_recordings(
     TraceError
         If `traces` is empty, or a recording's part of the split is shorter than one step or `window_s`.
     """
-    if checked_split(split) == OUT_OF_DISTRIBUTION:
+    if split != WHOLE and checked_split(split) == OUT_OF_DISTRIBUTION:
         raise TraceError(
             "recordings have no split 'ood'; give recordings of another GPU or service as the trace instead"
         )
@@ -63,24 +71,31 @@ def from_recordings(
         raise TraceError(f"window_s = {window_s!r} is not a finite number of at least 0; give a length in seconds")
     needed = max(1, -steps_in(-window_s, require_positive(dt_s, "dt_s", "give a step in seconds")))
     boost_share = checked_boost(boost_share)
-    if by == "recording":
+    if by == "recording" and split != WHOLE:
         traces, low, high = _whole_recordings(traces, split), 0.0, 1.0
-    elif by != "time":
+    elif by not in ("time", "recording"):
         raise TraceError(f"by = {by!r} is unknown; cut recordings by time or give them out by recording")
     parts = [_part(trace, split, dt_s, (low, high), needed, boost_share) for trace in traces]
-    n_steps = min(len(part.p_share) for part in parts)
+    n_steps = (max if full_rows else min)(len(part.p_share) for part in parts)
     rows, counts = [], []
     for part in parts:
-        begins = np.linspace(0, len(part.p_share) - n_steps, -(-len(part.p_share) // n_steps)).astype(int)
+        begins = np.linspace(0, max(0, len(part.p_share) - n_steps), -(-len(part.p_share) // n_steps)).astype(int)
         counts.append(len(begins))
         rows += [part.cut(int(begin), n_steps, dt_s) for begin in begins]
-    power, compute, requests = zip(*rows, strict=True)
+    power, compute, requests, clocks = zip(*rows, strict=True)
     return TraceRows(
-        _pool(power),
-        None if any(row is None for row in compute) else _pool(compute),
+        _pool(power, n_steps),
+        None if any(row is None for row in compute) else _pool(compute, n_steps),
         () if any(row is None for row in requests) else requests,
         tuple(_noted(trace, boost_share) for trace, n in zip(traces, counts, strict=True) for _ in range(n)),
+        clocks,
+        tuple(map(len, power)),
     )
+
+
+def is_repeated(trace: PowerTrace, dt_s: float, window_s: float) -> bool:
+    """Return whether a recording is shorter than a window, so that the split "whole" repeats it."""
+    return steps_in(trace.duration_s, dt_s) < -steps_in(-window_s, dt_s)
 
 
 def _noted(trace: PowerTrace, boost_share: float) -> Provenance:
@@ -97,13 +112,24 @@ class _Part(NamedTuple):
     compute_share: FloatArray | None
     requests: RequestTimes | None
     """Times from the beginning of the part."""
+    clock: Clock | None
+    """Clock at the beginning of the part."""
 
     def cut(self, begin: int, n_steps: int, dt_s: float) -> _Part:
         """The part from step `begin` on."""
         steps = slice(begin, begin + n_steps)
         compute = None if self.compute_share is None else self.compute_share[steps]
         requests = self.requests and _within(self.requests, begin * dt_s, n_steps * dt_s)
-        return _Part(self.p_share[steps], compute, requests)
+        return _Part(self.p_share[steps], compute, requests, self.clock and self.clock.later(begin * dt_s))
+
+    def repeated(self, n_steps: int) -> _Part:
+        """The part forwards and backwards in turn, without the requests."""
+        p_share, compute = (
+            None if values is None else np.resize(np.concatenate((values, values[::-1])), n_steps)
+            for values in (self.p_share, self.compute_share)
+        )
+        assert p_share is not None
+        return _Part(p_share, compute, None, None)
 
 
 def _part(
@@ -124,11 +150,12 @@ def _part(
             scaled = boosted_trace(scaled, boost_share)
     share = scaled.resample(dt_s) * scale
     first, last = (round(bound * len(share)) for bound in bounds)
-    if last - first < needed:
+    if last - first < needed and split != WHOLE:
         raise TraceError(
             f"trace {trace.name!r} lasts {trace.duration_s:g} s, of which the {split} split has "
             f"{(last - first) * dt_s:g} s, but {needed * dt_s:g} s are needed; give a recording of at least "
-            f"{needed * dt_s / (bounds[1] - bounds[0]):.0f} s or a shorter episode"
+            f"{needed * dt_s / (bounds[1] - bounds[0]):.0f} s or a shorter episode (horizon); the split {WHOLE!r}, "
+            "which dcgrid run, check, capacity and study use by default, has all of it and shares it with training"
         )
     compute = scaled.resample_compute(dt_s)
     if compute is not None:
@@ -139,7 +166,9 @@ def _part(
     if requests is not None:
         begin_s = float(trace.time_s[0]) + first * dt_s
         requests = _within(requests, begin_s, (last - first) * dt_s)
-    return _Part(share[first:last], compute, requests)
+    clock = clock_of(trace)
+    part = _Part(share[first:last], compute, requests, clock and clock.later(first * dt_s))
+    return part if last - first >= needed else part.repeated(last - first + needed)
 
 
 def _within(requests: RequestTimes, begin_s: float, duration_s: float) -> RequestTimes:
@@ -149,8 +178,8 @@ def _within(requests: RequestTimes, begin_s: float, duration_s: float) -> Reques
     return RequestTimes(arrival_s - begin_s, *delays)
 
 
-def _pool(rows: Sequence[FloatArray]) -> FloatArray:
-    pool = np.array(rows)
+def _pool(rows: Sequence[FloatArray], n_steps: int) -> FloatArray:
+    pool = np.array([np.pad(row, (0, n_steps - len(row)), "edge") for row in rows])
     pool.setflags(write=False)
     return pool
 

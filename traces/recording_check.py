@@ -148,7 +148,8 @@ class RecordingReport:
         if short := [split for split, count in self.windows.items() if count == 0]:
             found.append(
                 f"the splits {', '.join(short)} are too short for an episode of {self.needed_s:g} s; record at least "
-                f"{self.needed_s / 0.2:.0f} s, or shorten the episode (--horizon)"
+                f"{self.needed_s / 0.2:.0f} s, or shorten the episode (--horizon); run, check, capacity and study use "
+                "all of a recording and repeat a short one"
             )
         elif few := [split for split, count in self.windows.items() if count < 5]:
             found.append(

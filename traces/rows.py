@@ -12,6 +12,7 @@ import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recording_clock import Clock
 from dcgrid_env.traces.trace import RequestTimes
 
 SPLITS = ("train", "validation", "test")
@@ -19,6 +20,8 @@ SPLITS = ("train", "validation", "test")
 OUT_OF_DISTRIBUTION = "ood"
 ALL_SPLITS = (*SPLITS, OUT_OF_DISTRIBUTION)
 """``SPLITS`` and the split that is out of distribution."""
+WHOLE = "whole"
+"""Split of answers on the user's files: all of each file, which it shares with the other splits."""
 
 
 class TraceRows(NamedTuple):
@@ -33,6 +36,11 @@ class TraceRows(NamedTuple):
     """The requests behind each row, times from the row's beginning; () unless the source is made of requests."""
     provenance: tuple[Provenance, ...] = ()
     """Where each row comes from."""
+    clocks: tuple[Clock | None, ...] = ()
+    """Clock at the beginning of each row; None for a recording without dates, and for a repeated one. () for generated
+    rows."""
+    row_steps: tuple[int, ...] = ()
+    """Steps of each row that are recorded; the last value holds after them. () for generated rows."""
 
 
 def require_window(rows: TraceRows, n_steps: int, dt_s: float, name: str) -> None:

@@ -26,7 +26,7 @@ def digest(parts: Iterable[tuple[str, Any]], fields: Fields | None = None) -> st
     Parameters
     ----------
     parts
-        Names and values: numbers, texts, arrays, tuples, mappings, dataclasses, and objects with a ``__dict__``.
+        Names and values: numbers, texts, arrays, tuples, lists, mappings, dataclasses, and objects with a ``__dict__``.
     fields
         What of a value is hashed where that is not all its fields.
 
@@ -55,7 +55,7 @@ def _add(found: Any, value: object, fields: Fields | None) -> None:
     elif dataclasses.is_dataclass(value):
         found.update(type(value).__name__.encode())
         _add_named(found, ((f.name, getattr(value, f.name)) for f in dataclasses.fields(value)), fields)
-    elif isinstance(value, tuple):
+    elif isinstance(value, tuple | list):
         found.update(f"tuple{len(value)}".encode())
         for item in value:
             _add(found, item, fields)

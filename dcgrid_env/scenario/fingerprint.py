@@ -48,6 +48,7 @@ from dcgrid_env.scenario.cost import CostWeights
 from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.grid_request import LoadTarget
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.traces import ProfileTable
 
 
 class Kind(NamedTuple):
@@ -143,6 +144,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     RegulatorControl: Kind("RegulatorControl", ("timer", "offset_v", "hold_s")),
     LoadTarget: Kind("LoadTarget", tuple(_LOAD_TARGET.split())),
     PrefillDecodeDvfs: Kind("PhaseDvfs", tuple(_PREFILL_DECODE.split())),
+    ProfileTable: Kind("ProfileTable", ("begin_h", "step_s", "names", "values", "first_day")),
     PowerCapDvfs: Kind("PowerCapDvfs", (*_PREFILL_DECODE.split(), "decode_draw_share")),
 }
 

@@ -14,7 +14,7 @@ from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, refuse, settle
 from dcgrid_env.core.suggestions import nearest
 from dcgrid_env.grid import AnyFeeder, Feeder
-from dcgrid_env.traces import ProfileTable, TraceError, read_classes, read_profiles
+from dcgrid_env.traces import WHOLE, ProfileTable, TraceError, read_classes, read_profiles
 from dcgrid_env.traces.profile_file import REACTIVE
 
 _SHOWN = 5
@@ -45,8 +45,8 @@ class LoadProfiles:
     """Values between two samples: a sample holds until the next one, or they are linear in time."""
     days: Literal["split", "all", "repeat"] = choice("split", "all", "repeat", default="split")
     """Days in which episodes lie. ``split``: blocks of days go to train, validation and test in turn, 60, 20 and 20 %,
-    and no episode lies in two of them; ood has those of test. ``all``: all days, in each split. ``repeat``: all days,
-    and the file begins again after its end."""
+    and no episode lies in two of them; ood has those of test, and whole has all. ``all``: all days, in each split.
+    ``repeat``: all days, and the file begins again after its end."""
     start_h: float | None = None
     """Begin of all episodes, h since the midnight before the file's first sample; None for a begin by seed."""
     uncovered: Literal["refuse", "nominal"] = choice("refuse", "nominal", default="refuse")
@@ -92,7 +92,7 @@ class LoadProfiles:
         """
         table = self.table
         begin, end = table.begin_h, table.begin_h + table.duration_h
-        if self.days != "split":
+        if self.days != "split" or split == WHOLE:
             return [(begin, end)]
         size, wanted = self.block_days, "test" if split == "ood" else split
         found: list[tuple[float, float]] = []
@@ -124,10 +124,10 @@ def check_load_profiles(scenario: Any) -> None:
         remedy = "leave it out, or leave load_profiles.start_h out: each sets the begin of an episode"
         raise FieldError("Scenario", "background.start_hour", hour, remedy)
     profile_weights(scenario.feeder, profiles)
-    starts_h(scenario)
+    profile_begins_h(scenario)
 
 
-def starts_h(scenario: Any) -> np.ndarray:
+def profile_begins_h(scenario: Any) -> np.ndarray:
     """Return the earliest and latest begin of an episode in each range of its split, (range, 2).
 
     Hours since the midnight before the file's first sample. With ``background.start_hour``, each range is one hour of
@@ -138,7 +138,8 @@ def starts_h(scenario: Any) -> np.ndarray:
     ranges = profiles.ranges_h(scenario.split)
     fitting = [(low, high if repeats else high - length_h) for low, high in ranges]
     fitting = [(low, max(low, high)) for low, high in fitting if high >= low - 1e-9]
-    where = f"of the split {scenario.split!r} " if profiles.days == "split" else ""
+    is_cut = profiles.days == "split" and scenario.split != WHOLE
+    where = f"of the split {scenario.split!r} " if is_cut else ""
     if not fitting:
         most = max((high - low for low, high in ranges), default=0.0)
         part = f", {where}at most {most:g} h at a time" if where else ""

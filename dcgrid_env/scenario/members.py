@@ -24,7 +24,7 @@ def member_of(scenario: Any, key: int) -> Any:
     if key in kept:
         kept.move_to_end(key)
         return kept[key]
-    member = scenario.replace(feeder=scenario.feeder.feeder(scenario.split, key))
+    member = scenario.replace(feeder=scenario.feeder.feeder(scenario.generator_split, key))
     member.__dict__["_family"] = scenario
     kept[key] = member
     if len(kept) > KEPT:
@@ -63,7 +63,7 @@ def grouped(scenario: Any, seeds: np.ndarray, numbers: np.ndarray) -> list[tuple
     seeds, numbers
         The seed of each episode, and the number of episodes since that, (row,) uint64 each.
     """
-    keys, key_index = np.unique(scenario.feeder.keys(scenario.split, seeds, numbers), return_inverse=True)
+    keys, key_index = np.unique(scenario.feeder.keys(scenario.generator_split, seeds, numbers), return_inverse=True)
     return [(member_of(scenario, int(key)), np.flatnonzero(key_index == i)) for i, key in enumerate(keys)]
 
 
@@ -85,4 +85,4 @@ def check_random_feeders(scenario: Any) -> None:
             f"scenario {scenario.name!r}: observe is 'feeder', but each of its random feeders has its buses elsewhere; "
             "choose 'local' or 'neighbours'"
         )
-    scenario.feeder.style_of(scenario.split)
+    scenario.feeder.style_of(scenario.generator_split)

@@ -44,7 +44,7 @@ from dcgrid_env.scenario.placement import check_placement, free_load_buses, path
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.trace_scale import check_trace_scale
 from dcgrid_env.scenario.workload import Workload
-from dcgrid_env.traces import ALL_SPLITS
+from dcgrid_env.traces import ALL_SPLITS, WHOLE
 
 PowerFlowName = Literal["distflow", "lindistflow", "sweep"]
 
@@ -85,8 +85,10 @@ class Scenario(PickledByFields):
     """Length of a step, s."""
     power_flow: PowerFlowName = choice("distflow", "lindistflow", "sweep", default="distflow")
     """Power flow solver: "distflow" or "lindistflow" for a balanced feeder, "sweep" for a three-phase one."""
-    split: str = choice(*ALL_SPLITS, default="train")
-    """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators)."""
+    split: str = choice(*ALL_SPLITS, WHOLE, default="train")
+    """train, validation and test share no episode; ood is out of distribution, another GPU or service (generators).
+    whole is for answers on the user's files: all hours of load profiles and all of every recording, next to the
+    generated load and PV of test."""
 
     def __init__(self, **given: object):
         self._fill(assembled(None, self.__dataclass_fields__, given))
@@ -203,6 +205,11 @@ class Scenario(PickledByFields):
         paths = [name for name in self.__dataclass_fields__ if name not in PARTS and not (alone and name == "devices")]
         paths += (f"{part}.{field.name}" for part in parts for field in dataclasses.fields(getattr(self, part)))
         return next((path for path in paths if not alike(attrgetter(path)(self), attrgetter(path)(other))), None)
+
+    @property
+    def generator_split(self) -> str:
+        """Split of all that is drawn or generated instead of read from a file: that of ``split``, test for whole."""
+        return "test" if self.split == WHOLE else self.split
 
     @cached_property
     def follows_day(self) -> bool:

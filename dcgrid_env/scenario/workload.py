@@ -23,7 +23,8 @@ class Workload:
     """Source: a name (``dcgrid list``) or recordings, each scaled as ``trace_scale`` says.
 
     The first 60 % of a recording are for training, then 20 % for validation and 20 % for test, and each part must be as
-    long as an episode. Plain form: a generator's name, a recording's name or file, or a list of recordings."""
+    long as an episode. The split ``whole`` has all of it, and repeats a recording that is shorter. Plain form: a
+    generator's name, a recording's name or file, or a list of recordings."""
     trace_scale: TraceScale = choice("rated", "as-recorded", default="rated")
     """Scale of a recording's power. ``rated`` scales it to the site: its rating, or its highest power if the rating
     is unknown, becomes the site's rating. ``as-recorded`` keeps its kW, which must not exceed the site's rating."""
@@ -33,6 +34,8 @@ class Workload:
     """Start of an episode in a trace: random for each site, the trace's start, or a random time shared by all sites.
 
     With the shared time (``together``), power that was recorded or generated simultaneously remains simultaneous.
+    Where the scenario follows the day, a recording with dates begins at the time of the episode instead, except with
+    ``start`` (``recording_clocks``).
     """
     site_correlation: float = number(0.0, 1.0, default=0.0)
     """Probability that a site has the same row and time as the first one; 1 for all sites in step."""

@@ -105,7 +105,16 @@ GROUPS = (
     Group(
         "Own workload",
         "Read, record or generate the power of data centres over time (:doc:`guide <../traces>`).",
-        ("traces.by_name", "traces.trace", "traces.logs", "traces.recorder", "traces.recorded_rows", "traces"),
+        (
+            "traces.by_name",
+            "traces.trace",
+            "traces.logs",
+            "traces.recorder",
+            "traces.recorded_rows",
+            "traces",
+            "engine.exogenous.clock_starts",
+            "engine.exogenous.profile_loads",
+        ),
     ),
     Group(
         "Capacity",

@@ -35,6 +35,8 @@ def test_every_form_gives_the_same_table(tmp_path, text):
     write_profiles(table, tmp_path / "again.csv", ["a comment"])
     again = read_profiles(tmp_path / "again.csv")
     assert (columns(again), again.begin_h, again.step_s) == (found, 6.0, 900.0)
+    assert (again.first_day, again.utc_offset_h) == (table.first_day, table.utc_offset_h)
+    assert table.utc_offset_h == (1.0 if text == OFFSETS else None)
 
 
 def test_parquet(tmp_path, monkeypatch):

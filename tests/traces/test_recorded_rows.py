@@ -5,7 +5,17 @@ import pytest
 
 from dcgrid_env import PrefillDecodeDvfs, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
-from dcgrid_env.traces import IDLE_SHARE, SPLITS, PowerTrace, Provenance, from_recordings, replica, requests, serve
+from dcgrid_env.traces import (
+    IDLE_SHARE,
+    SPLITS,
+    PowerTrace,
+    Provenance,
+    TraceError,
+    from_recordings,
+    replica,
+    requests,
+    serve,
+)
 from dcgrid_env.traces.boost import boosted_trace
 
 SERVED = serve(requests("chat", hours=0.5, seed=1), replica("H100", "llama3-70b"), 2).trace
@@ -107,3 +117,38 @@ def test_every_row_says_where_it_comes_from():
     for split, names in (("train", ["a", "b"]), ("validation", ["c"]), ("test", ["d"])):
         rows = from_recordings(traces, split, 1.0, by="recording")
         assert [known.name for known in rows.provenance] == names
+
+
+STEPS = np.array([0.2, 0.2, 0.9, 0.5, 0.4])
+SHORT = PowerTrace(np.arange(6.0), [*STEPS, 0.4], "short", rated_kw=1.0)
+
+
+def test_the_whole_of_a_recording_is_one_pool():
+    trace = PowerTrace(np.arange(101.0), np.r_[np.arange(100.0), 99.0] / 100.0, "ramp", rated_kw=1.0)
+    (row,) = from_recordings([trace], "whole", 1.0, 60.0).p_share
+    np.testing.assert_allclose(row, np.arange(100.0) / 100.0)
+    with pytest.raises(TraceError, match=r"test split has 20 s, but 60 s are needed; .* the split 'whole', which"):
+        from_recordings([trace], "test", 1.0, 60.0)
+    several = [trace.rated_at(kw) for kw in (1.0, 2.0, 4.0)]
+    assert len(from_recordings(several, "whole", 1.0, 60.0, by="recording").p_share) == 3
+
+
+def test_a_short_recording_is_repeated_without_a_jump():
+    rows = from_recordings([SHORT], "whole", 1.0, 12.0)
+    (row,) = rows.p_share
+    np.testing.assert_allclose(row[:15], [*STEPS, *STEPS[::-1], *STEPS])
+    assert len(row) == 5 + 12
+    assert np.abs(np.diff(row)).max() == pytest.approx(np.abs(np.diff(STEPS)).max())
+    assert rows.clocks == (None,)
+    served = PowerTrace(SERVED.time_s, SERVED.power_kw, "served", None, SERVED.compute_kw, SERVED.requests, 1.0)
+    twice = from_recordings([served], "whole", 1.0, 3600.0)
+    assert twice.requests == ()
+    assert twice.compute_share is not None
+    assert twice.compute_share.shape == twice.p_share.shape
+
+
+def test_rows_of_different_length_hold_their_last_value():
+    long = PowerTrace(np.arange(11.0), np.full(11, 0.3), "long", rated_kw=1.0)
+    rows = from_recordings([SHORT, long], "whole", 1.0, 4.0, full_rows=True)
+    assert rows.row_steps == (5, 10)
+    np.testing.assert_allclose(rows.p_share[0], [*STEPS, *[0.4] * 5])

@@ -43,6 +43,15 @@ def seconds(text: str | float, where: str) -> float:
     return time / PARTS[epoch_unit(time) or "s"]
 
 
+def utc_offset_h(text: str) -> float | None:
+    """Return the UTC offset of a date and time, h; None for a time without one."""
+    try:
+        offset = date_of(text).utcoffset()
+    except ValueError:
+        return None
+    return None if offset is None else offset.total_seconds() / 3600.0
+
+
 def is_date(text: str) -> bool:
     """Return whether a text is a date and time, and not a number."""
     try:

@@ -9,6 +9,7 @@ from dcgrid_env.traces.checks import TraceError, require_positive
 from dcgrid_env.traces.logs.clock import seconds
 from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recording_clock import BEGAN
 from dcgrid_env.traces.text.cells import not_a_number, reading
 from dcgrid_env.traces.text.text_file import open_text, stem
 from dcgrid_env.traces.text.times import clock_text
@@ -93,7 +94,7 @@ def read_dmon_log(
     found = meters.total()
     parameters = {"gpus": len(meters.meters), "column": POWER} | found.notes
     if step_s is None:
-        parameters["began"] = clock_text(found.begin_s)
+        parameters[BEGAN] = clock_text(found.begin_s)
     return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 

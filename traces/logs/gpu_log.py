@@ -13,6 +13,7 @@ from dcgrid_env.traces.logs.gpu_columns import QUERY, GpuColumns, find_columns, 
 from dcgrid_env.traces.logs.meters import Total, held_total
 from dcgrid_env.traces.logs.timestamps import nanoseconds
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recording_clock import BEGAN
 from dcgrid_env.traces.text.gaps import GapRule
 from dcgrid_env.traces.text.power_limits import DEVICE_KW, above_limit
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
@@ -79,7 +80,7 @@ def read_gpu_log(
             log.add(block)
         sha256 = file.sha256()
     found, began = log.total()
-    parameters = {"began": began, "gpus": len(log.series), "column": layout.power_name} | found.notes
+    parameters = {BEGAN: began, "gpus": len(log.series), "column": layout.power_name} | found.notes
     return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 

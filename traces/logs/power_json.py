@@ -11,6 +11,7 @@ from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import seconds
 from dcgrid_env.traces.logs.meters import Meters, one_of
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recording_clock import BEGAN, UTC_OFFSET
 from dcgrid_env.traces.text.cells import reading
 from dcgrid_env.traces.text.power_unit import column_unit, require_power
 from dcgrid_env.traces.text.text_file import TextFile, open_text, stem
@@ -97,7 +98,8 @@ def read_power_json(
     for meter, time_s, value, place in readings:
         meters.add(meter, time_s, value, place)
     found = meters.total()
-    parameters = {"began": clock_text(found.begin_s), "meters": len(meters.meters), "metric": what or "an expression"}
+    parameters = {BEGAN: clock_text(found.begin_s), UTC_OFFSET: 0.0}
+    parameters |= {"meters": len(meters.meters), "metric": what or "an expression"}
     return found.trace(name or stem(path), Provenance(file.name, None, parameters | found.notes, sha256))
 
 

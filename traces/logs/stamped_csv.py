@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.traces.checks import TraceError
-from dcgrid_env.traces.logs.clock import is_date, seconds
+from dcgrid_env.traces.logs.clock import is_date, seconds, utc_offset_h
 from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recording_clock import BEGAN, UTC_OFFSET
 from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number, reading
 from dcgrid_env.traces.text.power_unit import (
     KW_PER_UNIT,
@@ -130,7 +131,9 @@ def read_stamped_csv(
     parameters = {"meters": len(meters.meters), "columns": [header[c] for c in columns.power]} | found.notes
     parameters |= {"left_out": left_out} if left_out else {}
     if clock is None or clock.is_epoch:
-        parameters = {"began": clock_text(found.begin_s)} | parameters
+        offset_h = utc_offset_h(begin) if clock is None else 0.0
+        offset = {} if offset_h is None else {UTC_OFFSET: offset_h}
+        parameters = {BEGAN: clock_text(found.begin_s)} | offset | parameters
     return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 

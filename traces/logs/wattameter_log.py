@@ -9,6 +9,7 @@ from dcgrid_env.traces.checks import TraceError
 from dcgrid_env.traces.logs.clock import seconds
 from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
+from dcgrid_env.traces.recording_clock import BEGAN
 from dcgrid_env.traces.text.cells import not_a_number, reading
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT
 from dcgrid_env.traces.text.text_file import open_text, stem
@@ -81,7 +82,7 @@ def read_wattameter_log(
     if meters is None:
         raise TraceError(f"{file.name}: has no reading; give a log of WattAMeter")
     found = meters.total()
-    parameters = {"began": clock_text(found.begin_s), "meters": len(meters.meters)} | found.notes
+    parameters = {BEGAN: clock_text(found.begin_s), "meters": len(meters.meters)} | found.notes
     return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 

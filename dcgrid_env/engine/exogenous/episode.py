@@ -11,6 +11,7 @@ import numpy as np
 from dcgrid_env.core import random
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.devices import Work
+from dcgrid_env.engine.exogenous.clock_starts import row_clocks, starts_on_clock
 from dcgrid_env.engine.exogenous.drawn_events import drawn_faults, drawn_sags, sags_in_interval
 from dcgrid_env.engine.exogenous.drawn_requests import drawn_requests, request_columns
 from dcgrid_env.engine.exogenous.profile_loads import drawn_start_h, profile_loads
@@ -85,7 +86,7 @@ def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: Epis
     not change other draws, except for windows of requests that follow the hour.
     """
     given = given or EpisodeOptions()
-    salt = np.uint64(zlib.crc32(scenario.split.encode()))
+    salt = np.uint64(zlib.crc32(scenario.generator_split.encode()))
     key = random.keys(salt, seeds, numbers)
     buses = _buses(scenario, key) if given.buses is None else given.buses
     begin_h = _begin_h(scenario, key) if given.begin_h is None else given.begin_h
@@ -144,9 +145,14 @@ def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.nda
     row = row[:, np.arange(n_site) % n_choices]
     spare = pool.spare_steps if isinstance(pool, RowsOnDemand) else n_steps - window_steps(scenario)
     room = 1 if scenario.workload.window == "start" else spare + 1
-    start = (random.bits(key, random.TRACE_START, n_site) % np.uint64(room)).astype(np.int64)
+    drawn = random.bits(key, random.TRACE_START, n_site)
     if scenario.workload.window == "together":
-        start = start[:, :1]
+        drawn = drawn[:, :1]
+    clocks = row_clocks(scenario.family)
+    if clocks is None:
+        start = (drawn % np.uint64(room)).astype(np.int64)
+    else:
+        start, _ = starts_on_clock(scenario, clocks, row, begin_h, drawn)
     if isinstance(pool, RowsOnDemand) and pool.begin_h is not None and scenario.follows_day:
         # Requests follow the hour of the day, so a window begins where its row has reached the episode's.
         if hourly:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.scenario.load_profiles import ProfileWeights, profile_weights, starts_h
+from dcgrid_env.scenario.load_profiles import ProfileWeights, profile_begins_h, profile_weights
 from dcgrid_env.scenario.scenario import Scenario
 
 
@@ -46,4 +46,4 @@ def _weights(scenario: Scenario) -> ProfileWeights:
 
 @cached_on_owner
 def _starts(scenario: Scenario) -> np.ndarray:
-    return starts_h(scenario)
+    return profile_begins_h(scenario)

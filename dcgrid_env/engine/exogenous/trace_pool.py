@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.scenario.recording_clocks import runs_on_clock
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.trace_scale import as_shares_of
 from dcgrid_env.traces import (
@@ -63,14 +64,16 @@ def _by_hour(scenario: Scenario) -> bool:
 
 @cached_on_owner
 def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
-    trace, split, dt_s, steps = scenario.workload.trace, scenario.split, float(scenario.dt_s), window_steps(scenario)
+    trace, split, dt_s = scenario.workload.trace, scenario.generator_split, float(scenario.dt_s)
+    steps = window_steps(scenario)
     needed_s = steps * dt_s
     if not isinstance(trace, str):
         shares, boost = (
             as_shares_of(scenario)[0],
             scenario.largest_boost if scenario.workload.trace_scale == "rated" else 1.0,
         )
-        rows = from_recordings(shares, split, dt_s, needed_s, boost, scenario.workload.recording_split)
+        by, on_clock = scenario.workload.recording_split, runs_on_clock(scenario)
+        rows = from_recordings(shares, scenario.split, dt_s, needed_s, boost, by, full_rows=on_clock)
         require_window(rows, steps, dt_s, ", ".join(t.name for t in trace))
         return rows
     # Rounding may cost a step of dt at the end, so one more is asked for.
@@ -123,7 +126,7 @@ def _sun_rows(scenario: Scenario) -> np.ndarray:
         duration_s = max(ROW_DURATION_S, steps * dt_s)
         if ROWS * (steps_in(duration_s, dt_s) - steps + 1) < LEAST_WINDOWS:
             duration_s = (steps + max(spare_steps(dt_s), math.ceil(LEAST_WINDOWS / ROWS))) * dt_s
-        return pv_rows(scenario.split, dt_s, duration_s, ROWS)
+        return pv_rows(scenario.generator_split, dt_s, duration_s, ROWS)
     trace.require_duration(steps * dt_s)
     return trace.resample(dt_s)[None, :steps]
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dcgrid_env import (
@@ -19,11 +20,12 @@ from dcgrid_env import (
     make_scenario,
     scenario_hash,
 )
+from dcgrid_env.core.digest import digest
 from dcgrid_env.scenario import fingerprint
 from dcgrid_env.scenario.assembly import PARTS
 from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.fingerprint import fields
-from dcgrid_env.traces import PowerTrace
+from dcgrid_env.traces import PowerTrace, ProfileTable, Provenance
 
 RIDE_THROUGH_TEST = "80a30c8f07f0d5af"
 CHANGES = {
@@ -202,3 +204,20 @@ def test_a_later_field_of_storages_at_its_default_changes_no_hash(monkeypatch):
     assert scenario_hash(scenario.replace(devices=(*others, _LaterStorages(**given)))) == scenario_hash(scenario)
     other = scenario.replace(devices=(*others, _LaterStorages(**given, ramp_kw_per_s=10.0)))
     assert scenario_hash(other) != scenario_hash(scenario)
+
+
+def test_load_profiles_without_utc_offsets_have_the_hash_of_tables_without_that_field():
+    table = ProfileTable(0.0, 900.0, ("a",), np.array([[1.0], [2.0]]), "2026-03-01")
+    five = [field for field in dataclasses.fields(ProfileTable) if field.name != "utc_offset_h"]
+    before = dataclasses.make_dataclass("ProfileTable", [field.name for field in five])
+    published = digest([("", before(*(getattr(table, field.name) for field in five)))])
+    assert digest([("", table)], fields) == published
+    assert digest([("", dataclasses.replace(table, utc_offset_h=1.0))], fields) != published
+
+
+def test_a_recording_whose_origin_has_lists_has_a_hash():
+    traces = [
+        PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "log", Provenance("log", None, {"columns": columns}))
+        for columns in (["site_kw"], ["node_kw"])
+    ]
+    assert len({scenario_hash(make_scenario("ieee123", trace=(trace,))) for trace in traces}) == 2

@@ -249,7 +249,7 @@ def test_a_numpy_integer_is_a_count():
         ("sensing.observe", ["local", "neighbours", "feeder"]),
         ("workload.window", ["random", "start", "together"]),
         ("workload.recording_split", ["time", "recording"]),
-        ("split", ["train", "validation", "test", "ood"]),
+        ("split", ["train", "validation", "test", "ood", "whole"]),
     ],
 )
 def test_an_unknown_choice_lists_those_there_are(field, choices):
