@@ -18,6 +18,7 @@ from dcgrid_env import RandomFeeders, Scenario, acting_relays, solver_for
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.grid import is_bundled
+from dcgrid_env.traces import WHOLE
 
 CENTRED = "centred"
 """Value of ``source_voltage_pu`` on the command line and in study files that asks for ``centred_voltage``."""
@@ -48,7 +49,7 @@ def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVolta
     Parameters
     ----------
     scenario
-        Any scenario; the episodes are of its training split.
+        Any scenario; the episodes are of its training split, or of the split whole if it is on that.
     episodes
         How many, of seeds 0, 1, ..
     """
@@ -129,7 +130,8 @@ def _leaves_band(scenario: Scenario) -> bool:
 
 def _reach(scenario: Scenario, v_pu: float, episodes: int) -> tuple[float, float]:
     """Lowest and highest of the nodes' mean voltages over episodes without control, p.u."""
-    short = scenario.replace(source_voltage_pu=v_pu, split="train", horizon=min(scenario.horizon, LONGEST))
+    split = WHOLE if scenario.split == WHOLE else "train"
+    short = scenario.replace(source_voltage_pu=v_pu, split=split, horizon=min(scenario.horizon, LONGEST))
     recorder = rollout(short, NoControl(), range(episodes))
     each = [recorder.series(i).v_pu[1:, scenario.feeder.load_slice].mean(axis=0) for i in range(episodes)]
     mean = np.mean(each, axis=0)

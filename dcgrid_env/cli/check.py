@@ -27,17 +27,20 @@ class Check(OverWorkers):
     """Scenario fields to override, for example --set datacenters.p_rated_kw=800 source_voltage_pu=1.05."""
     episodes: int = 8
     """Number of episodes, with seeds 0, 1, ..."""
-    split: str = "validation"
-    """Split of the episodes: train, validation, test or ood."""
+    split: str | None = None
+    """Split of the episodes: train, validation, test, ood, or whole (all of load profiles and recordings). Default:
+    whole for a scenario with load profiles or recordings, else validation."""
     seconds: float = 40.0
     """Time limit for starting new work, s. After it, all columns use the same, smaller set of episodes."""
 
     def run(self) -> None:
         """Run the check, print the table and conclusions; raise ValueError if a setting is invalid."""
+        from dcgrid_env.baselines.engineering import engineering_scenario, file_lines
         from dcgrid_env.baselines.sanity.scenario_check import check_scenario
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
-        scenario = ScenarioSpec(self.scenario, self.set).make(self.split)
+        make = ScenarioSpec(self.scenario, self.set).make
+        scenario = engineering_scenario(make, "validation") if self.split is None else make(self.split)
         console = plain_console()
         with console.status("") as status:
             check = check_scenario(
@@ -45,5 +48,7 @@ class Check(OverWorkers):
             )
         say(console, voltage_line(scenario, self.set, self.scenario))
         console.print(check.table.rich(console.width))
+        for line in file_lines(scenario):
+            say(console, line)
         for verdict in check.verdicts:
             say(console, f"- {verdict}")

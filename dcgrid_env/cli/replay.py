@@ -47,8 +47,8 @@ class Replay(Command):
     run, or none,droop with --scenario."""
     seed: int | None = None
     """Seed of the episode. Default: the first seed of the run, or 0 with --scenario."""
-    split: str = "test"
-    """Split of the episode with --scenario: train, validation, test or ood."""
+    split: str | None = None
+    """Split of the episode with --scenario: train, validation, test, ood or whole. Default: as for dcgrid run."""
     tuned: Path | None = None
     """File with the gains of the tuned controllers, written by dcgrid tune. Default: as for dcgrid run."""
     trust: bool = False
@@ -110,6 +110,7 @@ class _Asked(NamedTuple):
 
 
 def _asked(cfg: Replay) -> _Asked:
+    from dcgrid_env.baselines.engineering import engineering_scenario
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     if (cfg.run_folder is None) == (cfg.scenario is None):
@@ -118,8 +119,10 @@ def _asked(cfg: Replay) -> _Asked:
         )
     if cfg.scenario is not None:
         names = split_names(cfg.compare or COMPARED)
-        return _Asked(ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split), names, cfg.seed or 0, cfg.tuned, None)
-    if cfg.set or cfg.split != "test":
+        make = ScenarioSpec(cfg.scenario, cfg.set).make
+        scenario = engineering_scenario(make) if cfg.split is None else make(cfg.split)
+        return _Asked(scenario, names, cfg.seed or 0, cfg.tuned, None)
+    if cfg.set or cfg.split is not None:
         raise ValueError(
             "set, split: must not be given with a run's folder, which defines them; remove them, or use --scenario"
         )

@@ -62,8 +62,9 @@ class Run(Command):
     """Number of episodes per controller, with seeds --seed, --seed + 1 and so on."""
     seed: int = 0
     """Seed of the first episode."""
-    split: str = "test"
-    """Split that the seeds refer to: train, validation, test, or ood (another GPU or service)."""
+    split: str | None = None
+    """Split that the seeds refer to: train, validation, test, ood (another GPU or service), or whole (all of load
+    profiles and recordings). Default: whole for a scenario with load profiles or recordings, else test."""
     trace: str | None = None
     """Workload of the data centres: a generator, or recordings and files separated by commas. Default: the
     scenario's."""
@@ -87,6 +88,7 @@ class Run(Command):
         from dcgrid_env.agents.policy.guard import guard_line
         from dcgrid_env.baselines import find_controller
         from dcgrid_env.baselines.benchmark.jobs import episode_records
+        from dcgrid_env.baselines.engineering import file_lines
         from dcgrid_env.baselines.laws import stability
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.grid import AnyFeeder, is_bundled
@@ -124,14 +126,14 @@ class Run(Command):
         looped = isinstance(scenario.feeder, Feeder) and scenario.feeder.n_loop  # which LinDistFlow does not solve
         if scenario.power_flow == "distflow" and not looped and not runs.in_parts:  # which would run two long ones more
             console.print(linear_difference(scenario, seeds))
-        for line in (*scaling_lines(scenario), *tuned_from(names, scenario, self.tuned)):
+        for line in (*file_lines(scenario), *scaling_lines(scenario), *tuned_from(names, scenario, self.tuned)):
             console.print(line)
         for name, controller in controllers.items():
             if said := stability.warning(scenario.member(self.seed), controller):
                 console.print(f"{name}: {said}")
             if line := guard_line(name, runs.metrics[name][0]):
                 console.print(f"{line} (first episode)")
-        about = meta() | {"split": self.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
+        about = meta() | {"split": scenario.split, "scenario_hash": scenario_hash(scenario), "trace": _origin(scenario)}
         about["trace_scale"] = [recording._asdict() for recording in scaled_recordings(scenario)]
         write_json(self.out / "results.json", {"meta": about, "episodes": records})
         runs.draw(self.out / "figure.png")
@@ -171,6 +173,7 @@ def controller_names(cfg: Run, scenario: Scenario) -> list[str]:
 
 def scenario_of(cfg: Run) -> Scenario:
     """Make the scenario that a command names; raise ValueError if it is invalid."""
+    from dcgrid_env.baselines.engineering import engineering_scenario
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
     from dcgrid_env.traces import TRACE_SOURCES
     from dcgrid_env.traces.by_name import recorded_trace
@@ -189,10 +192,14 @@ def scenario_of(cfg: Run) -> Scenario:
             )
         chosen["trace"] = tuple(map(recorded_trace, names))
     changes = with_horizon(cfg.set, cfg.horizon)
-    if cfg.feeder is not None:
-        asked = Asked(cfg.feeder, cfg.scenario, cfg.datacenters, cfg.inverters)
-        return scenario_on_feeder(asked, changes, cfg.split, chosen)
-    return ScenarioSpec(DEFAULT_SCENARIO if cfg.scenario is None else cfg.scenario, changes).make(cfg.split, **chosen)
+
+    def make(split: str) -> Scenario:
+        if cfg.feeder is not None:
+            asked = Asked(cfg.feeder, cfg.scenario, cfg.datacenters, cfg.inverters)
+            return scenario_on_feeder(asked, changes, split, chosen)
+        return ScenarioSpec(DEFAULT_SCENARIO if cfg.scenario is None else cfg.scenario, changes).make(split, **chosen)
+
+    return engineering_scenario(make) if cfg.split is None else make(cfg.split)
 
 
 def _origin(scenario: Scenario) -> list[dict[str, Any]]:
@@ -209,7 +216,7 @@ def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], c
 
     n = len(records) // len(names)
     length_s = scenario.horizon * scenario.dt_s
-    title = f"{scenario.name}, {cfg.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
+    title = f"{scenario.name}, {scenario.split} split, {n} episodes of {length_s:g} s, seeds from {cfg.seed}"
     rows = []
     # Metrics of requests and of optional devices exist only in scenarios that have these.
     for metric in (metric for metric in metrics_in("run") if metric.name in records[0]):

@@ -11,7 +11,7 @@ import dcgrid_env
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.baselines import CONTROLLERS, Droop
 from dcgrid_env.cli.main import main
-from dcgrid_env.cli.run import Run, controller_names
+from dcgrid_env.cli.run import Run, controller_names, scenario_of
 from helpers.forms import each_preset
 
 
@@ -44,6 +44,56 @@ def test_the_default_controllers_use_a_storage():
     assert controller_names(Run(), scenario) == ["none", "droop", "analytic"]
     assert controller_names(Run(), scenario.replace(name="my-storages")) == ["none", "droop", "peak-shaving"]
     assert controller_names(Run(), make_scenario("toy6").replace(name="my-feeder")) == ["none", "droop", "inverters"]
+
+
+def short_log(path, seconds):
+    """A log of nvidia-smi with steps of 100 W, from 14:00 on."""
+    rows = (
+        f"2026/03/01 14:{s // 60:02d}:{s % 60:02d}.000, 0, {300 + 100 * (s // 30 % 2)}.00 W" for s in range(seconds)
+    )
+    path.write_text("timestamp, index, power.draw [W]\n" + "\n".join(rows) + "\n")
+    return str(path)
+
+
+@pytest.mark.slow
+def test_ten_minutes_of_a_log_do_for_run_and_check(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    log = short_log(tmp_path / "smi.csv", 600)
+    ask = ("--scenario", "ieee33-weak", "--trace", log, "--controllers", "none", "--episodes", "2")
+    assert run(tmp_path / "a", *ask)["meta"]["split"] == "whole"
+    printed = capsys.readouterr().out
+    assert "episodes lie in the whole of trace smi, 599 s" in printed
+    assert "is repeated" not in printed
+    run(tmp_path / "b", *ask, "--horizon", "700", "--set", "cost.ramp_limit_kw_per_s=1e6")
+    assert "trace smi: lasts 599 s and episodes need 702 s, so it is repeated" in capsys.readouterr().out
+    main(["check", "ieee33-weak", "--set", f"trace={log}", "--episodes", "1", "--seconds", "1", "--workers", "1"])
+    assert "episodes lie in the whole of trace smi" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        run(tmp_path / "c", *ask, "--split", "test")
+    assert (
+        "the split 'whole', which dcgrid run, check, capacity and study use by default, has all of it"
+        in capsys.readouterr().err
+    )
+
+
+@pytest.mark.slow
+def test_load_profiles_of_a_day_do_on_a_feeder_and_are_saved_for_training(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    loads = "".join(f"{hour},{0.5 + 0.4 * (hour == 18)}\n" for hour in range(24))
+    (tmp_path / "day.csv").write_text("time_h,home\n" + loads)
+    (tmp_path / "classes.csv").write_text("load,class\n" + "".join(f"{bus},home\n" for bus in range(2, 34)))
+    profiles = f'load_profiles={{file="{tmp_path}/day.csv",columns="class",classes="{tmp_path}/classes.csv"}}'
+    found = run(
+        tmp_path / "a", "--feeder", "ieee33", "--set", profiles, "--controllers", "none", "--episodes", "2",
+        "--horizon", "20",
+    )  # fmt: skip
+    assert found["meta"]["split"] == "whole"
+    assert "day.csv, 24 h" in capsys.readouterr().out
+    assert make_scenario(str(tmp_path / "a/scenario.toml")).load_profiles.days == "split"
+
+
+def test_presets_keep_the_split_test():
+    assert scenario_of(Run(scenario="ieee33-weak")).split == "test"
 
 
 @pytest.mark.slow
