@@ -31,7 +31,7 @@ from dcgrid_env.engine.cost.metric_list import METRICS, metrics_in
 from dcgrid_env.engine.cost.observation import field_names
 from dcgrid_env.engine.cost.reward import end_costs
 from dcgrid_env.engine.exogenous.clock_starts import recording_lines
-from dcgrid_env.engine.exogenous.forecast import Forecast, begin_hour, episode_hash, forecast, sag_times
+from dcgrid_env.engine.exogenous.forecast import Forecast, episode_hash, forecast, sag_times
 from dcgrid_env.engine.exogenous.profile_loads import profile_loads
 from dcgrid_env.engine.physics.acting_relays import ActingRelays, BankControl, acting_relays
 from dcgrid_env.engine.physics.actions import ActionError, ActionLayout, action_layout
@@ -163,7 +163,6 @@ __all__ = [
     "__version__",
     "acting_relays",
     "action_layout",
-    "begin_hour",
     "believed_sensitivity",
     "branch_loading",
     "course_bytes",

@@ -21,6 +21,7 @@ from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
 from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_table, first_of, record, unseen_pct
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
+from dcgrid_env.baselines.hosting_capacity.load_hours import windows_text
 from dcgrid_env.core.html_page import image, png
 from dcgrid_env.core.html_page import page as html_page
 from dcgrid_env.core.versions import meta
@@ -146,13 +147,14 @@ def answers(job: Job, found: Capacities | None) -> list[str]:
     return said
 
 
-def confidence(job: Job) -> str:
+def confidence(job: Job, found: Capacities | None) -> str:
     """State the number of windows, the bound that it gives and what was not checked, in sentences."""
     study, coverage, sizes = job.study, job.study.coverage, ""
-    if "capacity" not in job.request.leave_out:
+    if found is not None:
         sizes = (
-            f"These sizes rest on {study.samples} windows of {study.window_s:g} s. If none of them breaks a limit, "
-            f"less than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. "
+            f"These sizes rest on {len(found.windows)} windows of {study.window_s:g} s. "
+            f"{windows_text(study, found.windows)} If none of {study.samples} spread windows breaks a limit, less than "
+            f"{unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. "
         )
     others = "; the others were not checked" if coverage.not_checked else ""
     return (
@@ -177,7 +179,7 @@ def page(job: Job, found: Capacities | None, sections: Sequence[Section]) -> str
     )
     parts = [
         f"<p>{html.escape(asked)}</p><p>{html.escape(sentences((job.source,)))}</p>",
-        f"<div class=answer>{said}<p>{html.escape(confidence(job))}</p><ul>{more}</ul></div>",
+        f"<div class=answer>{said}<p>{html.escape(confidence(job, found))}</p><ul>{more}</ul></div>",
         f"<nav>{links}</nav>",
         *(_section(section) for section in sections),
         f"<p>Reproduce: <code>{html.escape(meta()['command'])}</code></p>",
@@ -191,7 +193,7 @@ def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> di
         "meta": meta(),
         "source_voltage": job.source,
         "answers": answers(job, found),
-        "confidence": confidence(job),
+        "confidence": confidence(job, found),
         "capacity": None if found is None else record(found),
         "sections": {
             section.name: {
@@ -252,10 +254,12 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
     profiles = scenario.load_profiles.file
     files = [file, *_feeder_files(scenario.feeder)]
     files += [Path(profiles.asked_by)] if profiles is not None and profiles.asked_by is not None else []
+    recordings = () if isinstance(scenario.workload.trace, str) else scenario.workload.trace
+    files += [Path(trace.asked_by) for trace in recordings if trace.asked_by and Path(trace.asked_by).is_file()]
     hashes = tuple((path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files)
     sited = job.scenario(job.request.mw)
     centres, trace = sited.datacenters, scenario.workload.trace
-    trace = trace if isinstance(trace, str) else "recordings"
+    trace = trace if isinstance(trace, str) else f"recordings {', '.join(one.name for one in recordings)}"
     assumptions = (
         ("feeder", scenario.feeder.name),
         (
@@ -265,7 +269,7 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
         ("scenario hash", scenario_hash(scenario)),
         ("source voltage", job.source.removeprefix("source at ")),
         ("limits", f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u., {study.loading_max_pct:g} % of known ratings"),
-        ("windows", f"{study.samples} of {study.window_s:g} s, {study.load} load, split {scenario.split}"),
+        ("windows", f"{study.samples} of {study.window_s:g} s, {study.load} load, and those at the worst hours"),
         ("load profiles", "none" if profiles is None else str(profile_coverage(scenario))),
         ("other loads", f"noise of {100.0 * scenario.background.load_sigma:g} %"),
         (

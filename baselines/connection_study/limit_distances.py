@@ -6,28 +6,20 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dcgrid_env import begin_hour, rating_coverage
+from dcgrid_env import rating_coverage
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.element_names import time_text
+from dcgrid_env.baselines.hosting_capacity.load_hours import Windows
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_at, limit_of
 from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, UNLIMITED, Trial
 
 NOMINAL_LOAD = "nominal load"
 
 
-def time_of(study: Study, window: int) -> str:
-    """When a window begins, with the date if load profiles have it, or ``nominal load``, as text."""
-    if study.load == "peak":
-        return NOMINAL_LOAD
-    profiles, begins_h = study.scenario.load_profiles, study.begins_h
-    if begins_h is None:
-        begin_h = begin_hour(study.scenario.replace(**study.window_fields), window)
-    else:
-        begin_h = float(begins_h[window])
-    if profiles.file is not None:
-        return profiles.table.time_text(begin_h)
-    minutes = round(60.0 * begin_h) % 1440
-    return f"{minutes // 60:02d}:{minutes % 60:02d}"
+def time_of(study: Study, windows: Windows, window: int) -> str:
+    """The time of the loads of a window, as text: with load profiles their date or day, and the time of day."""
+    return NOMINAL_LOAD if windows.hours is None else time_text(study.scenario, float(windows.hours[window]))
 
 
 def limit_values(study: Study, kind: int, margin: float) -> tuple[str, str]:
@@ -47,13 +39,13 @@ def limit_values(study: Study, kind: int, margin: float) -> tuple[str, str]:
     return f"{(1.0 - margin) * limit:.4g} {unit}", f"{limit:g} {unit}"
 
 
-def limits_table(study: Study, title: str, by_controller: Mapping[str, Trial]) -> Table:
+def limits_table(study: Study, windows: Windows, title: str, by_controller: Mapping[str, Trial]) -> Table:
     """Make a table with a row for each controller and limit: the nearest value, its place and its window.
 
     Parameters
     ----------
-    study
-        The study.
+    study, windows
+        The study and its windows.
     title
         Title of the table.
     by_controller
@@ -63,7 +55,7 @@ def limits_table(study: Study, title: str, by_controller: Mapping[str, Trial]) -
     for name, trial in by_controller.items():
         if trial.margin <= COLLAPSED:
             window = int(trial.margins.min(axis=1).argmin())
-            rows.append((name, "no power-flow solution", "", "", time_of(study, window), "broken"))
+            rows.append((name, "no power-flow solution", "", "", time_of(study, windows, window), "broken"))
             continue
         for kind in range(len(LIMITS)):
             window = int(trial.margins[:, kind].argmin())
@@ -74,16 +66,16 @@ def limits_table(study: Study, title: str, by_controller: Mapping[str, Trial]) -
             value, limit = limit_values(study, kind, margin)
             where = limit_at(study.scenario, kind, int(trial.nodes[window, kind]))
             verdict = "kept" if margin >= -1e-9 else "broken"
-            rows.append((name, where, value, limit, time_of(study, window), verdict))
+            rows.append((name, where, value, limit, time_of(study, windows, window), verdict))
     header = ("controller", "limit and place", "nearest value", "limit", "window begins at, or load", "verdict")
     return Table(title, header, tuple(rows))
 
 
-def nearest(study: Study, trial: Trial) -> str:
+def nearest(study: Study, windows: Windows, trial: Trial) -> str:
     """The limit that a trial in all windows comes nearest to, with value and time of day."""
     window, kind = map(int, np.unravel_index(trial.margins.argmin(), trial.margins.shape))
     margin = float(trial.margins[window, kind])
-    begins = time_of(study, window)
+    begins = time_of(study, windows, window)
     if margin <= COLLAPSED:
         return f"{limit_of(study.scenario, trial)} ({begins})"
     value, limit = limit_values(study, kind, margin)

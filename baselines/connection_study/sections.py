@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, acting_relays, begin_hour, metrics_in
+from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, acting_relays, metrics_in, recording_lines
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.connection_study.limit_distances import NOMINAL_LOAD, limits_table, nearest, time_of
 from dcgrid_env.baselines.connection_study.section import Section, figure_of, rise_or_fall, sentences, under
@@ -20,8 +20,10 @@ from dcgrid_env.baselines.connection_study.study_request import NOT_STATED
 from dcgrid_env.baselines.connection_study.year_section import year
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.hosting import snapshot_capacity
-from dcgrid_env.baselines.hosting_capacity.trial import branch_to, overloaded_nodes, run_trial
+from dcgrid_env.baselines.hosting_capacity.element_names import branch_to, time_text
+from dcgrid_env.baselines.hosting_capacity.hosting import snapshot_capacity, study_windows
+from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, load_hours, windows_text, with_same_hours
+from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
 from dcgrid_env.core.html_page import png
@@ -89,32 +91,34 @@ def base_case(job: Job) -> Section:
 def worst_window(job: Job) -> Section:
     """Distances to all limits with the requested size, and the window that comes nearest to one without control."""
     study, bus = job.study, job.request.bus
-    site = AddedSite(study)
+    at = study.scenario.feeder.index(bus)
+    windows = study_windows(study, np.array([at]))
+    site = AddedSite(study, windows)
     site.exempt = overloaded_nodes(site)
-    samples = np.arange(study.samples)
-    at_bus = np.full(study.samples, study.scenario.feeder.index(bus))
+    samples = np.arange(len(windows))
+    at_bus = np.full_like(samples, at)
     controllers = job.controllers()
     trials = {name: run_trial(site, law, job.sized, at_bus, samples, name) for name, law in controllers}
     mw = site.mw(job.sized)
-    limits = limits_table(study, f"Nearest approach to each limit with {mw:g} MW at bus {bus}", trials)
+    limits = limits_table(study, windows, f"Nearest approach to each limit with {mw:g} MW at bus {bus}", trials)
     first = job.request.controllers[0]
     worst = int(trials[first].margins.min(axis=1).argmin())
     said = []
     for name, trial in trials.items():
         broken = int((trial.outside > 0).sum())
         said.append(
-            f"with {mw:g} MW {under(name)}, {broken} of {study.samples} windows break a limit; "
-            f"the nearest limit is {nearest(study, trial)}"
+            f"with {mw:g} MW {under(name)}, {broken} of {len(windows)} windows break a limit; "
+            f"the nearest limit is {nearest(study, windows, trial)}"
         )
-    at_hour = None if study.begins_h is None else float(study.begins_h[worst])
-    scenario = job.scenario(job.request.mw, **study.window_fields | {"background.start_hour": at_hour})
-    begins = NOMINAL_LOAD if study.load == "peak" else f"begins at {time_of(study, worst)}"
+    time = time_of(study, windows, worst)
+    begins = time if time == NOMINAL_LOAD else f"begins at {time}"
+    scenario = job.scenario(job.request.mw, **study.window_fields | _begin(study, windows, worst))
     series = {name: rollout(scenario, law, [worst], name=name).series(0) for name, law in controllers}
     text = (
-        f"All {study.samples} windows were simulated with {mw:g} MW, the requested size in steps of the study. The "
-        f"figure and the metrics are those of window {worst} ({begins}), which comes nearest "
-        f"to a limit {under(first)}. The site is at its full rating from {study.full_load_s[0]:g} to "
-        f"{study.full_load_s[1]:g} s."
+        f"All {len(windows)} windows were simulated with {mw:g} MW, the requested size in steps of the study. "
+        f"{windows_text(study, windows)} The figure and the metrics are those of window {worst} "
+        f"({begins}), which comes nearest to a limit {under(first)}. The site is at its full "
+        f"rating from {study.full_load_s[0]:g} to {study.full_load_s[1]:g} s."
     )
     caption = (
         "Voltages, power and set points in the worst window. Dashed lines are the band that controllers keep; J is the "
@@ -122,25 +126,37 @@ def worst_window(job: Job) -> Section:
     )
     tables = (limits, _metrics(series, "Metrics of the worst window", _outside(scenario)))
     pictures = ((caption, png(run_figure(scenario, series, worst))),)
-    return Section("worst-window", "Worst window", sentences(said), (text,), tables, pictures)
+    texts = (text, *_on_files(site.scenario(0)))
+    return Section("worst-window", "Worst window", sentences(said), texts, tables, pictures)
+
+
+def _on_files(scenario: Scenario) -> tuple[str, ...]:
+    """Paragraphs on recordings that are repeated or run on a clock."""
+    return tuple(sentences((line,)) for line in recording_lines(scenario))
+
+
+def _begin(study: Study, windows: Windows, window: int) -> dict[str, Any]:
+    """Fields of a scenario whose episodes begin like a window."""
+    if windows.begin_h is None:
+        return {}
+    still = {"background.load_sigma": 0.0} if windows.still[window] else {}
+    field = "background.start_hour" if study.scenario.load_profiles.file is None else "load_profiles.start_h"
+    return still | {field: float(windows.begin_h[window])}
 
 
 def day(job: Job) -> Section:
     """A day with and without the site at its full rating: voltages, loadings, losses, taps."""
     study = job.study
+    which, begin = _worst_day(study)
     changes: dict[str, Any] = {
-        "dt_s": DAY_DT_S, "horizon": DAY_STEPS, **_from_midnight(study.scenario.load_profiles),
-        "workload.full_load_s": (0.0, DAY_DT_S * DAY_STEPS),
-    }  # fmt: skip
+        "dt_s": DAY_DT_S, "horizon": DAY_STEPS, "workload.full_load_s": (0.0, DAY_DT_S * DAY_STEPS),
+    } | begin  # fmt: skip
     series = {}
     for name, mw in (("without the site", 0.0), (f"with {job.request.mw:g} MW", job.request.mw)):
         series[name] = rollout(job.scenario(mw, **changes), NoControl(), [0]).series(0)
-    profiles, other = study.scenario.load_profiles, "the other loads follow the hour of the day"
-    if profiles.file is not None:
-        begins = profiles.file.time_text(begin_hour(job.scenario(0.0, **changes), 0))
-        other = f"the other loads follow the load profiles from {begins} on"
+    other = "the hour of the day" if study.scenario.load_profiles.file is None else "the load profiles"
     text = (
-        f"One day in steps of a minute: {other}, and the site draws its full rating "
+        f"{which} in steps of a minute. The other loads follow {other}, and the site draws its full rating "
         "all day, without control: sites rarely do, so losses are upper values. Changes within a minute do not count."
     )
     metrics = _metrics(series, "Metrics of the day", _outside(study.scenario))
@@ -154,6 +170,24 @@ def day(job: Job) -> Section:
         "day", "A day at the full rating", f"{answer}.", (text,), tuple(tables),
         (("Lowest and highest voltage over the day", png(_day_figure(study, series))),),
     )  # fmt: skip
+
+
+def _worst_day(study: Study) -> tuple[str, dict[str, Any]]:
+    """Return the day of the lowest voltage of the load profiles, or the standard day, as text and as fields."""
+    table = study.scenario.load_profiles.file
+    if table is None:
+        return "One day", {"background.start_hour": 0.0}
+    found = load_hours(dataclasses.replace(study, load="day") if study.load == "peak" else study)
+    lowest = (h for h, reason in zip(found.hours, found.reasons, strict=True) if "lowest voltage" in reason)
+    hour = float(next(lowest, found.hours[0]))
+    end_h, day_h = table.begin_h + table.duration_h, 24.0 * np.floor(hour / 24.0)
+    begin_h = max(table.begin_h, min(day_h, end_h - 24.0))
+    steps = min(DAY_STEPS, int((end_h - begin_h) * 60.0 + 1e-9))
+    which = f"The {'day' if steps == DAY_STEPS else f'{steps / 60.0:g} h'} from {time_text(study.scenario, begin_h)} on"
+    return f"{which}, in which a power flow of each sample without the site gives the lowest voltage,", {
+        "background.start_hour": None, "load_profiles.start_h": float(begin_h), "horizon": steps,
+        "workload.full_load_s": (0.0, DAY_DT_S * steps),
+    }  # fmt: skip
 
 
 def ride_through(job: Job) -> Section:
@@ -217,23 +251,23 @@ def fluctuation(job: Job) -> Section:
     if ramp is None:
         answer += " No limit of ramps is stated."
     tables = (Table("Largest values in ten minutes", header, (*rows, allowed)),)
-    return Section("fluctuation", "Ramps and flicker", answer, (text,), tables)
+    return Section("fluctuation", "Ramps and flicker", answer, (text, *_on_files(scenario)), tables)
 
 
 def sensitivity(job: Job) -> Section:
     """How the snapshot's capacity at the bus changes with the assumptions."""
-    study = dataclasses.replace(job.study, tolerance_mw=job.study.step_mw, max_mw=job.study.largest_mw)
+    study = with_same_hours(job.study)
     base = study.scenario
     cases: list[tuple[str, Study]] = [("as assumed", study)]
     for percent in (-1.0, 1.0):
         source = base.source_voltage_pu * (1.0 + percent / 100.0)
-        changed = dataclasses.replace(study, scenario=base.replace(source_voltage_pu=source))
+        changed = with_same_hours(study, scenario=base.replace(source_voltage_pu=source))
         cases.append((f"source voltage {percent:+g} %", changed))
     for change in (-0.01, 0.01):
-        changed = dataclasses.replace(study, v_min_pu=study.v_min_pu + change)
+        changed = with_same_hours(study, v_min_pu=study.v_min_pu + change)
         cases.append((f"lowest allowed voltage {study.v_min_pu + change:g} p.u.", changed))
     for percent in (0.9 * study.loading_max_pct, 1.1 * study.loading_max_pct):
-        changed = dataclasses.replace(study, loading_max_pct=percent)
+        changed = with_same_hours(study, loading_max_pct=percent)
         cases.append((f"loading up to {percent:g} % of the ratings", changed))
     bus = np.array([base.feeder.index(job.request.bus)])
     rows = []
@@ -241,8 +275,9 @@ def sensitivity(job: Job) -> Section:
         (found,) = snapshot_capacity(changed, bus)
         rows.append((name, f"{'>=' if found.at_most else ''}{found.capacity_mw:g}", found.limit or "none found"))
     text = (
-        f"Capacity of bus {job.request.bus} in one power flow at peak load without control, one assumption changed at "
-        "a time. Windows and controllers give other sizes; the differences between the rows are what counts here."
+        f"Capacity of bus {job.request.bus} in one power flow at the worst hour without control, one assumption "
+        "changed at a time. Windows and controllers give other sizes; the differences between the rows are what counts "
+        "here."
     )
     mw = [row[1].replace(">=", "at least ") for row in rows]
     answer = (
@@ -274,15 +309,6 @@ def _acting(scenario: Scenario) -> str:
     acting = ["regulators"] * (acting_relays(scenario) is not None)
     acting += ["capacitor banks"] * ("controlled" in (dict(modes).values() if isinstance(modes, tuple) else (modes,)))
     return f"Nothing is controlled except {' and '.join(acting)}." if acting else "Nothing is controlled."
-
-
-def _from_midnight(profiles: LoadProfiles) -> dict[str, Any]:
-    """Fields of a scenario whose episodes begin at midnight, on the day of ``start_h`` of its load profiles if set."""
-    if profiles.start_h is None:
-        return {"background.start_hour": 0.0}
-    table = profiles.table
-    midnight_h = DAY_H * float(np.floor(profiles.start_h / DAY_H))
-    return {"background.start_hour": None, "load_profiles": {"start_h": max(midnight_h, table.begin_h)}}
 
 
 def _half_band(study: Study) -> float:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from dcgrid_env.baselines.connection_study.section import Section, sentences, under
 from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.hosting_capacity.capacity_output import together_table
+from dcgrid_env.baselines.hosting_capacity.load_hours import with_same_hours
 from dcgrid_env.baselines.hosting_capacity.sites_together import LimitsBroken, sites_together
 
 
@@ -14,9 +13,7 @@ def several_sites(job: Job) -> Section:
     """Find the sizes that all sites can have together under each controller."""
     request, asked = job.request, job.request.several_sites
     assert asked is not None
-    study = dataclasses.replace(
-        job.study, buses=(request.bus, *asked.buses), tolerance_mw=job.study.step_mw, max_mw=job.study.largest_mw
-    )
+    study = with_same_hours(job.study, buses=(request.bus, *asked.buses))
     rule = "equal shares as far as possible" if asked.rule == "equal" else "the largest sum"
     text = f"Sites at buses {', '.join((request.bus, *asked.buses))} connect at once; the rule is {rule}."
     name, title = "several-sites", "Several sites at once"

@@ -9,7 +9,8 @@ import numpy as np
 
 from dcgrid_env import DcgridVectorEnv, Scenario
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
+from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, sampled_windows
+from dcgrid_env.baselines.hosting_capacity.site_scenario import free_bus, with_sites
 from dcgrid_env.powerflow import n_loading
 
 
@@ -17,17 +18,29 @@ class AddedSite:
     """The scenarios of a study, one for each size, and the arguments that reset their episodes.
 
     The site is the last of the scenario's data centres and has the same fields as these except for its rating. Its bus
-    is set for each environment, so many buses and samples of a size run as one batch. Its size is set by the scenario.
+    is set for each environment, so many buses and windows of a size run as one batch. Its size is set by the scenario.
+
+    Parameters
+    ----------
+    study
+        The study.
+    windows
+        Its windows; None for the sampled ones alone.
+    exempt
+        See the attribute.
     """
 
-    def __init__(self, study: Study, exempt: np.ndarray | None = None):
+    def __init__(self, study: Study, windows: Windows | None = None, exempt: np.ndarray | None = None):
         self.study = study
+        self.windows = sampled_windows(study) if windows is None else windows
+        """Windows of sampled load, and those at the worst hours."""
         self.exempt = np.zeros(n_loading(study.scenario.feeder), bool) if exempt is None else exempt
         """Positions in the loading of branches that are not counted, since they are overloaded without any site."""
         self.slot = study.scenario.datacenters.count if study.others else 0
         """Position of the site among the data centres."""
         self.scenario = lru_cache(maxsize=512)(self._scenario)
-        """Function that returns the scenario with a site of the given number of size steps; 0 for no site."""
+        """Function that returns the scenario with a site of the given number of size steps, 0 for no site, and whether
+        its loads are without noise."""
         first = self.scenario(0)
         self.agent = first.agents.index(f"dc_{self.slot}")
         """Position of the site among the agents."""
@@ -38,31 +51,18 @@ class AddedSite:
         return float(f"{size * self.study.step_mw:.10g}")
 
     def reset_arguments(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
-        """Return seeds and reset options of a batch with the site at positions ``buses`` in ``samples``, (row,)."""
+        """Return seeds and reset options of a batch with the site at ``buses`` in windows ``samples``, (row,) each."""
         placed = self._buses[samples].copy()
         placed[:, self.agent] = buses
-        options: dict[str, Any] = {"buses": placed}
-        if self.study.begins_h is not None:
-            options["begin_h"] = self.study.begins_h[samples]
-        return samples.tolist(), options
+        return samples.tolist(), {"buses": placed} | self.windows.options(samples)
 
-    def _scenario(self, size: int) -> Scenario:
-        return with_sites(self.study, self._free_bus(), (self.mw(size),), **self.study.window_fields)
-
-    def _free_bus(self) -> tuple[str] | None:
-        """Return a free bus for the added site, whose bus each reset sets; None if all buses are drawn."""
-        scenario, others = self.study.scenario, self.study.others
-        if others and scenario.datacenters.buses is None:
-            return None
-        taken = {str(bus) for device in scenario.devices for bus in getattr(device, "buses", None) or () if others}
-        free = [bus for bus in scenario.feeder.bus_ids[1:] if bus not in taken]
-        if not free:
-            raise ValueError(f"scenario {scenario.name!r} has a device at every bus; leave one bus without")
-        return (free[0],)
+    def _scenario(self, size: int, still: bool = False) -> Scenario:
+        fields = self.study.window_fields | ({"background.load_sigma": 0.0} if still else {})
+        return with_sites(self.study, free_bus(self.study), (self.mw(size),), **fields)
 
     def _buses_of_samples(self, scenario: Scenario) -> np.ndarray:
         """Position of each agent's bus in each sample, (sample, n_agent): as fixed in the study's scenario or drawn."""
-        env = DcgridVectorEnv(self.study.samples, scenario, info="none")
+        env = DcgridVectorEnv(len(self.windows), scenario, info="none")
         env.reset(seed=0)
         index = scenario.feeder.index
         placed = np.array([[index(bus) for bus in bus_ids] for bus_ids in env.buses()])

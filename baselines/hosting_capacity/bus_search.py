@@ -63,9 +63,11 @@ class BusSearch:
         self.size = 0
         """Largest size that was found feasible in all samples."""
         self.at_size = empty
-        """Result of this size."""
+        """Result of this size, in the order of the samples."""
         self.beyond: Trial | None = None
         """Result of the smallest infeasible size, in the samples in which it was tried; None if all are feasible."""
+        self.limiting: int | None = None
+        """The sample that comes nearest to a limit at that size; None if all are feasible."""
         self.smaller_fails: tuple[int, ...] = ()
         """Infeasible sizes of the scan below the result."""
         self.larger_carries: tuple[int, ...] = ()
@@ -102,13 +104,15 @@ class BusSearch:
             return
         before = self._at_low_trial
         if before is not None and request.size == before[0].size:  # the others of its samples
-            request = Request(request.size, np.concatenate((before[0].samples, request.samples)))
-            trial = Trial.joined([before[1], trial])
+            samples = np.concatenate((before[0].samples, request.samples))
+            order = np.argsort(samples)
+            request, trial = Request(request.size, samples[order]), Trial.joined([before[1], trial]).of(order)
         fails, whole = int(trial.outside.sum()) > self._allowed, len(request.samples) == len(self._every)
         self._guess, self._tries = None, self._tries + 1
         margins = trial.margins.min(axis=0)
         if fails:
             self.beyond = trial
+            self.limiting = int(request.samples[trial.margins.min(axis=1).argmin()])
             if self._low >= request.size:  # feasible in the critical samples, but not in all
                 self._low, self._at_low = self.size, self.at_size.margins.min(axis=0)
                 self._at_low_trial = None

@@ -10,7 +10,9 @@ from typing import Any
 
 from dcgrid_env import scenario_hash
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+from dcgrid_env.baselines.hosting_capacity.element_names import time_text
 from dcgrid_env.baselines.hosting_capacity.hosting import SNAPSHOT, UNCONTROLLED, Capacities
+from dcgrid_env.baselines.hosting_capacity.load_hours import hours_text, windows_text
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 from dcgrid_env.baselines.hosting_capacity.sites_together import Together
 
@@ -67,7 +69,7 @@ def read_capacity_csv(text: str) -> list[BusCapacity]:
 def capacity_table(found: Capacities) -> Table:
     """Make a table with a row for each bus: capacity in a snapshot and under each controller, and the delay."""
     study = found.study
-    window = f"{study.samples} windows of {study.window_s:g} s, {study.load} load"
+    window = f"{len(found.windows)} windows of {study.window_s:g} s, {study.load} load"
     limits = f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u."
     title = f"{study.scenario.feeder.name}: largest data centre at a bus, MW, within {limits} ({window})"
     header = ["bus", SNAPSHOT]
@@ -132,6 +134,12 @@ def record(found: Capacities) -> dict[str, Any]:
             "scenario": study.scenario.name,
             "scenario_hash": scenario_hash(study.scenario),
             "split": study.scenario.split,
+            "hours_considered": found.windows.considered,
+            "worst_hours": {
+                time_text(study.scenario, found.windows.hours[i]): reason
+                for i, reason in enumerate(found.windows.reasons)
+                if reason and found.windows.hours is not None
+            },
             "trace": study.scenario.workload.trace if isinstance(study.scenario.workload.trace, str) else "recordings",
             "trace_scale": study.scenario.workload.trace_scale,
             "tolerance_mw": study.step_mw,
@@ -194,19 +202,31 @@ def _mw(capacity: BusCapacity) -> str:
     return f"{more}{capacity.capacity_mw:g}{'*' * bool(capacity.smaller_fails_mw or capacity.larger_carries_mw)}"
 
 
+def _snapshot_text(found: Capacities) -> str:
+    """Describe the power flow of the snapshot, and what it bounds."""
+    study, hours = found.study, found.windows.considered
+    over = f"the least over a power flow of each of {hours_text(study, hours)}"
+    flow = over if hours else "one power flow at nominal load"
+    bound = "" if study.allowed_pct else "; without control, the result is at most the snapshot"
+    return f"{flow}, without control and with all sites at their rating{bound}"
+
+
 def _notes(found: Capacities) -> Iterator[str]:
     study = found.study
     allowed = (
         "may not be broken" if not study.allowed_pct else f"may be broken in {study.allowed_pct:g} % of the seconds"
     )
     yield (
-        f"Snapshot: one power flow at peak load, without control. Sizes are multiples of {study.step_mw:g} MW up to "
+        f"Snapshot: {_snapshot_text(found)}. Sizes are multiples of {study.step_mw:g} MW up to "
         f"{study.largest_mw:g}; >= where the largest still fits. Limits count from {study.settle_s:g} s into a window "
         f"on, and {allowed}."
     )
+    yield windows_text(study, found.windows)
     yield (
-        f'"95 % of windows" is the size that as many of the windows alone would carry. If no window of {study.samples} '
-        f"breaks a limit, less than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence."
+        f'"95 % of windows" is the size that as many of the {study.samples} spread windows alone would carry, and so '
+        "about what the bus carries in 95 % of the hours; those at the worst hours do not count in it. If none of "
+        f"{study.samples} breaks a limit, less than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % "
+        "confidence."
     )
     yield from _lowered(found)
     begin_s, end_s = study.full_load_s

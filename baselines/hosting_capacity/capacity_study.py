@@ -6,12 +6,13 @@ EPRI's DRIVE do not apply, since a controlled load has no closed form. Both are 
 performing an integration capacity analysis" (POWER Engineers, CIGRE US National Committee 2018); EPRI report 1026640
 (2012) describes the stochastic method.
 
-Load levels run from the minimum to the peak of a day, as in studies that take hours of minimum and of peak load. Each
-sample is a window of seconds with a separate trace of the site and noise of the other loads, so that the behaviour of a
-controller over time counts. With time series a limit can allow a duration, where a snapshot must take the strictest
-limit (A. K. Jain, K. Horowitz, F. Ding and others, "Dynamic hosting capacity analysis for distributed photovoltaic
-resources", Applied Energy 2020). If a controller may slow work down, the size alone is not informative, and the delay
-is reported as well (as G. C. Sarker and N. Dahlin, arXiv 2604.20185, do for flexible connections).
+Load levels are those of all hours of load profiles, or of a standard day. The hours that are worst in a power flow are
+always among them (``load_hours``). Each sample is a window of seconds with a separate trace of the site and noise of
+the other loads, so that the behaviour of a controller over time counts. With time series a limit can allow a duration,
+where a snapshot must take the strictest limit (A. K. Jain, K. Horowitz, F. Ding and others, "Dynamic hosting capacity
+analysis for distributed photovoltaic resources", Applied Energy 2020). If a controller may slow work down, the size
+alone is not informative, and the delay is reported as well (as G. C. Sarker and N. Dahlin, arXiv 2604.20185, do for
+flexible connections).
 """
 
 from __future__ import annotations
@@ -60,11 +61,12 @@ class Study:
     """Candidate buses; None for load buses, with three phases on a three-phase feeder. At most ``MAX_BUSES`` are taken,
     spread evenly in the order of the feeder."""
     samples: int = SAMPLES
-    """Number of windows of sampled load, with seeds 0, 1, ..; the same for every bus, size and controller."""
+    """Number of windows of sampled load, with seeds 0, 1, ..; the same for every bus, size and controller. Windows at
+    the worst hours are added to them (``windows``)."""
     load: Load = "day"
-    """``day``: sample i begins 24 i / samples hours after the peak hour, and other loads and PV follow the hour. With
-    load profiles, it begins at a time of the split's days that its seed draws. ``peak``: all samples are at nominal
-    load and noon."""
+    """``day``: the begins of the samples are spread evenly over all hours of the load profiles. Without load profiles,
+    sample i begins 24 i / samples hours after the peak hour of a standard day; other loads and PV follow the hour.
+    ``peak``: all samples are at nominal load and noon."""
     window_s: float = WINDOW_S
     """Length of a window, s."""
     settle_s: float = SETTLE_S
@@ -89,7 +91,8 @@ class Study:
     loss_max_kw: float | None = None
     """Limit of the mean loss of a window, kW; None for no limit."""
     allowed_pct: float = 0.0
-    """Allowed share of the sampled seconds with some bus or branch outside its limits, %."""
+    """Allowed share of the sampled seconds with some bus or branch outside its limits, %. Above 0, no windows are added
+    at the worst hours, since a size may then break limits in them."""
     tolerance_mw: float | None = None
     """Distance between sizes, MW; a capacity is a multiple of it. None: a round number near 1/1000 of the largest."""
     max_mw: float | None = None
@@ -210,19 +213,8 @@ class Study:
 
     @property
     def allowed_seconds(self) -> int:
-        """Allowed number of steps with broken limits, over all windows."""
+        """Allowed number of steps with broken limits, over all samples."""
         return math.floor(self.allowed_pct / 100.0 * self.samples * (self.horizon - self.settled) + 1e-9)
-
-    @property
-    def begins_h(self) -> np.ndarray | None:
-        """Hours that set the begin of each sample, (sample,); None where the seed or the load level defines it."""
-        by_seed = self.load != "day" or self.scenario.load_profiles.file is not None
-        return None if by_seed else self.hours
-
-    @property
-    def hours(self) -> np.ndarray:
-        """Time of day at which each sample begins, h, (sample,)."""
-        return (PEAK_HOUR + 24.0 * np.arange(self.samples) / self.samples) % 24.0
 
     def candidates(self) -> np.ndarray:
         """Return the positions in ``bus_ids`` of the candidate buses; raise ValueError for an unsuitable bus."""

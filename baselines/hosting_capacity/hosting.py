@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,15 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
+from dcgrid_env.baselines.hosting_capacity.load_hours import (
+    Windows,
+    load_hours,
+    window_begins,
+    with_same_hours,
+    with_worst_hours,
+)
+from dcgrid_env.baselines.hosting_capacity.site_scenario import still_fields
+from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses, searched
 from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, trials
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.registry import TUNED, find_controller
@@ -26,7 +33,6 @@ from dcgrid_env.baselines.tuning.tuned import SUFFIX
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
-from dcgrid_env.traces import PowerTrace
 
 
 def study_controller(spec: str, scenario: Scenario, tuned: Path | None) -> tuple[Controller, str]:
@@ -61,8 +67,8 @@ _SLOW = ("mpc",)
 """Prefixes of the names of controllers whose tasks are started first."""
 _PARTS = 2
 """Units of each controller and worker: a unit of few buses wastes batches, few units leave workers idle."""
-_STUDY, _EXEMPT = "study", "exempt"
-"""Names of the shared values: the study, and the nodes whose branch is overloaded without any site."""
+_STUDY, _WINDOWS, _EXEMPT = "study", "windows", "exempt"
+"""Names of the shared values: the study, its windows, and the nodes whose branch is overloaded without any site."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,9 @@ class Capacities:
     by_controller: dict[str, tuple[BusCapacity, ...]]
     """Capacities by controller, in the order of the buses."""
     snapshot: tuple[BusCapacity, ...]
-    """Capacities in one power flow at peak load, with the site at its rating and without control."""
+    """Capacities in one power flow at the worst hour, with the site at its rating and without control."""
+    windows: Windows
+    """Windows that were simulated."""
     overloaded: tuple[str, ...]
     """Branches that are overloaded without any site; the capacity behind them is zero, and they do not count
     elsewhere."""
@@ -85,11 +93,12 @@ class Capacities:
 
 
 class _Asked(NamedTuple):
-    """A bus, and the size and the samples to try first there."""
+    """A bus, and the size and the windows to try first there."""
 
     bus: int
     guess: int
     critical: tuple[int, ...]
+    snapshot: BusCapacity
 
 
 @dataclass(frozen=True)
@@ -109,8 +118,9 @@ def hosting_capacity(
     """Find the largest data centre that each candidate bus can host under each controller.
 
     One data centre is added at one bus at a time. A size is feasible if all bus voltages and all branches of known
-    rating stay within their limits in all sampled windows after the settling time. The allowed share of seconds is
-    exempt. Sizes are multiples of a step; ``bus_search`` describes the search.
+    rating stay within their limits in all windows after the settling time. The allowed share of seconds is exempt.
+    Without control, a size must also be feasible in one power flow of every hour. Sizes are multiples of a step;
+    ``bus_search`` describes the search.
 
     Parameters
     ----------
@@ -144,14 +154,15 @@ def hosting_capacity(
         raise ValueError("controllers is empty; name at least one")
     notes = tuple(note for name in names if (note := study_controller(name, study.scenario, tuned)[1]))
     buses = study.candidates()
-    snapshot = snapshot_capacity(study, buses)
+    snapshot, limiting = _snapshots(study, buses)
+    windows = with_worst_hours(study, limiting)
     guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
-    site = AddedSite(study)
+    site = AddedSite(study, windows)
     site.exempt = overloaded_nodes(site)
     critical = critical_samples(site, buses, guesses)
     parts = _shared_out(len(buses), _PARTS * place.workers if place.workers > 1 else 1)
     tasks = [
-        _Task(name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i]) for i in part))
+        _Task(name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i], snapshot[i]) for i in part))
         for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
         for part in parts
     ]
@@ -161,7 +172,7 @@ def hosting_capacity(
         Unit(f"{task.controller} at buses {bus_ids[task.asked[0].bus]} to {bus_ids[task.asked[-1].bus]}", _work, task)
         for task in tasks
     ]
-    values = {_STUDY: study, _EXEMPT: site.exempt} | carried(place, (), names, tuned)
+    values = {_STUDY: study, _WINDOWS: windows, _EXEMPT: site.exempt} | carried(place, (), names, tuned)
     for unit, result in place.results(units, values, how_to_go_on=""):
         task = unit.item
         found |= {(task.controller, capacity.bus): capacity for capacity in result}
@@ -172,26 +183,45 @@ def hosting_capacity(
     feeder = study.scenario.feeder
     fed = np.unique(np.asarray(feeder.node_bus)[site.exempt[: feeder.n_node]])
     overloaded = tuple(feeder.branch_names[bus - 1] for bus in fed)
-    return Capacities(study, ids, names, by_controller, tuple(snapshot), overloaded, notes)
+    return Capacities(study, ids, names, by_controller, tuple(snapshot), windows, overloaded, notes)
 
 
 def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
-    """What buses (positions in ``bus_ids``, (n,)) carry in one power flow, for orientation and to begin from.
+    """What buses (positions in ``bus_ids``, (n,)) carry in one power flow of every hour, and in the worst of them.
 
-    Other loads are at their peak, data centres draw their rating at a power factor of one, inverters give what they do
-    at noon, and nobody controls anything.
+    Data centres draw their rating at a power factor of one, other loads and PV are those of the hour without noise, and
+    nobody controls anything except equipment of the feeder, which has settled. With ``load = "peak"``, there is one
+    power flow at nominal load, in which inverters give what they do at noon.
     """
-    dt_s = float(study.scenario.dt_s)
-    full = PowerTrace([0.0, 60.0 * dt_s], [1.0, 1.0], "full load", compute_kw=[1.0, 1.0])
-    still = study.scenario.replace(trace=(full,), background={"load_sigma": 0.0}, workload={"site_correlation": 0.0})
-    moment = dataclasses.replace(
-        study, scenario=still, samples=1, load="peak", window_s=2.0 * dt_s, settle_s=0.0, allowed_pct=0.0,
-        tolerance_mw=study.step_mw, max_mw=study.largest_mw,
+    return _snapshots(study, buses)[0]
+
+
+def study_windows(study: Study, buses: np.ndarray) -> Windows:
+    """Return the windows of a study: the sampled ones, and those at the hours that are worst or limit one of buses."""
+    return with_worst_hours(study, _snapshots(study, buses)[1])
+
+
+def _snapshots(study: Study, buses: np.ndarray) -> tuple[list[BusCapacity], dict[int, str]]:
+    """Return capacities in power flows, and the reasons of the hours that limit them, by position in ``load_hours``."""
+    found = load_hours(study)
+    moment = with_same_hours(
+        study, scenario=study.scenario.replace(**still_fields(study)), samples=1, window_s=2.0 * study.scenario.dt_s,
+        settle_s=0.0, allowed_pct=0.0,
     )  # fmt: skip
-    guesses = np.full(len(buses), max(1, math.isqrt(study.top)))
-    site = AddedSite(moment)
+    n = len(found.hours)
+    begin_h = None if study.load == "peak" else window_begins(moment, found.hours)
+    windows = Windows(begin_h, found.hours, ("a power flow",) * n, found.considered)
+    site = AddedSite(moment, windows)
     site.exempt = overloaded_nodes(site)
-    return search_buses(site, NoControl(), SNAPSHOT, buses, guesses, [np.arange(1)] * len(buses))
+    guesses, first = np.full(len(buses), max(1, math.isqrt(study.top))), np.arange(max(1, len(found.named())))
+    results = searched(site, NoControl(), SNAPSHOT, buses, guesses, [first] * len(buses))
+    ids = study.scenario.feeder.bus_ids
+    limits: dict[int, list[str]] = {}
+    for bus, (_, limiting) in zip(buses.tolist(), results, strict=True):
+        if limiting is not None:
+            limits.setdefault(limiting, []).append(str(ids[bus]))
+    reasons = {i: f"limits the site at {len(at)} buses, such as {at[0]}" for i, at in limits.items()}
+    return [capacity for capacity, _ in results], reasons
 
 
 def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
@@ -204,7 +234,7 @@ def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -
         by_size.setdefault(size, []).append(i)
     found: list[tuple[int, ...]] = [()] * len(buses)
     for size, bus_positions in by_size.items():
-        asked = [(int(buses[i]), np.arange(site.study.samples)) for i in bus_positions]
+        asked = [(int(buses[i]), np.arange(len(site.windows))) for i in bus_positions]
         for i, trial in zip(bus_positions, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
             found[i] = tuple(worst_samples(trial).tolist())
     return found
@@ -217,12 +247,15 @@ def _shared_out(n: int, parts: int) -> list[np.ndarray]:
 def _work(task: _Task) -> list[BusCapacity]:
     study = shared(_STUDY)
     controller, _ = study_controller(task.controller, study.scenario, task.tuned)
-    buses, guesses, critical = zip(*task.asked, strict=True)
+    buses, guesses, critical, snapshot = zip(*task.asked, strict=True)
+    # Nothing but control can make more room than a power flow of the worst hour shows.
+    bounded = task.controller == UNCONTROLLED and not study.allowed_pct
     return search_buses(
-        AddedSite(study, shared(_EXEMPT)),
+        AddedSite(study, shared(_WINDOWS), shared(_EXEMPT)),
         controller,
         task.controller,
         np.array(buses),
         np.array(guesses),
         [np.array(samples) for samples in critical],
+        snapshot if bounded else None,
     )

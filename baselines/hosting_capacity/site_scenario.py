@@ -7,9 +7,29 @@ from typing import Any
 
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.traces import PowerTrace
 
 _NOTHING_KW = 1e-3
 """Rating that represents the absence of a site, since the rating of a device must be positive."""
+
+
+def free_bus(study: Study) -> tuple[str] | None:
+    """Return a bus without a device, for a site whose bus each reset sets; None if all buses are drawn."""
+    scenario, others = study.scenario, study.others
+    if others and scenario.datacenters.buses is None:
+        return None
+    taken = {str(bus) for device in scenario.devices for bus in getattr(device, "buses", None) or () if others}
+    free = [bus for bus in scenario.feeder.bus_ids[1:] if bus not in taken]
+    if not free:
+        raise ValueError(f"scenario {scenario.name!r} has a device at every bus; leave one bus without")
+    return (free[0],)
+
+
+def still_fields(study: Study) -> dict[str, Any]:
+    """Return the fields of a scenario whose sites draw their rating all the time, next to loads without noise."""
+    dt_s = float(study.scenario.dt_s)
+    full = PowerTrace([0.0, 60.0 * dt_s], [1.0, 1.0], "full load", compute_kw=[1.0, 1.0])
+    return {"trace": (full,), "background.load_sigma": 0.0, "workload.site_correlation": 0.0}
 
 
 def with_sites(study: Study, buses: Sequence[str] | None, mw: Sequence[float], **changes: Any) -> Scenario:

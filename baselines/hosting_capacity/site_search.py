@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ from dcgrid_env import Feeder, Scenario, fcfs_delays
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import BusSearch, Request
+from dcgrid_env.baselines.hosting_capacity.element_names import branch_to
 from dcgrid_env.baselines.hosting_capacity.trial import (
     COLLAPSED,
     LIMITS,
@@ -20,7 +21,6 @@ from dcgrid_env.baselines.hosting_capacity.trial import (
     TAPS,
     UNLIMITED,
     Trial,
-    branch_to,
     run_trial,
     trials,
 )
@@ -54,10 +54,10 @@ class BusCapacity:
     margin: float
     """Least margin to a limit at that size, see ``Trial.margin``."""
     most_windows_mw: float
-    """Size that stays within the limits in 95 % of the windows, MW."""
+    """Size that stays within the limits in 95 % of the sampled windows, MW."""
     half_windows_mw: float
-    """Size that stays within the limits in half of the windows, MW. Both are interpolated between the margins of each
-    window at no site and at the capacity, rounded to 0.1 kW, and at most the largest size that was tried."""
+    """Size that stays within the limits in half of the sampled windows, MW. Both are interpolated between the margins
+    of each window at no site and at the capacity, rounded to 0.1 kW, and at most the largest size that was tried."""
     smaller_fails_mw: tuple[float, ...]
     """Smaller sizes of the coarse scan that break limits, MW; if there are any, not every size below the capacity is
     feasible."""
@@ -72,7 +72,7 @@ def search_buses(
     buses: np.ndarray,
     guesses: np.ndarray,
     critical: Sequence[np.ndarray],
-    on_bus: Callable[[], None] | None = None,
+    snapshot: Sequence[BusCapacity] | None = None,
 ) -> list[BusCapacity]:
     """Find the capacity of buses under one controller.
 
@@ -88,37 +88,48 @@ def search_buses(
         The size to try first at each, in steps, (n,).
     critical
         Numbers of the samples to try first at each.
-    on_bus
-        Called as each bus is done (for progress).
+    snapshot
+        Largest results at the buses; None for none.
 
     Raises
     ------
     ControllerError
         Where the controller fails or cannot drive such a scenario.
     """
+    return [result for result, _ in searched(site, controller, name, buses, guesses, critical, snapshot)]
+
+
+def searched(
+    site: AddedSite,
+    controller: Controller,
+    name: str,
+    buses: np.ndarray,
+    guesses: np.ndarray,
+    critical: Sequence[np.ndarray],
+    snapshot: Sequence[BusCapacity] | None = None,
+) -> list[tuple[BusCapacity, int | None]]:
+    """Return the results of ``search_buses``, each with the window that limits the next size; None for none."""
     study, feeder = site.study, site.study.scenario.feeder
-    samples = np.arange(study.samples)
+    samples = np.arange(len(site.windows))
     before = [overloaded_before(feeder, bus, site.exempt) for bus in buses]
-    empty = run_trial(site, controller, 0, np.full(study.samples, buses[0]), samples, name)
+    empty = run_trial(site, controller, 0, np.full(len(samples), buses[0]), samples, name)
     # Without a site of any size there is nothing to search where limits are broken already.
     fails = int(empty.outside.sum()) > study.allowed_seconds
     scan = tuple(sorted({study.top >> i for i in range(study.top.bit_length())}))
+    tops = [study.top] * len(buses)
+    if snapshot is not None:
+        tops = [round(found.capacity_mw / study.step_mw) for found in snapshot]
     searches = [
-        BusSearch(empty, site_limit, int(guess), study.top, study.allowed_seconds, scan)
-        for guess, site_limit in zip(guesses, critical, strict=True)
+        BusSearch(empty, site_limit, int(guess), top, study.allowed_seconds, scan)
+        for guess, site_limit, top in zip(guesses, critical, tops, strict=True)
     ]
-    left = {i: search for i, search in enumerate(searches) if not (fails or before[i])}
-    if on_bus is not None:
-        for _ in range(len(searches) - len(left)):
-            on_bus()
+    left = {i: search for i, search in enumerate(searches) if not (fails or before[i]) and tops[i]}
     while left:
         by_size: dict[int, list[tuple[int, Request]]] = {}
         for i, search in list(left.items()):
             request = search.next()
             if request is None:
                 del left[i]
-                if on_bus is not None:
-                    on_bus()
             else:
                 by_size.setdefault(request.size, []).append((i, request))
         for size, asked in by_size.items():
@@ -126,10 +137,16 @@ def search_buses(
             for (i, request), trial in zip(asked, trials(site, controller, size, of_buses, name), strict=True):
                 searches[i].take(request, trial)
     found = []
-    for bus, search, overload in zip(buses, searches, before, strict=True):
-        beyond = empty if fails else search.beyond
-        limit = "" if beyond is None else limit_of(study.scenario, beyond)
-        found.append(_capacity(site, name, bus, search, limit if fails or not overload else overload, empty))
+    for i, (bus, search) in enumerate(zip(buses, searches, strict=True)):
+        beyond, limit = search.beyond, "" if snapshot is None else snapshot[i].limit
+        if fails:
+            beyond = empty
+        elif before[i]:
+            limit = before[i]
+        if beyond is not None and (fails or not before[i]):
+            limit = limit_of(study.scenario, beyond)
+        limiting = int(empty.margins.min(axis=1).argmin()) if fails else search.limiting
+        found.append((_capacity(site, name, bus, search, limit, empty), limiting))
     return found
 
 
@@ -142,12 +159,12 @@ def overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> st
     return ""
 
 
-def _window_capacities_mw(site: AddedSite, empty: Trial, search: BusSearch) -> np.ndarray:
+def _window_capacities_mw(site: AddedSite, empty: Trial, size: int, at_size: Trial) -> np.ndarray:
     """The largest site that each window alone would carry, MW, (sample,), not less than the capacity of all."""
-    capacity_mw, largest_mw = site.mw(search.size), site.mw(site.study.top)
-    if not search.size:
+    capacity_mw, largest_mw = site.mw(size), site.mw(site.study.top)
+    if not size:
         return np.zeros(len(empty.outside))
-    fall = empty.margins - search.at_size.margins
+    fall = empty.margins - at_size.margins
     falls = (fall > 1e-9) & (empty.margins < UNLIMITED)
     shares = np.where(falls, np.maximum(empty.margins, 0.0) / np.where(falls, fall, 1.0), np.inf).min(axis=1)
     return np.clip(shares * capacity_mw, capacity_mw, largest_mw)
@@ -156,21 +173,23 @@ def _window_capacities_mw(site: AddedSite, empty: Trial, search: BusSearch) -> n
 def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: str, empty: Trial) -> BusCapacity:
     study, trial = site.study, search.at_size
     feeder = study.scenario.feeder
+    sampled = ~site.windows.still if site.windows.sampled else slice(None)
+    trial, empty = trial.of(sampled), empty.of(sampled)
     delays = fcfs_delays(trial.arrived_kw.T, trial.served_kw.T, study.scenario.dt_s)
-    counted = study.samples * (study.horizon - study.settled)
+    counted = len(trial.outside) * (study.horizon - study.settled)
     sited = search.size > 0
-    of_windows = _window_capacities_mw(site, empty, search)
+    of_windows = _window_capacities_mw(site, empty, search.size, trial)
     return BusCapacity(
         controller=name,
         bus=feeder.bus_ids[bus],
         capacity_mw=site.mw(search.size),
-        at_most=search.size == study.top,
+        at_most=search.size == study.top and not limit,
         limit=limit,
         delay_mean_s=delays.mean_s if sited else 0.0,
         delay_p95_s=delays.p95_s if sited else 0.0,
         unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
         outside_pct=100.0 * float(trial.outside.sum()) / counted,
-        margin=trial.margin,
+        margin=search.at_size.margin,
         most_windows_mw=round(float(np.quantile(of_windows, _FEW)), _DIGITS),
         half_windows_mw=round(float(np.median(of_windows)), _DIGITS),
         smaller_fails_mw=tuple(map(site.mw, search.smaller_fails)),

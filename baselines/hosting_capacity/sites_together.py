@@ -19,6 +19,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
+from dcgrid_env.baselines.hosting_capacity.hosting import study_windows
 from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_of, overloaded_before
 from dcgrid_env.baselines.hosting_capacity.trial import Trial, overloaded_nodes, run_trial
@@ -80,7 +81,7 @@ def sites_together(
     sites = _Sites(study)
 
     def trial(sizes: tuple[int, ...]) -> Trial:
-        rows = np.arange(study.samples)
+        rows = np.arange(len(sites.windows))
         found = run_trial(sites, controller, sizes, np.zeros_like(rows), rows, name)  # pyright: ignore
         if on_trial is not None:
             on_trial()
@@ -153,7 +154,8 @@ class _Sites:
     def __init__(self, study: Study):
         self.study = study
         self.buses = study.candidates()
-        self.exempt = overloaded_nodes(AddedSite(study))
+        self.windows = study_windows(study, self.buses)
+        self.exempt = overloaded_nodes(AddedSite(study, self.windows))
         for bus in self.buses:
             if branch := overloaded_before(study.scenario.feeder, int(bus), self.exempt):
                 raise LimitsBroken(f"together: no site fits at bus {study.scenario.feeder.bus_ids[bus]}: {branch}")
@@ -161,11 +163,11 @@ class _Sites:
         self.scenario = lru_cache(maxsize=4)(self._scenario)
 
     def reset_arguments(self, buses: np.ndarray, samples: np.ndarray) -> tuple[list[int], dict[str, Any]]:
-        """Seeds and reset options of the samples; the buses are those of the scenario."""
-        begins_h = self.study.begins_h
-        return samples.tolist(), {} if begins_h is None else {"begin_h": begins_h[samples]}
+        """Seeds and reset options of windows; the buses are those of the scenario."""
+        return samples.tolist(), self.windows.options(samples)
 
-    def _scenario(self, sizes: tuple[int, ...]) -> Scenario:
+    def _scenario(self, sizes: tuple[int, ...], still: bool = False) -> Scenario:
         study, bus_ids = self.study, self.study.scenario.feeder.bus_ids
         mw = [size * study.step_mw for size in sizes]
-        return with_sites(study, [bus_ids[bus] for bus in self.buses], mw, **study.window_fields)
+        fields = study.window_fields | ({"background.load_sigma": 0.0} if still else {})
+        return with_sites(study, [bus_ids[bus] for bus in self.buses], mw, **fields)

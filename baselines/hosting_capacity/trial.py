@@ -11,9 +11,9 @@ import numpy as np
 from dcgrid_env import Feeder, FeederError, rating_coverage
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
+from dcgrid_env.baselines.hosting_capacity.element_names import branch_to
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import as_driven, transitions
-from dcgrid_env.grid import AnyFeeder
 from dcgrid_env.powerflow import n_loading
 
 COLLAPSED = -10.0
@@ -60,24 +60,20 @@ class Trial(NamedTuple):
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def branch_to(feeder: AnyFeeder, position: int) -> str:
-    """Name the branch at a position in the loading, with the phase on three-phase feeders."""
-    if isinstance(feeder, Feeder):
-        return feeder.branch_names[position - 1]
-    return f"{feeder.branch_names[feeder.node_bus[position] - 1]}, phase {feeder.node_ids[position][-1]}"
-
-
 def run_trial(
     site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
 ) -> Trial:
-    """Run sites of one size; ``buses`` are positions in ``bus_ids`` and ``samples`` are sample numbers, (row,) each.
+    """Run sites of one size; ``buses`` are positions in ``bus_ids``, ``samples`` numbers of windows, (row,) each.
 
     The result of an environment does not depend on the rest of the batch. Raises ControllerError if the controller
     fails or refuses the scenario.
     """
     at_once = max(1, _VALUES // (site.study.scenario.feeder.n_node * 8))
-    parts = [slice(a, a + at_once) for a in range(0, len(buses), at_once)]
-    return Trial.joined([_run(site, controller, size, buses[part], samples[part], name) for part in parts])
+    still = site.windows.still[samples]
+    rows = [np.flatnonzero(still == quiet) for quiet in (False, True)]
+    parts = [part[a : a + at_once] for part in rows for a in range(0, len(part), at_once)]
+    found = Trial.joined([_run(site, controller, size, buses[part], samples[part], name) for part in parts])
+    return found.of(np.argsort(np.concatenate(parts), kind="stable"))
 
 
 def trials(
@@ -103,19 +99,21 @@ def overloaded_nodes(site: AddedSite) -> np.ndarray:
     FeederError
         For such a branch of a feeder with loops, where the buses that it limits are not those behind it.
     """
-    study, samples, controller = site.study, np.arange(site.study.samples), NoControl()
+    study, controller, still = site.study, NoControl(), site.windows.still
     feeder = study.scenario.feeder
     seconds = np.zeros(n_loading(feeder), np.int64)
     if not rating_coverage(feeder).known:
         return seconds > 0
-    seeds, options = site.reset_arguments(np.ones_like(samples), samples)
-    steps = transitions(as_driven(site.scenario(0), controller), controller, seeds, None, options)
-    next(steps)
-    for k in range(study.horizon):
-        loading = next(steps).state.loading
-        if k >= study.settled:
-            seconds += (loading > study.loading_max_pct / 100.0 + _ROUNDING).sum(axis=0)
-    steps.close()
+    for quiet in np.unique(still).tolist():
+        samples = np.flatnonzero(still == quiet)
+        seeds, options = site.reset_arguments(np.ones_like(samples), samples)
+        steps = transitions(as_driven(site.scenario(0, quiet), controller), controller, seeds, None, options)
+        next(steps)
+        for k in range(study.horizon):
+            loading = next(steps).state.loading
+            if k >= study.settled:
+                seconds += (loading > study.loading_max_pct / 100.0 + _ROUNDING).sum(axis=0)
+        steps.close()
     overloaded = seconds > study.allowed_seconds
     if overloaded.any() and isinstance(feeder, Feeder) and feeder.n_loop:
         raise FeederError(
@@ -129,7 +127,7 @@ def _run(
     site: AddedSite, controller: Controller, size: int, buses: np.ndarray, samples: np.ndarray, name: str
 ) -> Trial:
     study, n_env = site.study, len(buses)
-    scenario = as_driven(site.scenario(size), controller)
+    scenario = as_driven(site.scenario(size, bool(site.windows.still[samples[0]])), controller)
     seeds, options = site.reset_arguments(buses, samples)
     steps = transitions(scenario, controller, seeds, name, options)
     next(steps)

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario
-from dcgrid_env.baselines.hosting_capacity.trial import branch_to
+from dcgrid_env.baselines.hosting_capacity.element_names import branch_to, time_text
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import as_driven, transitions
-from dcgrid_env.traces import PowerTrace
+from dcgrid_env.traces import WHOLE, PowerTrace
 
 _VALUES = 2_000_000
 """Largest number of voltages of a batch; more days run in several batches."""
@@ -101,7 +101,7 @@ class YearFlow:
 
     def time_text(self, sample: int) -> str:
         """Return the date, or the number of the day from 1, and the time of day of a sample."""
-        return self.scenario.load_profiles.table.time_text(float(self.hours[sample]))
+        return time_text(self.scenario, float(self.hours[sample]))
 
 
 def year_flow(scenario: Scenario, on_step: Callable[[int, int], None] | None = None) -> YearFlow:
@@ -180,7 +180,7 @@ def _daily_scenario(scenario: Scenario, per_day: int) -> Scenario:
         load_profiles={"days": "all", "start_h": None},
         dt_s=step_s,
         horizon=max(1, per_day - 1),
-        split="test" if scenario.split == "ood" else scenario.split,  # recordings have no split ood
+        split=WHOLE,
     )
 
 
@@ -191,10 +191,11 @@ def hour_scenario(scenario: Scenario, flow: YearFlow, sample: int) -> Scenario:
     """
     table = scenario.load_profiles.table
     begin_h = min(float(np.floor(flow.hours[sample] + _ROUNDING)), table.begin_h + table.duration_h - 1.0)
-    third = HOUR_STEPS / 3.0
+    steps = min(HOUR_STEPS, int(3600.0 * table.duration_h + 1e-9))  # of a file that covers less
+    third = steps / 3.0
     return scenario.replace(
         dt_s=1.0,
-        horizon=HOUR_STEPS,
+        horizon=steps,
         background={"start_hour": None},
         load_profiles={"days": "all", "start_h": max(begin_h, table.begin_h)},
         workload={"full_load_s": (third, 2.0 * third)},

@@ -53,10 +53,11 @@ class Capacity(OverWorkers):
     buses: str | None = None
     """Candidate buses, separated by commas, or all. Default: up to 64 load buses, evenly spread."""
     samples: int = 64
-    """Number of windows of sampled load, with seeds 0, 1, ... All sizes, buses and controllers use the same windows."""
+    """Number of windows of sampled load, with seeds 0, 1, ... All sizes, buses and controllers use the same windows.
+    Windows at the worst hours are added."""
     load: Literal["day", "peak"] = "day"
-    """Level of the other loads: day spreads the samples over the hours of a day, starting at the peak; peak keeps the
-    feeder's nominal load."""
+    """Level of the other loads: day spreads the samples over all hours of the load profiles, or of a standard day;
+    peak keeps the feeder's nominal load."""
     trace: str | None = None
     """Trace of all data centres instead of the scenario's: a generator or a recording (dcgrid list)."""
     window_s: float = 60.0
@@ -86,13 +87,11 @@ class Capacity(OverWorkers):
     """Also find the sizes that sites at all --buses can have at once: equal shares as far as possible, or the largest
     sum. Requires at least two buses."""
     allowed_pct: float = 0.0
-    """Share of the seconds in which a limit may be violated, %."""
+    """Share of the seconds in which a limit may be violated, %. Above 0, no windows are added at the worst hours."""
     tolerance_mw: float | None = None
     """Step between sizes, MW. Default: a round number near one thousandth of the largest size."""
     max_mw: float | None = None
     """Largest size to try, MW. Default: about three times the feeder's load."""
-    split: str = "test"
-    """Split of the windows: train, validation, test or ood."""
     tuned: Path | None = None
     """File with the gains of the tuned controllers, written by dcgrid tune."""
     out: Path = Path("results/capacity")
@@ -100,6 +99,8 @@ class Capacity(OverWorkers):
 
     def run(self) -> None:
         """Search, print and write; raise ValueError before writing if a setting is invalid."""
+        from dcgrid_env.baselines.engineering import file_lines
+        from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
         from dcgrid_env.baselines.hosting_capacity.capacity_maps import capacity_maps
         from dcgrid_env.baselines.hosting_capacity.capacity_output import (
             capacity_csv,
@@ -154,6 +155,8 @@ class Capacity(OverWorkers):
             console.print(table.rich(console.width))
             for note in table.notes:
                 console.print(note)
+        for line in file_lines(AddedSite(study, found.windows).scenario(0)):
+            console.print(line)
         figure = capacity_maps(found)  # before anything is written
         write_text(self.out / "capacity.csv", capacity_csv(found))
         written = ["capacity.csv", "results.json", "capacity.png"]
@@ -200,14 +203,16 @@ def _study(cfg: Capacity) -> Study:
 
 
 def _scenario(cfg: Capacity) -> Scenario:
+    from dcgrid_env.baselines.engineering import engineering_scenario
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     chosen: dict[str, Any] = {} if cfg.trace is None else {"trace": cfg.trace}
-    if cfg.feeder is not None:
-        return scenario_on_feeder(Asked(cfg.feeder, cfg.scenario), cfg.set, cfg.split, chosen)
-    if cfg.scenario is None:
+    feeder, scenario = cfg.feeder, cfg.scenario
+    if feeder is not None:
+        return engineering_scenario(lambda split: scenario_on_feeder(Asked(feeder, scenario), cfg.set, split, chosen))
+    if scenario is None:
         raise ValueError("feeder: must be given, or --scenario; pass --feeder with a feeder's name or folder")
-    return ScenarioSpec(cfg.scenario, cfg.set).make(cfg.split, **chosen)
+    return engineering_scenario(lambda split: ScenarioSpec(scenario, cfg.set).make(split, **chosen))
 
 
 def _limits(text: str) -> tuple[float, float]:

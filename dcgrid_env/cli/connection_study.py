@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 
 
+_FILES = ("load_profiles.file", "load_profiles.classes", "workload.trace", "trace")
+"""Fields of ``set`` that name files."""
+
+
 @dataclass(frozen=True)
 class ConnectionStudy(OverWorkers):
     """Answer a connection request with one report.
@@ -130,20 +134,23 @@ def make_job(request: StudyRequest, path: Path) -> Job:
 
 
 def _scenario(request: StudyRequest, path: Path) -> Scenario:
+    from dcgrid_env.baselines.engineering import engineering_scenario
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
     given = [(name, _from_folder(path.parent, name, value)) for name, value in _flat(request.set)]
     overrides = tuple(f"{name}={json.dumps(value)}" for name, value in given)
     if request.feeder is None:
-        return ScenarioSpec(str(request.scenario), overrides).make("test")
+        return engineering_scenario(ScenarioSpec(str(request.scenario), overrides).make)
     folder = path.parent / request.feeder
-    feeder = str(folder) if folder.is_dir() else request.feeder
-    return scenario_on_feeder(Asked(feeder, request.scenario, None, None), overrides, "test", {})
+    asked = Asked(str(folder) if folder.is_dir() else request.feeder, request.scenario, None, None)
+    return engineering_scenario(lambda split: scenario_on_feeder(asked, overrides, split, {}))
 
 
 def _from_folder(folder: Path, name: str, value: object) -> object:
-    """Return the path of a file of load profiles that is relative to the study's folder; any other value unchanged."""
-    if name not in ("load_profiles.file", "load_profiles.classes") or not isinstance(value, str):
+    """Return the path of a file that is relative to the study's folder; any other value unchanged."""
+    if isinstance(value, list) and name in _FILES:
+        return [_from_folder(folder, name, item) for item in value]
+    if name not in _FILES or not isinstance(value, str):
         return value
     return str(folder / value) if (folder / value).exists() else value
 

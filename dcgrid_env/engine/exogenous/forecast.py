@@ -63,17 +63,6 @@ def forecast(scenario: Scenario, seed: int) -> Forecast:
     return Forecast(drawn.buses[0], *columns, capacitor_on=capacitor_on, sags=sags, request=request)
 
 
-def begin_hour(scenario: Scenario, seed: int) -> float:
-    """When a seed's first episode begins, h; 0 for a scenario that does not follow the day.
-
-    With load profiles it is the time since the midnight before their first sample, else the hour of the day.
-    """
-    from dcgrid_env.engine.exogenous import episode  # brings the compiler with it, so not on import
-
-    seeds = np.array([whole_seed(seed) % 2**64], np.uint64)
-    return float(episode.draw(scenario.member(seed), seeds, np.zeros(1, np.uint64)).begin_h[0])
-
-
 def sag_times(scenario: Scenario, seed: int) -> np.ndarray:
     """When the sags of a seed's first episode begin, s, (n_sag,); ValueError for a scenario without sags."""
     sags = forecast(scenario, seed).sags

@@ -14,6 +14,7 @@ import pytest
 from dcgrid_env import Feeder, Scenario, ThreePhaseFeeder
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+from dcgrid_env.baselines.hosting_capacity.load_hours import sampled_windows
 from dcgrid_env.baselines.hosting_capacity.outages import with_outage
 from dcgrid_env.baselines.hosting_capacity.sites_together import sites_together
 from dcgrid_env.baselines.laws.no_control import NoControl
@@ -230,7 +231,10 @@ def test_most_windows_is_an_order_statistic_of_the_windows():
     asked = study(line.feeder(AMPS), samples=8, load="day", window_s=6.0, settle_s=2.0)
     (found,) = hosting_capacity(asked, ["none"]).by_controller["none"]
     rated = line.at_current(AMPS) + 1.0
-    share = np.interp(asked.hours, np.arange(25) + 0.5, [*LOAD_PERCENT, LOAD_PERCENT[0]]) / 100.0
+    share = (
+        np.interp(np.asarray(sampled_windows(asked).hours), np.arange(25) + 0.5, [*LOAD_PERCENT, LOAD_PERCENT[0]])
+        / 100.0
+    )
     alone = rated - share
     check(found.capacity_mw, alone.min())
     assert found.most_windows_mw == pytest.approx(np.quantile(alone, 0.05), abs=2 * STEP_MW)

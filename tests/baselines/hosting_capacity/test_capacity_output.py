@@ -15,6 +15,7 @@ from dcgrid_env.baselines.hosting_capacity.capacity_output import (
 )
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import Capacities
+from dcgrid_env.baselines.hosting_capacity.load_hours import with_worst_hours
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity
 
 
@@ -36,8 +37,9 @@ def found():
     )
     snapshot = (capacity("snapshot", "2", 7.5), capacity("snapshot", "18", 0.25))
     return Capacities(
-        study, ("2", "18"), ("a, b",), {"a, b": own}, snapshot, ("branch 1-2",), ("a, b: has its defaults",)
-    )
+        study, ("2", "18"), ("a, b",), {"a, b": own}, snapshot, with_worst_hours(study, {}), ("branch 1-2",),
+        ("a, b: has its defaults",),
+    )  # fmt: skip
 
 
 def test_the_csv_reads_back_as_it_was(found):

@@ -246,10 +246,11 @@ def test_a_droop_carries_more_at_the_ends_and_its_price_is_delay():
 
 def test_the_next_size_breaks_a_limit_and_the_answer_does_not():
     study = Study(scenario=on(load_feeder("ieee33"), source_voltage_pu=1.05), others=False, buses=("18",), **SHORT)
-    (found,) = hosting_capacity(study, ["none"]).by_controller["none"]
-    site, size = AddedSite(study), round(found.capacity_mw / study.step_mw)
-    bus = np.full(2, study.scenario.feeder.index("18"))
-    holds, breaks = (run_trial(site, NoControl(), s, bus, np.arange(2), "none") for s in (size, size + 1))
+    all_found = hosting_capacity(study, ["none"])
+    (found,), windows = all_found.by_controller["none"], all_found.windows
+    site, size, n = AddedSite(study, windows), round(found.capacity_mw / study.step_mw), len(windows)
+    bus = np.full(n, study.scenario.feeder.index("18"))
+    holds, breaks = (run_trial(site, NoControl(), s, bus, np.arange(n), "none") for s in (size, size + 1))
     assert not holds.outside.any()
     assert holds.margin == found.margin >= 0.0
     assert breaks.outside.any()

@@ -110,3 +110,33 @@ def test_load_profiles_give_a_section_of_the_year(tmp_path):
     assert hours == ["lowest voltage, highest loss", "highest voltage"]
     losses = section["tables"][0]["rows"][-1]
     assert float(losses[1]) < float(losses[2])
+
+
+@pytest.mark.slow
+def test_ten_minutes_of_a_log_and_half_a_day_of_loads_do(tmp_path):
+    """The log's ramps of 1 % of the rating in a second are also those of the repeated log."""
+    power = [300.0 + min(s % 200, 200 - s % 200) for s in range(600)]
+    rows = "".join(f"2026-03-01T14:{s // 60:02d}:{s % 60:02d},{kw}\n" for s, kw in enumerate(power))
+    (tmp_path / "log.csv").write_text("time,site_kw\n" + rows)
+    loads = "".join(f"{hour},{0.5 + 0.4 * (hour == 9)}\n" for hour in range(12))
+    (tmp_path / "day.csv").write_text("time_h,home\n" + loads)
+    (tmp_path / "classes.csv").write_text("load,class\n" + "".join(f"{bus},home\n" for bus in range(2, 34)))
+    more = (
+        'trace = "log.csv"\n[set.load_profiles]\nfile = "day.csv"\ncolumns = "class"\nclasses = "classes.csv"\n'
+        "[capacity]"
+    )
+    text = FILE.replace("[capacity]", more).replace(
+        '"day", "fluctuation", "ride-through", "sensitivity"', '"ride-through"'
+    )
+    (tmp_path / "s.toml").write_text(text)
+    main(["study", "s.toml", "--out", "out", "--workers", "1"])
+    record = json.loads((tmp_path / "out/report.json").read_text())
+    sections = record["sections"]
+    assert "lasts 599 s and episodes need 600.2 s, so it is repeated" in " ".join(sections["fluctuation"]["text"])
+    ramp = float(sections["fluctuation"]["tables"][0]["rows"][0][1])
+    assert ramp == pytest.approx(200.0 / 400.0, rel=1e-3)  # 1 kW/s of a peak of 400 kW, at a site of 200 kW
+    assert "The 12 h from day 1 00:00 on" in sections["day"]["text"][0]
+    assert "spread over all 12 hours of day.csv" in record["confidence"]
+    assert "day 1 09:00 (highest load, lowest voltage)" in record["confidence"]
+    assert record["capacity"]["study"]["hours_considered"] == 12
+    assert {"log.csv", "day.csv"} <= {row[0] for row in sections["inputs"]["tables"][0]["rows"]}
