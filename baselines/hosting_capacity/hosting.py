@@ -189,8 +189,8 @@ def hosting_capacity(
 def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
     """What buses (positions in ``bus_ids``, (n,)) carry in one power flow of every hour, and in the worst of them.
 
-    Data centres draw their rating at a power factor of one, other loads and PV are those of the hour without noise, and
-    nobody controls anything except equipment of the feeder, which has settled. With ``load = "peak"``, there is one
+    Data centres draw their rating at a power factor of one. Other loads and PV are those of the hour, without noise.
+    Nothing is controlled except equipment of the feeder, which has settled. With ``load = "peak"``, there is one
     power flow at nominal load, in which inverters give what they do at noon.
     """
     return _snapshots(study, buses)[0]

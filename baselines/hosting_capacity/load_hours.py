@@ -2,8 +2,8 @@
 
 Hours are the samples of the load profiles, or the quarters of an hour of a standard day. A site lowers the voltage of a
 node by nearly the same amount in every hour, and raises the current of a branch likewise. The hours that can limit a
-site at some bus are therefore those in which, without the site, some node has one of its lowest voltages or some branch
-one of its highest currents. The search for the capacity in one power flow goes through all of them, at each bus.
+site are therefore known without it: those of the lowest voltages of each node and of the highest currents of each
+branch. The search for the capacity in one power flow goes through all of them, at each bus.
 """
 
 from __future__ import annotations

@@ -52,6 +52,7 @@ class ConnectionStudy(OverWorkers):
             plain,
             sections_of,
         )
+        from dcgrid_env.baselines.engineering import file_lines
         from dcgrid_env.baselines.hosting_capacity.capacity_output import capacity_csv
         from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 
@@ -71,7 +72,8 @@ class ConnectionStudy(OverWorkers):
             task = progress.add_task("sections", total=len(asked_sections(job)) + len(job.outages))
             sections = sections_of(job, found, self.file, place, lambda: progress.advance(task))
         written = page(job, found, sections)
-        for text in (job.source, *answers(job, found)):
+        lines = file_lines(job.scenario(request.mw, **job.study.window_fields))
+        for text in (job.source, *answers(job, found), *lines):
             say(console, text)
         if found is not None:
             write_text(self.out / "capacity.csv", capacity_csv(found))

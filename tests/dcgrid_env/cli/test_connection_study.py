@@ -113,7 +113,7 @@ def test_load_profiles_give_a_section_of_the_year(tmp_path):
 
 
 @pytest.mark.slow
-def test_ten_minutes_of_a_log_and_half_a_day_of_loads_do(tmp_path):
+def test_ten_minutes_of_a_log_and_half_a_day_of_loads_do(tmp_path, capsys):
     """The log's ramps of 1 % of the rating in a second are also those of the repeated log."""
     power = [300.0 + min(s % 200, 200 - s % 200) for s in range(600)]
     rows = "".join(f"2026-03-01T14:{s // 60:02d}:{s % 60:02d},{kw}\n" for s, kw in enumerate(power))
@@ -131,6 +131,7 @@ def test_ten_minutes_of_a_log_and_half_a_day_of_loads_do(tmp_path):
     (tmp_path / "s.toml").write_text(text)
     main(["study", "s.toml", "--out", "out", "--workers", "1"])
     record = json.loads((tmp_path / "out/report.json").read_text())
+    assert "episodes lie in the whole of trace log, 599 s and of " in capsys.readouterr().out
     sections = record["sections"]
     assert "lasts 599 s and episodes need 600.2 s, so it is repeated" in " ".join(sections["fluctuation"]["text"])
     ramp = float(sections["fluctuation"]["tables"][0]["rows"][0][1])

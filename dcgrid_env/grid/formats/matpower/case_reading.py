@@ -72,8 +72,8 @@ def read_matpower(
         notes = ()
         if not per_phase and says_single_phase(text):
             notes = (
-                "the file speaks of single-phase MW: --per-phase multiplies its powers by three and its base voltages by "
-                "sqrt(3)",
+                "the file speaks of single-phase MW: --per-phase multiplies its powers by three and its base voltages "
+                "by sqrt(3)",
             )
 
         def voltages() -> dict[str, float]:

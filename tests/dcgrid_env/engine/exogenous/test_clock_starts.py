@@ -32,7 +32,7 @@ def scenario(*traces, split="whole", start_h=None, first_day="2026-03-01", offse
 
 
 def hour_of_log(s, seed):
-    """Hours since the midnight before the recording that its power stands for, in the first step of an episode."""
+    """Hours since the midnight before the recording, which its power is, in the first step of an episode."""
     return forecast(s, seed).p_ref_kw[0, 0] / s.site_rated_kw[0] * 100.0
 
 
