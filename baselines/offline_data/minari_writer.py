@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,14 +71,8 @@ def env_spec(scenario: Scenario) -> EnvSpec:
     ScenarioError for a scenario that holds what JSON cannot, a recording made in Python for instance.
     """
     registered = {name: env_id for env_id, name in IDS.items()}
-    spec = EnvSpec(
-        registered.get(scenario.name) or f"dcgrid/{file_name(scenario.name)}-v0",
-        entry_point="dcgrid_env.envs.single:DcgridEnv",
-        vector_entry_point="dcgrid_env.envs.vector:DcgridVectorEnv",
-        disable_env_checker=True,
-        kwargs={"scenario": scenario},
-    )
-    env = gymnasium.make(spec)
+    env_id = registered.get(scenario.name) or f"dcgrid/{file_name(scenario.name)}-v0"
+    env = gymnasium.make(replace(gymnasium.spec(next(iter(IDS))), id=env_id, kwargs={"scenario": scenario}))
     try:
         made = env.spec
         assert made is not None

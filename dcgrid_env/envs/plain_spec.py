@@ -8,6 +8,7 @@ from typing import Any
 from gymnasium.envs.registration import EnvSpec
 
 from dcgrid_env.core.checked import Plain
+from dcgrid_env.envs.time_limit import Horizon
 from dcgrid_env.scenario.plain import refuse_objects, to_plain
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -16,8 +17,10 @@ class PlainSpec:
     """Mixin of Gymnasium environments, placed before their base, that keeps a spec's keyword arguments as plain data.
 
     ``spec.to_json()`` is then complete, whatever objects the environment was made with. An object without a plain
-    form, such as a recording made in Python, is unchanged, and ``to_json`` raises an error with its name."""
+    form, such as a recording made in Python, is unchanged, and ``to_json`` raises an error with its name. The spec's
+    ``max_episode_steps`` is the horizon."""
 
+    scenario: Scenario
     _spec: Any = None
 
     @property
@@ -28,12 +31,16 @@ class PlainSpec:
     @spec.setter
     def spec(self, spec: Any) -> None:
         if spec is not None:
-            kwargs = {name: _plain(value) for name, value in spec.kwargs.items()}
-            spec = dataclasses.replace(spec, kwargs=kwargs)
-            if not _is_plain(kwargs):
-                given = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec) if field.init}
-                spec = _WithObjects(**given)
+            kwargs = {name: _plain(value) for name, value in spec.kwargs.items() if not isinstance(value, Horizon)}
+            fields = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec) if field.init}
+            steps = Horizon(self.scenario.horizon)
+            kind = EnvSpec if _is_plain(kwargs) else _WithObjects
+            spec = kind(**fields | {"kwargs": kwargs, "max_episode_steps": steps, "additional_wrappers": ()})
+            self._made()
         self._spec = spec
+
+    def _made(self) -> None:
+        """Do what is due where Gymnasium has made the environment."""
 
 
 class _WithObjects(EnvSpec):

@@ -13,7 +13,6 @@ from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_reward, j
 from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.info import InfoLevel, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
-from dcgrid_env.envs.time_limit import refuse_shorter_limit
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -52,8 +51,8 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
     -----------
     {end}
 
-    ``horizon`` sets the number of steps. ``reset`` raises a ScenarioError if a ``TimeLimit`` around the environment,
-    such as that of ``max_episode_steps`` in ``gymnasium.make``, is shorter.
+    ``horizon`` sets the number of steps, and so does ``max_episode_steps`` in ``gymnasium.make`` of a registered id. A
+    shorter ``TimeLimit`` that is put around the environment by hand ends episodes without charging leftover work.
 
     Information
     -----------
@@ -99,7 +98,6 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin a seed's first episode, or the next one if no seed is given."""
         seed = as_seed(seed)
-        refuse_shorter_limit(self)
         super().reset(seed=seed)
         transition = self._reset([seed], self.np_random)
         return transition.observation[0].copy(), self._info(transition)

@@ -1,14 +1,17 @@
-"""Limits of Gymnasium and PettingZoo are the horizon or are refused by name, and leftover work is charged."""
+"""Limits of Gymnasium and PettingZoo are the horizon, and leftover work is charged."""
 
+import copy
+import pickle
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
+from gymnasium.wrappers import ClipAction, TimeAwareObservation
 
-from dcgrid_env import DcgridEnv, DcgridVectorEnv, Scenario, ScenarioError, make_scenario, parallel_env
+from dcgrid_env import IDS, DcgridEnv, DcgridVectorEnv, Scenario, ScenarioError, make_scenario, parallel_env
+from dcgrid_env.traces import PowerTrace
 
 ID = "dcgrid/IEEE33Weak-v0"
 
@@ -17,31 +20,106 @@ def scenario_of(env: Any) -> Scenario:
     return env.unwrapped.scenario
 
 
-@pytest.mark.parametrize("checked", [True, False])
-def test_max_episode_steps_below_the_horizon_is_refused_by_name(checked):
-    env = gymnasium.make(ID, max_episode_steps=30, disable_env_checker=not checked)
-    with pytest.raises(ScenarioError, match=r"TimeLimit of 30 steps .* horizon of 120, .* horizon=30"):
-        env.reset(seed=0)
-
-
-@pytest.mark.parametrize("steps", [30, 50])
-def test_leftover_work_is_charged_at_the_horizon_within_any_limit(steps):
-    env: Any = gymnasium.make(ID, max_episode_steps=steps, horizon=30)
+def rewards(env: Any) -> list[float]:
+    """Rewards of an episode in which all work waits, which ends in its last step by truncation alone."""
     env.reset(seed=1)
     action = np.zeros(env.action_space.shape, np.float32)
     action[: 2 * scenario_of(env).datacenters.count : 2] = -1.0
-    ends = [env.step(action)[3:] for _ in range(30)]
-    assert [over for over, _ in ends] == [False] * 29 + [True]
-    info = ends[-1][-1]
+    paid, terminated, truncated, info = [], False, False, {}
+    while not (terminated or truncated):
+        _, reward, terminated, truncated, info = env.step(action)
+        paid.append(reward)
+    assert (terminated, truncated) == (False, True)
     assert info["cost_leftover"] == pytest.approx(9.0 * info["backlog_kws"] / 3000.0)
     assert info["cost_leftover"] > 1.0
+    return paid
+
+
+WAYS = {
+    "make": lambda **steps: gymnasium.make(ID, **steps),
+    "make with Gymnasium's checker": lambda **steps: gymnasium.make(ID, disable_env_checker=False, **steps),
+    "its spec": lambda **steps: gymnasium.make(gymnasium.make(ID).spec, **steps),
+    "its spec as JSON": lambda **steps: gymnasium.make(EnvSpec.from_json(gymnasium.make(ID).spec.to_json()), **steps),
+    "its spec in a pickle": lambda **steps: gymnasium.make(pickle.loads(pickle.dumps(gymnasium.make(ID).spec)), **steps),
+    "a copy of the registered spec": lambda **steps: gymnasium.make(copy.deepcopy(gymnasium.spec(ID)), **steps),
+    "the spec of a wrapper": lambda **steps: gymnasium.make(ClipAction(gymnasium.make(ID)).spec, **steps),
+    "a batch of single environments": lambda **steps: gymnasium.make_vec(ID, vectorization_mode="sync", **steps).envs[0],
+    "a scenario": lambda **steps: gymnasium.make(ID, scenario=make_scenario("ieee33-weak", split="train"), **steps),
+}
+"""Ways to make a single environment."""
+
+
+@pytest.mark.parametrize("steps", [15, 130])
+@pytest.mark.parametrize("way", WAYS)
+def test_max_episode_steps_is_the_horizon(way, steps):
+    env = WAYS[way](max_episode_steps=steps)
+    assert scenario_of(env).horizon == env.spec.max_episode_steps == steps
+    assert env.observation_space == DcgridEnv("ieee33-weak", horizon=steps).observation_space
+    assert rewards(env) == rewards(DcgridEnv("ieee33-weak", horizon=steps))
+
+
+@pytest.mark.parametrize("steps", [15, 130])
+@pytest.mark.parametrize("way", WAYS)
+def test_a_horizon_is_not_cut_by_the_preset_s(way, steps):
+    env = WAYS[way](horizon=steps)
+    assert scenario_of(env).horizon == env.spec.max_episode_steps == steps
+    assert len(rewards(env)) == steps
+
+
+def test_the_preset_s_spec_has_its_horizon():
+    steps = {gym_id: gymnasium.spec(gym_id).max_episode_steps for gym_id in ("dcgrid/Toy6-v0", ID, "dcgrid/Routing-v0")}
+    assert steps == {gym_id: make_scenario(IDS[gym_id]).horizon for gym_id in steps}
+    assert steps[ID] == 120
+    assert gymnasium.make(ID).spec.max_episode_steps == 120
+
+
+@pytest.mark.parametrize("given", [{"horizon": 12}, {"max_episode_steps": 12}])
+def test_specs_survive_json_with_their_horizon(given):
+    for made in (gymnasium.make(ID, **given), gymnasium.make_vec(ID, num_envs=2, **given)):
+        again = EnvSpec.from_json(made.spec.to_json())
+        assert again == made.spec
+        assert again.max_episode_steps == 12
+
+
+def test_gymnasium_s_observation_of_time_counts_to_the_horizon():
+    env: Any = TimeAwareObservation(gymnasium.make(ID, horizon=4), flatten=False, normalize_time=True)
+    env.reset(seed=0)
+    seen = [env.step(env.action_space.sample()) for _ in range(4)]
+    assert [float(observation["time"][0]) for observation, *_ in seen] == [0.25, 0.5, 0.75, 1.0]
+    assert [truncated for *_, truncated, _ in seen] == [False] * 3 + [True]
+    assert TimeAwareObservation(gymnasium.make(ID)).max_timesteps == 120
+
+
+def test_two_lengths_of_an_episode_are_refused_in_make():
+    for steps in (30, 50):
+        with pytest.raises(ScenarioError, match=f"max_episode_steps is {steps} and horizon is 40, .* give one of them"):
+            gymnasium.make(ID, max_episode_steps=steps, horizon=40)
+    assert scenario_of(gymnasium.make(ID, max_episode_steps=40, horizon=40)).horizon == 40
+
+
+def test_a_voltage_collapse_in_the_last_step_is_not_truncated_too():
+    load = PowerTrace(np.array([0.0, 10.0, 400.0]), np.array([0.2, 1.0, 1.0]))  # full from step 10 on
+    collapse = {"datacenters.p_rated_kw": 6000.0, "trace": (load,), "workload.window": "start"}
+    env: Any = gymnasium.make(ID, max_episode_steps=10, **collapse)
+    env.reset(seed=0)
+    ends = [env.step(np.ones(10, np.float32))[2:4] for _ in range(10)]
+    assert ends == [(False, False)] * 9 + [(True, False)]
+
+
+def test_a_batch_of_the_spec_of_a_single_environment_is_the_native_one():
+    batch: Any = gymnasium.make_vec(gymnasium.make(ID, horizon=7).spec, num_envs=3)
+    assert isinstance(batch.unwrapped, DcgridVectorEnv)
+    assert (scenario_of(batch).horizon, batch.spec.max_episode_steps) == (7, 7)
 
 
 def test_the_spec_of_a_batch_carries_it():
     batch: Any = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=30)
     assert scenario_of(batch).horizon == 30
     assert isinstance(batch.unwrapped, DcgridVectorEnv)
+    assert batch.spec.max_episode_steps == 30
     assert scenario_of(gymnasium.make_vec(batch.spec)) is scenario_of(batch)
+    made: Any = gymnasium.make_vec(gymnasium.make_vec(ID, horizon=20).spec, num_envs=2, horizon=40)
+    assert (scenario_of(made).horizon, made.spec.max_episode_steps) == (40, 40)
 
 
 def test_no_limit_leaves_the_horizon():
@@ -72,16 +150,6 @@ def test_two_lengths_of_an_episode_are_refused(make, name):
     for steps in (0, -2, 2.5, True):
         with pytest.raises(ScenarioError, match=f"{name} is {steps!r}; give a whole number"):
             make(**{name: steps})
-
-
-def test_a_shorter_limit_put_around_it_by_hand_is_refused():
-    env = RecordEpisodeStatistics(TimeLimit(gymnasium.make(ID), 30))
-    with pytest.raises(ScenarioError, match=r"TimeLimit of 30 steps .* horizon of 120, .* horizon=30"):
-        env.reset(seed=0)
-    with pytest.raises(ScenarioError, match="TimeLimit of 30 steps"):
-        TimeLimit(gymnasium.make(ID, max_episode_steps=60, horizon=60), 30).reset(seed=0)
-    TimeLimit(gymnasium.make(ID), 120).reset(seed=0)
-    TimeLimit(gymnasium.make(ID), 500).reset(seed=0)
 
 
 def test_limits_of_other_environments_do_not_matter():
