@@ -234,6 +234,14 @@ class Device(Protocol):
         ...
 
 
+def step_totals(device: object) -> tuple[str, ...]:
+    """Return the names of a group's ``totals`` that count events of a step, so a reset has none: ``step_totals``.
+
+    A group without this attribute has no such totals.
+    """
+    return getattr(device, "step_totals", ())
+
+
 def may_leave(device: object) -> bool:
     """Return whether devices of a group may disconnect by themselves: those with a rule, ``ride_through``.
 

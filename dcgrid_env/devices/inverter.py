@@ -156,6 +156,11 @@ class Inverters(PickledByFields):
             raise KeyError(name)
         return state.connection.tripped
 
+    @property
+    def step_totals(self) -> tuple[str, ...]:
+        """Names of the totals that count events of a step."""
+        return riding_inverter.STEP_TOTALS if self.ride_through else ()
+
     def totals(self, state: DeviceState) -> dict[str, Array]:
         """Return the trips in the step and the disconnected inverters, if they can trip."""
         return riding_inverter.totals(state) if self.ride_through else {}

@@ -90,17 +90,19 @@ FEATURES = (
 """Additions of features and further devices: channels, observation fields and cost terms."""
 COSTS = tuple((term.name, f"{term.weight:g}", re.sub(r"\|(.+?)\|", r"abs(\1)", term.meaning)) for term in TERMS)
 """Cost terms: name, default weight and meaning; bars would be markup of reStructuredText."""
+OF_STEP = " (s)"
+"""Mark of the keys that a step has, and a reset does not have."""
 INFO = (
-    ("cost_TERM", "cost term of the step, as charged"),
-    ("cost", "constraint for constrained learning: violation, excesses over limits and trips"),
-    ("reward_vector", "difference reward of each channel (reward='difference')"),
-    ("J", "cost since the reset / horizon; the cost of the episode after its last step"),
+    ("cost_TERM", "cost term of the step, as charged" + OF_STEP),
+    ("cost", "constraint for constrained learning: violation, excesses over limits and trips" + OF_STEP),
+    ("reward_vector", "difference reward of each channel (reward='difference')" + OF_STEP),
+    ("J", "cost since the reset / horizon; the cost of the episode after its last step" + OF_STEP),
     ("power_flow_converged", "1, or 0 if the power flow has no solution"),
     ("voltage_min_pu, voltage_max_pu", "lowest and highest voltage, p.u."),
     ("backlog_kws", "queued work of all data centres, kW s"),
     ("loss_kw", "loss of the feeder, kW"),
     ("unbalance_max_pct", "largest voltage unbalance factor (three-phase feeders)"),
-    ("tap_moves, capacitor_switchings", "moves in the step (three-phase feeders)"),
+    ("tap_moves, capacitor_switchings", "moves in the step (three-phase feeders)" + OF_STEP),
     ("tap_NAME, capacitor_NAME", "position of each regulator and capacitor bank (three-phase feeders)"),
     ("grid_request_lower_kw", "least total draw of the sites that is requested, kW (grid_request)"),
     ("grid_request_upper_kw", "most total draw of the sites that is requested, kW (grid_request)"),
@@ -186,8 +188,9 @@ An episode is truncated after ``horizon`` steps. It is terminated if the power f
 has no solution; each step that remains is then charged at the largest cost that a
 step can have.""",
     "info": f"""\
-``info="full"`` has these keys, ``info="costs"`` the first three, ``info="none"``
-none.
+``info="full"`` has these keys, ``info="costs"`` the first four, ``info="none"``
+none. Keys with (s) and counts of trips belong to a step. The info of a reset does not
+have them.
 
 {table(("key", "meaning"), INFO, (31, 54))}
 

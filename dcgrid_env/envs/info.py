@@ -1,4 +1,5 @@
-"""Contents of ``info``: flat, finite, the same keys at every step."""
+"""Contents of ``info``: flat, finite, the same keys at every step, and the same keys without figures of a step at every
+reset."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.devices.device import step_totals
 from dcgrid_env.engine.cost.reward import constraint
 from dcgrid_env.engine.physics.state import Equipment
 from dcgrid_env.grid import ThreePhaseFeeder
@@ -30,8 +32,27 @@ def _keys(kind: Any) -> tuple[str, ...]:
     return ("cost", *(f"cost_{name}" for name in kind._fields), "J")
 
 
+_STEP_KEYS = ("cost", "J", "reward_vector", "tap_moves", "capacitor_switchings")
+
+
+@cached_on_owner
+def keys_of_steps(scenario: Scenario, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Return those of the keys that belong to a step, which a reset does not have: costs, J, rewards and events."""
+    events = {name for device in scenario.devices for name in step_totals(device)}
+    return tuple(key for key in keys if key in _STEP_KEYS or key.startswith("cost_") or key in events)
+
+
+def drop_step_keys(scenario: Scenario, info: dict[str, Any]) -> None:
+    """Remove what belongs to a step, and its masks, from the info of a reset."""
+    for key in keys_of_steps(scenario, tuple(info)):
+        del info[key]
+        info.pop(f"_{key}", None)
+
+
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
     """Figures of a step, each (row,), float64; ``power_flow_converged`` is 1 or 0.
+
+    After a reset, those of ``keys_of_steps`` are 0, and the environments leave them out.
 
     ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, what
     exceeds a limit, and trips where these have a weight, for constrained learning. ``J`` is the cost so far as a share

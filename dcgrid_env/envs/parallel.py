@@ -16,7 +16,7 @@ from dcgrid_env.engine.physics.actions import action_layout, joined_actions
 from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.envs.base import BaseEnvironment, check_running, warn_if_huge
 from dcgrid_env.envs.class_docs import documented
-from dcgrid_env.envs.info import InfoLevel, info_arrays
+from dcgrid_env.envs.info import InfoLevel, drop_step_keys, info_arrays
 from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -145,7 +145,10 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         """Begin a seed's first episode, or the next one if no seed is given."""
         transition = self._reset([as_seed(seed)], self._rng)
         self.agents = list(self.possible_agents)
-        return self._observations(transition), self._infos(transition)
+        infos = self._infos(transition)
+        for info in infos.values():
+            drop_step_keys(self.scenario, info)
+        return self._observations(transition), infos
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[
         dict[str, np.ndarray], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]

@@ -11,7 +11,7 @@ from dcgrid_env.core.seeds import as_seed
 from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, check_running, joint_reward, joint_spaces
 from dcgrid_env.envs.class_docs import documented
-from dcgrid_env.envs.info import InfoLevel, info_arrays
+from dcgrid_env.envs.info import InfoLevel, drop_step_keys, info_arrays
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -100,7 +100,9 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
         seed = as_seed(seed)
         super().reset(seed=seed)
         transition = self._reset([seed], self.np_random)
-        return transition.observation[0].copy(), self._info(transition)
+        info = self._info(transition)
+        drop_step_keys(self.scenario, info)
+        return transition.observation[0].copy(), info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advance one step; RuntimeError once the episode is over."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, joint_reward, joint_spaces
 from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.episode_options import episode_options
-from dcgrid_env.envs.info import InfoLevel, info_arrays
+from dcgrid_env.envs.info import InfoLevel, drop_step_keys, info_arrays, keys_of_steps
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
@@ -81,7 +82,9 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
     Information
     -----------
     ``infos`` has an array (num_envs,) for each key, and the bus of each agent under the key "bus_AGENT", such as
-    "bus_dc_0". The array under "_KEY" is True for the environments that have the key.
+    "bus_dc_0". The array under "_KEY" is True for the environments that have the key. An environment that begins an
+    episode has no figures of a step: its entries are NaN, and False under "_KEY". With "same_step", those of the last
+    step are in ``infos["final_info"]``.
 
     {info}
 
@@ -175,7 +178,9 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             )
         super().reset(seed=first)
         transition = self._reset(seeds, self.np_random, mask, given)
-        return transition.observation.copy(), self._infos(transition, self._everyone if mask is None else mask)
+        infos = self._infos(transition, self._everyone if mask is None else np.asarray(mask))
+        drop_step_keys(self.scenario, infos)
+        return transition.observation.copy(), infos
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advance every environment by one step of joint actions (num_envs, n_action); ended ones by the mode."""
@@ -249,6 +254,10 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             return viewer.draw()
         return tuple(viewer.draw(env_index) for env_index in range(self.num_envs))
 
+    def _made(self) -> None:
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            _warn_of_statistics(gymnasium.__version__)
+
     def _begin_anew(self, transition: Transition, done: np.ndarray) -> tuple[Transition, dict[str, Any]]:
         """Return the first transition of the next episode where one is over, and infos with the last one."""
         final_info = self._infos(transition, done)
@@ -262,7 +271,10 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         return begun, infos
 
     def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
-        """Return arrays over environments, each with its mask of valid entries, in gymnasium's format."""
+        """Return arrays over environments, each with its mask of valid entries, in gymnasium's format.
+
+        An environment whose episode has just begun has no figures of a step: NaN, and False in the mask.
+        """
         figures = info_arrays(self.scenario, transition, self.info_level)
         # Rows of one array are made several times faster than arrays one by one, and share nothing either.
         infos: dict[str, Any] = dict(zip(figures, np.array(list(figures.values())), strict=True))
@@ -271,7 +283,24 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         if self.info_level == "full":
             infos |= zip(self._bus_keys, self._bus_names.T.copy(), strict=True)
         masks = np.repeat(valid[None], len(infos), axis=0)
-        return infos | dict(zip(_mask_keys(tuple(infos)), masks, strict=True))
+        infos |= zip(_mask_keys(tuple(infos)), masks, strict=True)
+        begun = self._simulation.now.step == 0
+        if begun.any():
+            for key in keys_of_steps(self.scenario, tuple(infos)):
+                infos[key][begun] = np.nan
+                infos[f"_{key}"][begun] = False
+        return infos
+
+
+@cache
+def _warn_of_statistics(version: str) -> None:
+    """Warn, once, if Gymnasium's statistics of episodes that begin in the same step are wrong in this version."""
+    if tuple(int(part) for part in version.split(".")[:2]) < (1, 4):
+        warnings.warn(
+            f"in gymnasium {version}, the vector wrapper RecordEpisodeStatistics leaves out the first step of episodes that "
+            "begin in the same step; install gymnasium 1.4 or newer, or make the batch with autoreset_mode='next_step'",
+            stacklevel=5,
+        )
 
 
 @cache

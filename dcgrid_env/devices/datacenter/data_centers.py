@@ -26,7 +26,18 @@ from dcgrid_env.devices.datacenter.site_steps import SiteSteps
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
 from dcgrid_env.devices.datacenter.streaming_sites import StreamingSites
 from dcgrid_env.devices.datacenter.work_routing import Routing
-from dcgrid_env.devices.device import Channel, CostTerm, DeviceInput, DeviceState, Field, GridChange, Q, Requests, Work
+from dcgrid_env.devices.device import (
+    Channel,
+    CostTerm,
+    DeviceInput,
+    DeviceState,
+    Field,
+    GridChange,
+    Q,
+    Requests,
+    Work,
+    step_totals,
+)
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import DataCenterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
@@ -256,6 +267,11 @@ class DataCenters(PickledByFields):
                 return feature.amount(name, parameters, feature_state)
         span = self.f_max_mhz - self.f_min_mhz or 1.0
         return namespace(state.f_mhz).abs(state.f_mhz - state.f_last_mhz) / span
+
+    @property
+    def step_totals(self) -> tuple[str, ...]:
+        """Names of the totals that count events of a step, those of the features."""
+        return tuple(name for feature in self.features for name in step_totals(feature))
 
     def totals(self, state: DeviceState) -> dict[str, Array]:
         """Return the queued work of all sites, kW s, and the figures of the features."""

@@ -60,6 +60,7 @@ class UpsSite:
     """Draw of the sites in addition to their computers, which the UPS supplies too."""
 
     amounts: ClassVar[tuple[str, ...]] = ("tripped", "away", "missing_kws")
+    step_totals: ClassVar[tuple[str, ...]] = ("ups_trips", "ups_lost_kw")
 
     def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
         """The return, where the agent decides: share of the site's power that comes back in a second, to stay where it

@@ -64,6 +64,10 @@ def observe(rule: RideThrough, state: RidingInverterState) -> tuple[Array, ...]:
     return link.share, timer_share, link.wait_s
 
 
+STEP_TOTALS = ("inverter_trips",)
+"""Names of the totals that count events of a step."""
+
+
 def totals(state: RidingInverterState) -> dict[str, Array]:
     """Trips in the step, and inverters that are away."""
     link = state.connection

@@ -18,7 +18,7 @@ from dcgrid_env import (
     make_scenario,
     parallel_env,
 )
-from dcgrid_env.envs.class_docs import CHANNELS, FEATURES, FIELDS, INFO
+from dcgrid_env.envs.class_docs import CHANNELS, FEATURES, FIELDS, INFO, OF_STEP
 
 CLASSES = (DcgridEnv, DcgridParallelEnv, DcgridVectorEnv)
 SECTIONS = [
@@ -79,8 +79,15 @@ def test_channels_and_fields_are_those_of_the_code():
                 assert high >= scenario.horizon * scenario.dt_s
 
 
+def keys(scenario, **overrides):
+    """Keys of the info of a reset, and of a step."""
+    env = DcgridEnv(scenario, **overrides)
+    begun = env.reset(seed=0)[1]
+    return list(begun), list(env.step(env.action_space.sample())[-1])
+
+
 def terms(scenario):
-    return {name.removeprefix("cost_") for name in DcgridEnv(scenario).reset(seed=0)[1] if name.startswith("cost_")}
+    return {name.removeprefix("cost_") for name in keys(scenario)[1] if name.startswith("cost_")}
 
 
 def added(scenario, before):
@@ -138,9 +145,10 @@ def test_every_feature_has_a_test():
 
 @pytest.mark.parametrize("name", ["ieee33", "ieee13-3ph"])
 def test_keys_of_info(name):
-    listed = {key for keys, _ in INFO for key in keys.split(", ")}
+    listed = {key for listing, _ in INFO for key in listing.split(", ")}
     found = set()
-    for key in DcgridEnv(name, reward="difference").reset(seed=0)[1]:
+    begun, stepped = keys(name, reward="difference")
+    for key in stepped:
         if not key.startswith("bus_"):
             start = key.partition("_")[0]
             found.add(
@@ -148,7 +156,9 @@ def test_keys_of_info(name):
             )
     assert found == {
         key
-        for keys, text in INFO
+        for listing, text in INFO
         if ("3ph" in name or "three-phase" not in text) and "grid_request" not in text
-        for key in keys.split(", ")
+        for key in listing.split(", ")
     }
+    of_steps = {key for listing, text in INFO if text.endswith(OF_STEP) for key in listing.split(", ")}
+    assert {key for key in stepped if key in of_steps or key.startswith("cost_")} == set(stepped) - set(begun)

@@ -1,5 +1,7 @@
 """The native batch: gymnasium's vector conventions, and the same episodes as the single environment."""
 
+import warnings
+
 import gymnasium
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import dcgrid_env
 from dcgrid_env import DcgridEnv, DcgridVectorEnv
+from dcgrid_env.envs.vector import _warn_of_statistics
 from dcgrid_env.traces import PowerTrace
 from helpers.forms import WORK_CLASSES, each_preset
 from helpers.in_other_processes import toy
@@ -42,6 +45,7 @@ def test_a_batch_has_the_bits_of_single_environments(scenario, extra):
                 observation, info = single.reset()
             np.testing.assert_array_equal(seen[i], observation)
             assert {k: infos[k][i] for k in info} == info
+            assert {k for k in infos if f"_{k}" in infos and infos[f"_{k}"][i]} >= info.keys()
 
 
 def collapsing():
@@ -59,7 +63,9 @@ def collapsing():
 
 
 def assert_alike(mine, theirs):
-    assert mine.keys() == theirs.keys()
+    """Compare infos; gymnasium leaves out what no environment has, and a batch has it with a mask that is False."""
+    assert mine.keys() >= theirs.keys()
+    assert not any(mine[f"_{key.removeprefix('_')}"].any() for key in mine.keys() - theirs.keys())
     for key, other in theirs.items():
         if isinstance(other, dict):
             assert_alike(mine[key], other)
@@ -208,6 +214,103 @@ def test_gymnasiums_vector_observation_wrappers_take_it(mode):
         np.testing.assert_array_equal(of_halved, 0.5 * seen)
 
 
+def ends_of_episodes(env, steps):
+    """Each step's rewards, ends and infos of a batch with random actions, and which rows it began."""
+    env.reset(seed=4)
+    env.action_space.seed(0)
+    done = np.zeros(env.num_envs, bool)
+    for _ in range(steps):
+        waits = done
+        if env.unwrapped.autoreset_mode is AutoresetMode.DISABLED and done.any():
+            _, infos = env.reset(options={"reset_mask": done.copy()})
+            assert not any(key in infos for key in OF_STEPS)
+            assert infos["_voltage_min_pu"].tolist() == done.tolist()
+        _, rewards, terminated, truncated, infos = env.step(env.action_space.sample())
+        done = terminated | truncated
+        begun = {"SAME_STEP": done, "NEXT_STEP": waits, "DISABLED": np.zeros_like(done)}
+        yield rewards, done, infos, begun[env.unwrapped.autoreset_mode.name]
+
+
+OF_STEPS = ("J", "cost", "cost_voltage", "cost_trips", "reward_vector", "ups_trips", "ups_lost_kw")
+
+
+@pytest.mark.parametrize("mode", ["same_step", "next_step", "disabled"])
+@pytest.mark.parametrize("reward", ["shared", "difference"])
+def test_what_a_step_is_charged_is_in_the_infos_of_its_episode(mode, reward):
+    extra = {"horizon": 5, "reward": reward, "autoreset_mode": mode}
+    if reward == "shared":
+        extra |= {"datacenters.ride_through": {"curve": "itic", "trip_weight": 50.0}}
+    env = DcgridVectorEnv(3, "ieee33-weak", **extra)
+    returns, ended = np.zeros(3), 0
+    for rewards, done, infos, begun in ends_of_episodes(env, 13):
+        returns = np.where(begun & ~done, 0.0, returns + rewards)
+        present = [key for key in OF_STEPS if key in infos]
+        assert len(present) == (4 if reward == "difference" else 6)
+        for key in present:
+            np.testing.assert_array_equal(infos[f"_{key}"], ~begun)
+            assert np.isnan(infos[key][begun]).all()
+            assert np.isfinite(infos[key][~begun]).all()
+        assert infos["_voltage_min_pu"].all()
+        assert np.isfinite(infos["voltage_min_pu"]).all()
+        if done.any():
+            last = infos["final_info"] if mode == "same_step" else infos
+            assert last["_J"].tolist() == last["_cost"].tolist() == done.tolist() or mode != "same_step"
+            terms = sum(values for key, values in last.items() if key.startswith("cost_"))
+            if reward == "difference":
+                np.testing.assert_allclose(last["reward_vector"].sum(-1)[done], rewards[done], rtol=1e-12)
+            else:
+                np.testing.assert_allclose(terms[done], -rewards[done], rtol=1e-12)
+                np.testing.assert_allclose(5.0 * last["J"][done], -returns[done], rtol=1e-12)
+            ended += 1
+            returns[done] = 0.0
+    assert ended == 2
+
+
+def test_a_partial_reset_leaves_the_step_figures_of_the_others():
+    env = DcgridVectorEnv(3, "toy6", autoreset_mode="next_step", horizon=3)
+    env.reset(seed=0)
+    env.step(np.zeros((3, 4)))
+    env.reset(options={"reset_mask": np.array([True, False, False])})
+    seen = [env.step(np.zeros((3, 4)))[-1]["_J"].tolist() for _ in range(4)]
+    assert seen == [[True] * 3, [True] * 3, [True, False, False], [False, True, True]]
+
+
+@pytest.mark.parametrize("mode", ["same_step", "next_step"])
+def test_environments_on_random_feeders_begin_without_step_figures(mode):
+    env = DcgridVectorEnv(2, "zero-shot", autoreset_mode=mode, horizon=2)
+    _, infos = env.reset(seed=0)
+    assert "J" not in infos
+    masks = [env.step(np.zeros((2, *env.single_action_space.shape)))[-1]["_J"].tolist() for _ in range(3)]
+    assert masks == ([[True] * 2, [False] * 2, [True] * 2] if mode == "same_step" else [[True] * 2] * 2 + [[False] * 2])
+
+
+def test_the_statistics_of_old_releases_of_gymnasium_are_warned_of_once(monkeypatch):
+    def made(**extra):
+        return gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=2, **extra)
+
+    _warn_of_statistics.cache_clear()
+    monkeypatch.setattr(gymnasium, "__version__", "1.3.0")
+    made(autoreset_mode="next_step")
+    with pytest.warns(UserWarning, match=r"in gymnasium 1\.3\.0.*install gymnasium 1\.4 or newer, or .*'next_step'"):
+        made()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made()
+        for version in ("1.4.0", "1.10.2", "2.0.0a1"):
+            monkeypatch.setattr(gymnasium, "__version__", version)
+            made()
+
+
+@pytest.mark.skipif(gymnasium.__version__ < "1.4", reason="wrong in this gymnasium, of which make_vec warns")
+def test_gymnasium_s_statistics_of_episodes_that_begin_in_the_same_step():
+    env = vector.RecordEpisodeStatistics(gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=2, horizon=5))
+    env.reset(seed=0)
+    ends = [infos for infos in (env.step(np.zeros((2, 10), np.float32))[-1] for _ in range(15)) if "episode" in infos]
+    assert [infos["episode"]["l"].tolist() for infos in ends] == [[5, 5]] * 3
+    for infos in ends:
+        np.testing.assert_allclose(infos["episode"]["r"], -5.0 * infos["final_info"]["J"], rtol=1e-12)
+
+
 def test_gymnasium_normalises_observations():
     made = {"num_envs": 4, "horizon": 5, "autoreset_mode": "next_step"}
     plain = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", **made)
@@ -250,7 +353,8 @@ def test_reset_mask_and_seed_lists(extra):
     after, infos = env.reset(seed=[7, None, None, 10], options={"reset_mask": mask})
     np.testing.assert_array_equal(after[mask], first[mask])
     np.testing.assert_array_equal(after[~mask], before[~mask])
-    np.testing.assert_array_equal(infos["_cost"], mask)
+    np.testing.assert_array_equal(infos["_loss_kw"], mask)
+    assert "cost" not in infos
     after, *_ = env.step(np.zeros((4, 17)))
     alone = DcgridEnv("ieee123", **extra)
     alone.reset(seed=10)
