@@ -95,6 +95,20 @@ class JointVecEnv(VecEnv):
         """Number of rows of an environment."""
         return 1
 
+    def n_eval_episodes(self, episodes: int) -> int:
+        """Return ``n_eval_episodes`` with which Stable-Baselines3 evaluates a number of different episodes.
+
+        ``evaluate_policy`` and ``EvalCallback`` count an episode once for each row that takes part in it.
+
+        Raises
+        ------
+        ValueError
+            If ``episodes`` is not a whole number of at least 1.
+        """
+        if isinstance(episodes, bool) or not isinstance(episodes, int | np.integer) or episodes < 1:
+            raise ValueError(f"episodes is {episodes!r}; give a whole number of at least 1")
+        return int(episodes) * self.rows_per_env
+
     @property
     def used(self) -> np.ndarray:
         """1 for each entry of an action that reaches the grid, else 0, float32, (1, n_action)."""

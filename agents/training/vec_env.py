@@ -29,7 +29,11 @@ def sb3_vec_env(
 
     Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next
     reset begins the episodes of seeds n, n + 1 and so on, one in each environment. In the last step of an episode
-    ``infos[row]`` holds ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
+    ``infos[row]`` has ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
+
+    In the views "shared" and "channel" several rows are one environment, and Stable-Baselines3 counts each row's end as
+    an episode. Pass ``n_eval_episodes=envs.n_eval_episodes(10)`` to ``evaluate_policy`` or ``EvalCallback`` for ten
+    different episodes. Steps, such as ``total_timesteps``, are counted once for each row too.
 
     Parameters
     ----------

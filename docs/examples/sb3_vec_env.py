@@ -24,9 +24,10 @@ SCENARIO = "dcgrid/IEEE123-v0"
 
 
 def mean_j(model: Any, envs: VecNormalize) -> float:
-    """Mean J of one episode in each row: minus the undiscounted return, over the steps of an episode."""
+    """Mean J of one episode in each environment: minus the undiscounted return, over the steps of an episode."""
     envs.seed(0)
-    returned, _ = evaluate_policy(model, envs, n_eval_episodes=envs.num_envs)
+    batch: Any = envs  # which passes on the attributes of sb3_vec_env
+    returned, _ = evaluate_policy(model, envs, n_eval_episodes=batch.n_eval_episodes(batch.n_envs))
     return -float(returned) / envs.get_attr("scenario")[0].horizon
 
 
@@ -50,7 +51,8 @@ def main(
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", **ppo)
     before = mean_j(model, held_out)
     every = max(1, steps // (4 * envs.num_envs))
-    model.learn(steps, EvalCallback(held_out, n_eval_episodes=held_out.num_envs, eval_freq=every, verbose=0))
+    n_eval: int = seen.n_eval_episodes(episodes)  # a row is not an episode: each has a row for every agent
+    model.learn(steps, EvalCallback(held_out, n_eval_episodes=n_eval, eval_freq=every, verbose=0))
     after = mean_j(model, held_out)  # EvalCallback has given it the training's means and variances
     validation = dcgrid_env.make_scenario("ieee123", split="validation")
     droop = rollout(validation, make_controller("droop-tuned", validation), range(episodes)).costs().mean()

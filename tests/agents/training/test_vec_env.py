@@ -10,10 +10,11 @@ import pytest
 import torch
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.noise import NormalActionNoise
-from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormalize, is_vecenv_wrapped
+from stable_baselines3.common.vec_env import SubprocVecEnv, VecCheckNan, VecMonitor, VecNormalize, is_vecenv_wrapped
 
 import dcgrid_env
 from dcgrid_env import DcgridVectorEnv, ScenarioError, make_scenario
@@ -145,15 +146,15 @@ def test_eval_callback_finds_the_j_of_the_benchmark(view, tmp_path):
     train: Any = VecNormalize(VecMonitor(sb3_vec_env("ieee123", 2, view, horizon=6)), gamma=0.5)
     held_out = VecMonitor(sb3_vec_env("ieee123", 3, view, horizon=6, split="validation"))
     evaluated: Any = VecNormalize(held_out, training=False, norm_reward=False)
-    callback = EvalCallback(
-        evaluated, n_eval_episodes=evaluated.num_envs, eval_freq=12, log_path=str(tmp_path), verbose=0
-    )
+    n: int = evaluated.n_eval_episodes(5)
+    callback = EvalCallback(evaluated, n_eval_episodes=n, eval_freq=12, log_path=str(tmp_path), verbose=0)
     model = PPO("MlpPolicy", train, n_steps=12, batch_size=train.num_envs * 12, **SMALL)
     evaluated.seed(0)
     model.learn(2 * 12 * train.num_envs, callback)
     found = np.load(tmp_path / "evaluations.npz")
     assert found["timesteps"].tolist() == [12 * train.num_envs, 24 * train.num_envs]
     assert (found["ep_lengths"] == 6).all()
+    assert [len(set(results.tolist())) for results in found["results"]] == [5, 5]
     np.testing.assert_array_equal(evaluated.obs_rms.mean, train.obs_rms.mean)
     assert callback.last_mean_reward == pytest.approx(found["results"][-1].mean())
 
@@ -166,6 +167,41 @@ def test_an_evaluation_is_the_benchmarks_own():
     returned: Any = evaluate_policy(model, env, n_eval_episodes=4)[0]
     wanted = rollout(scenario, Driver(model), range(4)).costs().mean()
     assert -returned / 6 == pytest.approx(wanted, rel=1e-5)
+
+
+class Still:
+    """A model whose actions are 0."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.zeros((len(observation), self.n_action), np.float32), None
+
+    def __init__(self, env):
+        (self.n_action,) = env.action_space.shape
+
+
+@VIEWS
+@pytest.mark.parametrize("episodes", [1, 3, 10])
+def test_an_evaluation_counts_different_episodes(view, episodes):
+    found: dict[float, int] = {}
+    joint: dict[float, int] = {}
+    shown: Any
+    for kept, shown in ((found, view), (joint, "joint")):
+        env: Any = VecNormalize(VecMonitor(sb3_vec_env("toy6", 3, shown, horizon=4)), norm_reward=False)
+        env.seed(7)
+        n: int = env.n_eval_episodes(episodes)
+        returns, lengths = map(np.array, evaluate_policy(Still(env), env, n, return_episode_rewards=True))
+        assert (lengths == 4).all()
+        for value in returns.tolist():
+            kept[value] = kept.get(value, 0) + 1
+    assert len(joint) == episodes  # where a row is an environment
+    rows = sb3_vec_env("toy6", 1, view).num_envs
+    assert found == dict.fromkeys(joint, rows)  # the same episodes, each once for each of its rows
+
+
+def test_a_number_of_episodes_that_cannot_be_evaluated_is_refused():
+    for episodes in (0, -1, 2.0, True):
+        with pytest.raises(ValueError, match=f"episodes is {episodes!r}; give a whole number of at least 1"):
+            sb3_vec_env("toy6", 1).n_eval_episodes(episodes)  # pyright: ignore[reportArgumentType]
 
 
 @VIEWS
@@ -203,6 +239,17 @@ def test_images_of_each_environment(view):
     assert tiled.size >= 2 * single.render().size
     with pytest.raises(RuntimeError, match="render_mode is None; make the rows with 'rgb_array'"):
         sb3_vec_env("toy6", 2, view).get_images()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start_method", ["spawn", "forkserver"])
+def test_a_subprocess_imports_what_the_prefix_of_an_id_names(start_method):
+    how: Any = {"vec_env_cls": SubprocVecEnv, "vec_env_kwargs": {"start_method": start_method}}
+    env = make_vec_env("dcgrid_env:dcgrid/Toy6-v0", 2, seed=3, **how)
+    try:
+        np.testing.assert_array_equal(env.reset(), DcgridVectorEnv(2, "toy6").reset(seed=3)[0])
+    finally:
+        env.close()
 
 
 def test_a_window_shows_the_first_environment(monkeypatch):
