@@ -91,7 +91,7 @@ FEATURES = (
 COSTS = tuple((term.name, f"{term.weight:g}", re.sub(r"\|(.+?)\|", r"abs(\1)", term.meaning)) for term in TERMS)
 """Cost terms: name, default weight and meaning; bars would be markup of reStructuredText."""
 OF_STEP = " (s)"
-"""Mark of the keys that a step has, and a reset does not have."""
+"""Mark of the keys that belong to a step, for which a reset has no figures."""
 INFO = (
     ("cost_TERM", "cost term of the step, as charged" + OF_STEP),
     ("cost", "constraint for constrained learning: violation, excesses over limits and trips" + OF_STEP),
@@ -189,8 +189,8 @@ has no solution; each step that remains is then charged at the largest cost that
 step can have.""",
     "info": f"""\
 ``info="full"`` has these keys, ``info="costs"`` the first four, ``info="none"``
-none. Keys with (s) and counts of trips belong to a step. The info of a reset does not
-have them.
+none. Keys with (s) and counts of trips belong to a step. A reset has no figures for
+them.
 
 {table(("key", "meaning"), INFO, (31, 54))}
 

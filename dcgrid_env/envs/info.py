@@ -1,5 +1,4 @@
-"""Contents of ``info``: flat, finite, the same keys at every step, and the same keys without figures of a step at every
-reset."""
+"""Contents of ``info``: flat, finite, the same keys at every step, and at every reset those that belong to no step."""
 
 from __future__ import annotations
 
@@ -37,7 +36,7 @@ _STEP_KEYS = ("cost", "J", "reward_vector", "tap_moves", "capacitor_switchings")
 
 @cached_on_owner
 def keys_of_steps(scenario: Scenario, keys: tuple[str, ...]) -> tuple[str, ...]:
-    """Return those of the keys that belong to a step, which a reset does not have: costs, J, rewards and events."""
+    """Return those of the keys that belong to a step, with no figures at a reset: costs, J, rewards and events."""
     events = {name for device in scenario.devices for name in step_totals(device)}
     return tuple(key for key in keys if key in _STEP_KEYS or key.startswith("cost_") or key in events)
 
@@ -52,7 +51,7 @@ def drop_step_keys(scenario: Scenario, info: dict[str, Any]) -> None:
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
     """Figures of a step, each (row,), float64; ``power_flow_converged`` is 1 or 0.
 
-    After a reset, those of ``keys_of_steps`` are 0, and the environments leave them out.
+    After a reset, those of ``keys_of_steps`` are 0, and the environments remove them.
 
     ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, what
     exceeds a limit, and trips where these have a weight, for constrained learning. ``J`` is the cost so far as a share

@@ -67,7 +67,8 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
 
     Information
     -----------
-    ``infos[agent]`` has NumPy scalars, and the bus of the agent under the key "bus".
+    ``infos[agent]`` has NumPy scalars, and the bus of the agent under the key "bus". That of a reset does not have the
+    keys that belong to a step. TorchRL's PettingZooWrapper needs the same keys at both, so ``info="none"``.
 
     {info}
 

@@ -56,7 +56,8 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
 
     Information
     -----------
-    ``info`` has NumPy scalars, and the bus of each agent under the key "bus_AGENT", such as "bus_dc_0".
+    ``info`` has NumPy scalars, and the bus of each agent under the key "bus_AGENT", such as "bus_dc_0". That of a reset
+    does not have the keys that belong to a step.
 
     {info}
 

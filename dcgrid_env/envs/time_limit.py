@@ -36,8 +36,8 @@ def with_horizon(overrides: dict[str, Any], name: str, steps: int | None) -> dic
     horizon = overrides.get("horizon", steps)
     if isinstance(horizon, bool) or not isinstance(horizon, Integral) or horizon != steps:
         raise ScenarioError(
-            f"{name} is {steps} and horizon is {horizon!r}, but both are the number of steps in an episode; give one of "
-            "them, or the same number for both"
+            f"{name} is {steps} and horizon is {horizon!r}, but both are the number of steps in an episode; give one, "
+            "or the same number for both"
         )
     return overrides | {"horizon": int(steps)}
 

@@ -297,8 +297,8 @@ def _warn_of_statistics(version: str) -> None:
     """Warn, once, if Gymnasium's statistics of episodes that begin in the same step are wrong in this version."""
     if tuple(int(part) for part in version.split(".")[:2]) < (1, 4):
         warnings.warn(
-            f"in gymnasium {version}, the vector wrapper RecordEpisodeStatistics leaves out the first step of episodes that "
-            "begin in the same step; install gymnasium 1.4 or newer, or make the batch with autoreset_mode='next_step'",
+            f"in gymnasium {version}, the vector wrapper RecordEpisodeStatistics leaves out the first step of episodes "
+            "that begin in the same step; install gymnasium 1.4 or newer, or pass autoreset_mode='next_step'",
             stacklevel=5,
         )
 

@@ -1,7 +1,7 @@
 """TorchRL on the PettingZoo environment: PPO with one policy for all data centres and one for all inverters.
 
-``PettingZooWrapper`` takes ``dcgrid_env.parallel_env`` as it is and stacks the agents of a group: ``dc_0``.. act on
-(clock, q), ``inv_0``.. on (q,), so each kind is a group.
+``PettingZooWrapper`` takes ``dcgrid_env.parallel_env`` without infos and stacks the agents of a group: ``dc_0``.. act
+on (clock, q), ``inv_0``.. on (q,), so each kind is a group.
 
     python docs/examples/torchrl_pettingzoo.py --updates 3
 """
@@ -73,7 +73,7 @@ def main(
 ) -> tuple[float, float]:
     """Train, and give the mean J of validation episodes before and after."""
     torch.manual_seed(seed)
-    parallel = dcgrid_env.parallel_env(SCENARIO, reward=reward)
+    parallel = dcgrid_env.parallel_env(SCENARIO, reward=reward, info="none")
     groups = {kind: [a for a in parallel.possible_agents if a.startswith(prefix)] for kind, prefix in KINDS.items()}
     env = PettingZooWrapper(parallel, group_map=groups, seed=seed)
     learners = {kind: learner(env, kind, learning_rate) for kind in groups}

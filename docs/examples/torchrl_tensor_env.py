@@ -108,7 +108,7 @@ def main(num_envs: int = 64, steps: int = 120) -> None:
     torch.set_num_threads(1)  # tensors as small as these lose with more
     ways = {
         f"TensorEnv, {num_envs} environments": (partial(DcgridTensorEnv, num_envs=num_envs), num_envs * steps),
-        "PettingZooWrapper": (lambda: PettingZooWrapper(dcgrid_env.parallel_env(SCENARIO)), steps),
+        "PettingZooWrapper": (lambda: PettingZooWrapper(dcgrid_env.parallel_env(SCENARIO, info="none")), steps),
     }
     for name, (make, frames) in ways.items():
         collector = Collector(make, None, frames_per_batch=frames, total_frames=3 * frames)

@@ -68,13 +68,13 @@ def check_trained(printed, path):
 
 @pytest.mark.slow
 @needs("torchrl", "tensordict")
-def test_torchrl_wrapper_takes_the_environment_as_it_is(tmp_path):
+def test_torchrl_wrapper_takes_the_environment_without_info(tmp_path):
     code = """
 import dcgrid_env
 from torchrl.envs import PettingZooWrapper
 from torchrl.envs.utils import check_env_specs
 for name in ("toy6", "ieee33-weak", "mixed", "fault", "robust"):
-    env = PettingZooWrapper(dcgrid_env.parallel_env(name, horizon=4), seed=0, return_state=True)
+    env = PettingZooWrapper(dcgrid_env.parallel_env(name, horizon=4, info="none"), seed=0, return_state=True)
     check_env_specs(env)
     found = env.rollout(8, break_when_any_done=False)["next"]
     assert found["done"].squeeze().tolist() == [False, False, False, True] * 2, name
@@ -82,7 +82,7 @@ for name in ("toy6", "ieee33-weak", "mixed", "fault", "robust"):
     for group, agents in env.group_map.items():
         assert found[group, "done"].shape == (8, len(agents), 1), name
         assert found[group, "reward"].isfinite().all(), name
-check_env_specs(PettingZooWrapper(dcgrid_env.env("toy6"), use_mask=True))
+check_env_specs(PettingZooWrapper(dcgrid_env.env("toy6", info="none"), use_mask=True))
 print("checked")
 """
     assert run("-c", code, home=tmp_path).endswith("checked\n")

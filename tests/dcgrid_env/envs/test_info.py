@@ -99,7 +99,9 @@ def test_figures_are_numpy_scalars_of_constant_type(scenario):
                 wanted = np.int64 if all(bus.isdigit() for bus in env.scenario.feeder.bus_ids) else np.str_
             assert all(type(info[name]) is wanted and np.shape(info[name]) == () for info in course[1:]), name
         assert len({tuple(info) for info in course[1:]}) == 1
-        assert tuple(course[0]) == tuple(name for name in course[1] if name not in OF_STEPS | cost_terms(course[1]))
+        of_steps = OF_STEPS | cost_terms(course[1])
+        assert tuple(course[0]) == tuple(name for name in course[1] if name not in of_steps)
+        assert all(type(value) is type(course[1][name]) for name, value in course[0].items())
 
 
 def test_names_of_buses_that_are_no_numbers():

@@ -35,16 +35,24 @@ def rewards(env: Any) -> list[float]:
     return paid
 
 
+def make(*args: Any, **kwargs: Any) -> Any:
+    return gymnasium.make(*args, **kwargs)
+
+
+def make_vec(*args: Any, **kwargs: Any) -> Any:
+    return gymnasium.make_vec(*args, **kwargs)
+
+
 WAYS = {
-    "make": lambda **steps: gymnasium.make(ID, **steps),
-    "make with Gymnasium's checker": lambda **steps: gymnasium.make(ID, disable_env_checker=False, **steps),
-    "its spec": lambda **steps: gymnasium.make(gymnasium.make(ID).spec, **steps),
-    "its spec as JSON": lambda **steps: gymnasium.make(EnvSpec.from_json(gymnasium.make(ID).spec.to_json()), **steps),
-    "its spec in a pickle": lambda **steps: gymnasium.make(pickle.loads(pickle.dumps(gymnasium.make(ID).spec)), **steps),
-    "a copy of the registered spec": lambda **steps: gymnasium.make(copy.deepcopy(gymnasium.spec(ID)), **steps),
-    "the spec of a wrapper": lambda **steps: gymnasium.make(ClipAction(gymnasium.make(ID)).spec, **steps),
-    "a batch of single environments": lambda **steps: gymnasium.make_vec(ID, vectorization_mode="sync", **steps).envs[0],
-    "a scenario": lambda **steps: gymnasium.make(ID, scenario=make_scenario("ieee33-weak", split="train"), **steps),
+    "make": lambda **steps: make(ID, **steps),
+    "make with Gymnasium's checker": lambda **steps: make(ID, disable_env_checker=False, **steps),
+    "its spec": lambda **steps: make(make(ID).spec, **steps),
+    "its spec as JSON": lambda **steps: make(EnvSpec.from_json(make(ID).spec.to_json()), **steps),
+    "its spec in a pickle": lambda **steps: make(pickle.loads(pickle.dumps(make(ID).spec)), **steps),
+    "a copy of the registered spec": lambda **steps: make(copy.deepcopy(gymnasium.spec(ID)), **steps),
+    "the spec of a wrapper": lambda **steps: make(ClipAction(make(ID)).spec, **steps),
+    "a batch of single environments": lambda **steps: make_vec(ID, vectorization_mode="sync", **steps).envs[0],
+    "a scenario": lambda **steps: make(ID, scenario=make_scenario("ieee33-weak", split="train"), **steps),
 }
 """Ways to make a single environment."""
 
@@ -70,66 +78,66 @@ def test_the_preset_s_spec_has_its_horizon():
     steps = {gym_id: gymnasium.spec(gym_id).max_episode_steps for gym_id in ("dcgrid/Toy6-v0", ID, "dcgrid/Routing-v0")}
     assert steps == {gym_id: make_scenario(IDS[gym_id]).horizon for gym_id in steps}
     assert steps[ID] == 120
-    assert gymnasium.make(ID).spec.max_episode_steps == 120
+    assert make(ID).spec.max_episode_steps == 120
 
 
 @pytest.mark.parametrize("given", [{"horizon": 12}, {"max_episode_steps": 12}])
 def test_specs_survive_json_with_their_horizon(given):
-    for made in (gymnasium.make(ID, **given), gymnasium.make_vec(ID, num_envs=2, **given)):
+    for made in (make(ID, **given), make_vec(ID, num_envs=2, **given)):
         again = EnvSpec.from_json(made.spec.to_json())
         assert again == made.spec
         assert again.max_episode_steps == 12
 
 
 def test_gymnasium_s_observation_of_time_counts_to_the_horizon():
-    env: Any = TimeAwareObservation(gymnasium.make(ID, horizon=4), flatten=False, normalize_time=True)
+    env: Any = TimeAwareObservation(make(ID, horizon=4), flatten=False, normalize_time=True)
     env.reset(seed=0)
     seen = [env.step(env.action_space.sample()) for _ in range(4)]
     assert [float(observation["time"][0]) for observation, *_ in seen] == [0.25, 0.5, 0.75, 1.0]
     assert [truncated for *_, truncated, _ in seen] == [False] * 3 + [True]
-    assert TimeAwareObservation(gymnasium.make(ID)).max_timesteps == 120
+    assert TimeAwareObservation(make(ID)).max_timesteps == 120
 
 
 def test_two_lengths_of_an_episode_are_refused_in_make():
     for steps in (30, 50):
-        with pytest.raises(ScenarioError, match=f"max_episode_steps is {steps} and horizon is 40, .* give one of them"):
-            gymnasium.make(ID, max_episode_steps=steps, horizon=40)
-    assert scenario_of(gymnasium.make(ID, max_episode_steps=40, horizon=40)).horizon == 40
+        with pytest.raises(ScenarioError, match=f"max_episode_steps is {steps} and horizon is 40, .* give one,"):
+            make(ID, max_episode_steps=steps, horizon=40)
+    assert scenario_of(make(ID, max_episode_steps=40, horizon=40)).horizon == 40
 
 
 def test_a_voltage_collapse_in_the_last_step_is_not_truncated_too():
     load = PowerTrace(np.array([0.0, 10.0, 400.0]), np.array([0.2, 1.0, 1.0]))  # full from step 10 on
     collapse = {"datacenters.p_rated_kw": 6000.0, "trace": (load,), "workload.window": "start"}
-    env: Any = gymnasium.make(ID, max_episode_steps=10, **collapse)
+    env: Any = make(ID, max_episode_steps=10, **collapse)
     env.reset(seed=0)
     ends = [env.step(np.ones(10, np.float32))[2:4] for _ in range(10)]
     assert ends == [(False, False)] * 9 + [(True, False)]
 
 
 def test_a_batch_of_the_spec_of_a_single_environment_is_the_native_one():
-    batch: Any = gymnasium.make_vec(gymnasium.make(ID, horizon=7).spec, num_envs=3)
+    batch: Any = make_vec(make(ID, horizon=7).spec, num_envs=3)
     assert isinstance(batch.unwrapped, DcgridVectorEnv)
     assert (scenario_of(batch).horizon, batch.spec.max_episode_steps) == (7, 7)
 
 
 def test_the_spec_of_a_batch_carries_it():
-    batch: Any = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=30)
+    batch: Any = make_vec(ID, num_envs=2, max_episode_steps=30)
     assert scenario_of(batch).horizon == 30
     assert isinstance(batch.unwrapped, DcgridVectorEnv)
     assert batch.spec.max_episode_steps == 30
-    assert scenario_of(gymnasium.make_vec(batch.spec)) is scenario_of(batch)
-    made: Any = gymnasium.make_vec(gymnasium.make_vec(ID, horizon=20).spec, num_envs=2, horizon=40)
+    assert scenario_of(make_vec(batch.spec)) is scenario_of(batch)
+    made: Any = make_vec(make_vec(ID, horizon=20).spec, num_envs=2, horizon=40)
     assert (scenario_of(made).horizon, made.spec.max_episode_steps) == (40, 40)
 
 
 def test_no_limit_leaves_the_horizon():
-    assert scenario_of(gymnasium.make(ID, max_episode_steps=-1)).horizon == 120
+    assert scenario_of(make(ID, max_episode_steps=-1)).horizon == 120
     assert DcgridVectorEnv(2, "toy6", max_episode_steps=-1).scenario.horizon == 100
 
 
 def test_batches_take_it():
-    batch = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=5)
-    wanted = gymnasium.make_vec(ID, num_envs=2, horizon=5)
+    batch = make_vec(ID, num_envs=2, max_episode_steps=5)
+    wanted = make_vec(ID, num_envs=2, horizon=5)
     assert batch.single_observation_space == wanted.single_observation_space
     batch.reset(seed=0)
     ends = [batch.step(np.zeros((2, 10), np.float32))[3].tolist() for _ in range(5)]
@@ -137,19 +145,19 @@ def test_batches_take_it():
 
 
 @pytest.mark.parametrize(
-    ("make", "name"),
+    ("made", "name"),
     [
-        (lambda **steps: gymnasium.make_vec(ID, **steps), "max_episode_steps"),
+        (lambda **steps: make_vec(ID, **steps), "max_episode_steps"),
         (lambda **steps: parallel_env("toy6", **steps), "max_cycles"),
     ],
     ids=["make_vec", "parallel_env"],
 )
-def test_two_lengths_of_an_episode_are_refused(make, name):
+def test_two_lengths_of_an_episode_are_refused(made, name):
     with pytest.raises(ScenarioError, match=f"{name} is 30 and horizon is 40, .* give one"):
-        make(**{name: 30, "horizon": 40})
+        made(**{name: 30, "horizon": 40})
     for steps in (0, -2, 2.5, True):
         with pytest.raises(ScenarioError, match=f"{name} is {steps!r}; give a whole number"):
-            make(**{name: steps})
+            made(**{name: steps})
 
 
 def test_limits_of_other_environments_do_not_matter():
@@ -165,6 +173,6 @@ def test_limits_of_other_environments_do_not_matter():
             return self.inner.reset(seed=seed)
 
     spec = EnvSpec("Outer-v0", entry_point=Outer, disable_env_checker=True)
-    env: Any = gymnasium.make(spec, max_episode_steps=3)
+    env: Any = make(spec, max_episode_steps=3)
     env.reset(seed=0)
     assert env.unwrapped.inner.scenario.horizon == 120
