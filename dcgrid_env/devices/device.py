@@ -215,7 +215,7 @@ class Device(Protocol):
         ...
 
     def totals(self, state: DeviceState) -> dict[str, Array]:
-        """Return figures of all slots together for ``info``, (row,) each."""
+        """Return figures of all slots together for ``info``, (row,) each; see ``step_totals`` for counts of events."""
         ...
 
     def metrics(self, history: DeviceState, dt_s: float, requests: Requests) -> dict[str, float]:
