@@ -14,7 +14,7 @@ class ScenarioSpec(EnvSpec):
     """Spec whose ``max_episode_steps`` is the horizon of its scenario, which is made when the number is needed."""
 
     @property
-    def max_episode_steps(self) -> int | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def max_episode_steps(self) -> int | None:
         """Steps in an episode."""
         for name in ("max_episode_steps", "horizon"):
             if self.kwargs.get(name) not in (None, -1):
@@ -22,7 +22,7 @@ class ScenarioSpec(EnvSpec):
         return Horizon(make_scenario(self.kwargs.get("scenario") or IDS[self.id]).horizon)
 
     @max_episode_steps.setter
-    def max_episode_steps(self, steps: int | None) -> None:
+    def max_episode_steps(self, steps: int | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Ignore the default that EnvSpec sets."""
 
 
