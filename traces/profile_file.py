@@ -12,8 +12,9 @@ Long form, a row for each sample of each of them, with the second column named l
     2025-01-01T00:00,s701a,0.41,0.35
 
 The first column contains the times: dates (``time``, ISO 8601 or DD.MM.YYYY HH:MM), seconds (``time_s``) or hours
-(``time_h``), both counted from a midnight. Lines of a CSV file that begin with # are comments. The delimiter is a
-comma, a semicolon or a tab, and with the latter two numbers may have decimal commas.
+(``time_h``), both counted from a midnight. Dates may have UTC offsets, or be local times that skip and repeat an hour as
+clocks do (``traces.summer_time``). Lines of a CSV file that begin with # are comments. The delimiter is a comma, a
+semicolon or a tab, and with the latter two numbers may have decimal commas.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from dcgrid_env.core.user_files import MOST_MIB, is_file
 from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.logs.clock import date_of
 from dcgrid_env.traces.profile_table import ProfileTable, checked_table
+from dcgrid_env.traces.summer_time import elapsed_s
 from dcgrid_env.traces.text.table_file import open_table
 
 REACTIVE = ".q"
@@ -185,7 +187,7 @@ def _times(name: str, raw: _Raw) -> tuple[FloatArray, str]:
         return TraceError(f"{place}: the time is {str(cells[i])[:40]!r}; {remedy}")
 
     if not scale:
-        return _seconds(cells, refuse)
+        return _seconds(cells, refuse, raw.columns[1] if raw.header[1] in _LONG else None)
     times = _numbers(cells)
     bad = np.flatnonzero(~np.isfinite(times))
     if len(bad):
@@ -215,7 +217,10 @@ def seconds_of_dates(name: str, cells: Sequence[Any]) -> tuple[FloatArray, str]:
     return _seconds(cells, refuse)
 
 
-def _seconds(cells: Sequence[Any], refuse: Callable[[int, str], TraceError]) -> tuple[FloatArray, str]:
+def _seconds(
+    cells: Sequence[Any], refuse: Callable[[int, str], TraceError], names: Sequence[Any] | None = None
+) -> tuple[FloatArray, str]:
+    """Return times and the first date as ``seconds_of_dates`` does; ``names`` tells the series of a long file apart."""
     dates: list[datetime] = []
     for i, cell in enumerate(cells):
         try:
@@ -226,10 +231,19 @@ def _seconds(cells: Sequence[Any], refuse: Callable[[int, str], TraceError]) -> 
             raise refuse(i, "give a UTC offset to all times or to none")
     first = dates[0]
     midnight = first.replace(hour=0, minute=0, second=0, microsecond=0)
-    zone = first.tzinfo and UTC
-    start = midnight if zone is None else midnight.astimezone(zone)
-    times = [((date if zone is None else date.astimezone(zone)) - start).total_seconds() for date in dates]
-    return np.array(times, np.float64), first.date().isoformat()
+    if first.tzinfo is not None:
+        start = midnight.astimezone(UTC)
+        times = np.array([(date.astimezone(UTC) - start).total_seconds() for date in dates], np.float64)
+        return times, first.date().isoformat()
+    times = np.empty(len(dates))
+    rows_of: dict[Any, list[int]] = {}
+    for i, name in enumerate(names or [None] * len(dates)):
+        rows_of.setdefault(name, []).append(i)
+    for rows in rows_of.values():
+        series = [dates[i] for i in rows]
+        passed = elapsed_s(series, lambda k, remedy, rows=rows: refuse(rows[k], remedy))
+        times[rows] = (series[0] - midnight).total_seconds() + passed
+    return times, first.date().isoformat()
 
 
 def _utc_offset_h(cell: object) -> float | None:

@@ -1,8 +1,9 @@
 """Load profiles of a pandapower net, in the form of SimBench: ``net.profiles`` and the column ``profile``.
 
 SimBench multiplies each load by the columns PROFILE_pload and PROFILE_qload of ``net.profiles["load"]``, and the active
-power of each generator by the column PROFILE of ``net.profiles["renewables"]`` [1]_. A feeder has one load for each
-bus, so the profiles are summed: kW and kvar of each bus with a profile, all its loads and generators included.
+power of each generator and storage by the column PROFILE of ``net.profiles["renewables"]`` and ``["storage"]`` [1]_. A
+feeder has one load for each bus, so the profiles are summed: kW and kvar of each bus with a profile, all its loads,
+generators and storages included.
 
 References
 ----------
@@ -33,12 +34,12 @@ class NetProfiles:
 
     def __init__(self, called: str, net: Any, report: Report):
         self.changes: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
-        """Bus of the net, and what its loads and generators draw beyond their present power, kW and kvar, (sample,)."""
+        """Bus of the net, and what its loads, generators and storages draw beyond their present power, kW and kvar, (sample,)."""
         self._called, self._times = called, None
         profiles = net.get("profiles")
         if not isinstance(profiles, dict):
             return
-        for kind, table, sign in (("load", "load", 1.0), ("sgen", "renewables", -1.0)):
+        for kind, table, sign in (("load", "load", 1.0), ("sgen", "renewables", -1.0), ("storage", "storage", 1.0)):
             given = profiles.get(table)
             if given is None or "profile" not in net[kind].columns or not len(given):
                 continue

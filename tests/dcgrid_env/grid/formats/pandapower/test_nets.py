@@ -323,3 +323,32 @@ def test_profiles_in_simbenchs_form_give_pandapowers_voltages_over_time(tmp_path
     net.profiles["load"] = net.profiles["load"].drop(columns="H0_pload")
     with pytest.raises(FeederError, match=r"load 0 has the profile 'H0', but net\.profiles has no column 'H0_pload'"):
         read_pandapower(net)
+
+
+@pytest.mark.parametrize("code", ["1-LV-rural1--0-sw", "1-MV-rural--1-sw"])
+@pytest.mark.slow
+def test_simbenchs_year_gives_pandapowers_voltages_before_between_and_after_summer_time(code, tmp_path):
+    simbench = pytest.importorskip("simbench", reason="simbench is not installed")
+    with quiet():
+        net = simbench.get_simbench_net(code)
+        pp.to_json(net, str(tmp_path / "net.json"))
+    imported = read_pandapower(tmp_path / "net.json")
+    profiles = imported.profiles
+    assert profiles is not None
+    assert (profiles.step_s, profiles.first_day, profiles.duration_h) == (900.0, "2016-01-01", 366 * 24)
+    feeder = Feeder.from_network(imported.network)
+    values = simbench.get_absolute_values(net, profiles_instead_of_study_cases=True)
+    skipped, repeated = 8264, 29096  # rows of 27.03.2016 03:00 and of the second 30.10.2016 02:00
+    for row in (0, skipped - 1, skipped, repeated - 1, repeated, 35135):
+        for (kind, column), table in values.items():
+            if len(table):
+                net[kind][column] = table.iloc[row]
+        with quiet():
+            pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, numba=False)
+        load_kw, load_kvar = feeder.p_load_kw.copy(), feeder.q_load_kvar.copy()
+        for name, value in zip(profiles.names, profiles.values[row], strict=True):
+            to = load_kvar if name.endswith(".q") else load_kw
+            to[feeder.bus_ids.index(name.removesuffix(".q"))] = value
+        ours = dict(zip(feeder.bus_ids, distflow(feeder, load_kw, load_kvar).v_pu.tolist(), strict=True))
+        theirs = net.res_bus.vm_pu
+        assert max(abs(ours[our_bus] - theirs[int(bus)]) for bus, our_bus in imported.bus_of.items()) < 1e-6
