@@ -15,11 +15,7 @@ LINES = ("overhead_line", "underground_line", "triplex_line")
 SWITCHES = ("switch", "fuse", "recloser", "sectionalizer")
 LINKS = (*LINES, *SWITCHES, "transformer", "regulator")
 """Classes of objects that connect two buses."""
-_OPEN = ("OPEN", "0")
 _NODES = {"A": 1, "B": 2, "C": 3, "1": 1, "2": 2}
-_CONNECTIONS = {
-    "1": "WYE_WYE", "2": "DELTA_DELTA", "3": "DELTA_GWYE", "4": "SINGLE_PHASE", "5": "SINGLE_PHASE_CENTER_TAPPED",
-}  # fmt: skip
 _CLOSE = 0.05
 """Relative difference up to which a bus's nominal voltage is taken instead of the one that transformers give."""
 
@@ -29,16 +25,16 @@ class Names:
     """Unique names without the characters that OpenDSS reserves."""
 
     report: Report
-    _used: set[tuple[str, str]] = field(default_factory=set)
+    _used: dict[tuple[str, str], int] = field(default_factory=dict)
 
     def unique(self, kind: str, name: str) -> str:
         """A name for an element of a class, reported if it differs from the model's in more than case."""
         plain = re.sub(r"[^a-z0-9_\-]", "_", name.lower())
-        made, k = plain, 1
+        made, k = plain, self._used.get((kind, plain), 0)
         while (kind, made) in self._used:
             k += 1
             made = f"{plain}_{k}"
-        self._used.add((kind, made))
+        self._used[kind, plain], self._used[kind, made] = k, 1
         if made != name.lower():
             self.report.add("nothing lost", kind, f"{name} is {made}", "the name has other characters here")
         return made
@@ -65,7 +61,11 @@ class Buses:
             if item.kind == "capacitor":
                 wrong(item, "parent", "is missing; name the node that the capacitor is at")
             self._names[id(item)] = names.unique("bus", item.name)
-        swings = [item for item in tops if model.word(item, "bustype", "PQ") in ("SWING", "SWING_PQ")]
+        types = {id(item): model.keyword(item, "node", "bustype", "PQ") for item in tops}
+        for item in tops:
+            if types[id(item)] == "PV":
+                wrong(item, "bustype", "keeps a voltage, which cannot be represented; write PQ and give its power")
+        swings = [item for item in tops if types[id(item)].startswith("SWING")]
         if len(swings) != 1:
             found = f"the buses {', '.join(item.name for item in swings)} as sources" if swings else "no source"
             raise FeederError(f"{model.file.path}: the model has {found}; set bustype SWING at exactly one node")
@@ -90,7 +90,8 @@ class Buses:
         """A bus with the nodes of phases, as OpenDSS writes it."""
         return ".".join([bus, *(str(_NODES[phase]) for phase in phases)])
 
-    def _nominal_v(self, bus: str) -> float:
+    def nominal_v(self, bus: str) -> float:
+        """Line-to-neutral nominal voltage of a bus, V, which its children have too."""
         item = self.objects[bus]
         default = 120.0 if item.kind in TRIPLEX else None
         return self._model.positive(item, "nominal_voltage", "voltage", default)
@@ -100,10 +101,8 @@ class Buses:
         links: dict[str, list[tuple[str, float, float]]] = {}
         for link in self._model.of_kind(*LINKS):
             first, second = self.ends(link)
-            if (
-                link.kind in ("transformer", "regulator")
-                and self._model.word(link, "status", "CLOSED").upper() in _OPEN
-            ):
+            is_open = self._model.keyword(link, "link", "status", "CLOSED") == "OPEN"
+            if link.kind in ("transformer", "regulator") and is_open:
                 wrong(link, "status", "cannot be represented; add an open switch in series")
             ratio, shift_deg = 1.0, 0.0
             if link.kind == "transformer":
@@ -113,28 +112,24 @@ class Buses:
             links.setdefault(first, []).append((second, 1.0 / ratio, shift_deg))
             links.setdefault(second, []).append((first, ratio, -shift_deg))
         start = self.name(self.swing)
-        self.base_v[start], self.shift_deg[start] = self._nominal_v(start), 0.0
+        self.base_v[start], self.shift_deg[start] = self.nominal_v(start), 0.0
         queue = [start]
         for bus in queue:
             for other, factor, shift_deg in links.get(bus, ()):
                 if other not in self.base_v:
-                    volts, nominal_v = factor * self.base_v[bus], self._nominal_v(other)
+                    volts, nominal_v = factor * self.base_v[bus], self.nominal_v(other)
                     self.base_v[other] = nominal_v if math.isclose(nominal_v, volts, rel_tol=_CLOSE) else volts
                     self.shift_deg[other] = self.shift_deg[bus] + shift_deg
                     queue.append(other)
         for bus in self.objects:
-            self.base_v.setdefault(bus, self._nominal_v(bus))
+            self.base_v.setdefault(bus, self.nominal_v(bus))
             self.shift_deg.setdefault(bus, 0.0)
 
 
 def connection(model: Model, transformer: GlmObject) -> str:
     """Connection of a transformer; FeederError for one that cannot be represented."""
     config = model.reference(transformer, "configuration", "transformer_configuration")
-    kind = model.word(config, "connect_type").upper()
-    kind = _CONNECTIONS.get(kind, kind)
-    if kind not in _CONNECTIONS.values():
-        wrong(config, "connect_type", f"cannot be represented; choose one of {', '.join(_CONNECTIONS.values())}")
-    return kind
+    return model.keyword(config, "transformer_configuration", "connect_type")
 
 
 def turns_ratio(model: Model, transformer: GlmObject) -> float:

@@ -20,7 +20,6 @@ _PROTECTION = {
 _X_PERCENT = 1e-5
 """Reactance of a regulator, which has none in GridLAB-D, percent of OpenDSS's default base of 1000 kVA."""
 _BASE_KVA = 1000.0
-_CONTROLS = {"1": "MANUAL", "2": "OUTPUT_VOLTAGE", "3": "LINE_DROP_COMP", "4": "REMOTE_NODE"}
 _RATINGS = ("rating.summer.continuous", "rating.winter.continuous")
 _NEVER = 1e9
 """Rating, A, from which on a line has none."""
@@ -31,7 +30,7 @@ def add_lines(script: CircuitScript, frequency_hz: float, charging: bool) -> Non
     model, buses = script.model, script.buses
     for line in model.of_kind(*LINES):
         phases = "12" if line.kind == "triplex_line" else _phases(script, line)
-        z, c = line_matrices(model, line, phases, frequency_hz)
+        z, c = line_matrices(model, line, phases, frequency_hz, script.report)
         name, (first, second) = script.names.unique("line", line.name), buses.ends(line)
         rating_a = _rating_a(script, line, phases)
         script.new(
@@ -42,7 +41,7 @@ def add_lines(script: CircuitScript, frequency_hz: float, charging: bool) -> Non
         if charging and not c.any() and line.kind != "triplex_line":
             text = "without charging: heights, diameters or the insulation are not in the model"
             script.report.add("nothing lost", line.kind, line.name, text)
-        if not _closed(script, line, "status"):
+        if model.keyword(line, "link", "status", "CLOSED") == "OPEN":
             script.commands.append(f"Open Line.{name} 1")
 
 
@@ -69,11 +68,38 @@ def _rating_a(script: CircuitScript, line: GlmObject, phases: str) -> float:
     return min((rating for rating in found if 0.0 < rating < _NEVER), default=0.0)
 
 
-def _closed(script: CircuitScript, link: GlmObject, name: str) -> bool:
-    state = script.model.word(link, name, "CLOSED").upper()
-    if state not in ("CLOSED", "OPEN", "1", "0"):
-        wrong(link, name, "must be CLOSED or OPEN")
-    return state in ("CLOSED", "1")
+def _phase_states(script: CircuitScript, switch: GlmObject, phases: str) -> list[bool]:
+    """Whether each phase of a switch is closed.
+
+    The phases of a bank follow the majority of their states; with as many open as closed, they follow its status.
+    """
+    model = script.model
+    closed = model.keyword(switch, "link", "status", "CLOSED") == "CLOSED"
+    if switch.kind == "fuse":
+        good = [model.keyword(switch, "fuse", f"phase_{phase}_status", "GOOD") == "GOOD" for phase in phases]
+        return [closed and state for state in good]
+    states = [model.keyword(switch, "switch", f"phase_{phase}_state", "CLOSED") == "CLOSED" for phase in phases]
+    if model.keyword(switch, "switch", "operating_mode", "BANKED") == "INDIVIDUAL":
+        return [closed and state for state in states]
+    whole = closed and 2 * sum(states) >= len(states)
+    if closed and any(state != whole for state in states):
+        text = f"{'closed' if whole else 'open'}, as the majority of the phases of its bank; write INDIVIDUAL otherwise"
+        script.report.add("nothing lost", switch.kind, switch.name, text)
+    return [whole] * len(states)
+
+
+def _switch_ohm(script: CircuitScript, switch: GlmObject) -> complex:
+    """Impedance of a closed switch, Ohm; parts that are not positive are GridLAB-D's default."""
+    model = script.model
+    if switch.kind == "fuse":
+        z = complex(model.real(switch, "fuse_resistance", "impedance", 0.0))
+    else:
+        z = model.value(switch, "switch_impedance", "impedance", 0.0)
+        z = complex(*(
+            model.real(switch, f"switch_{part}", "impedance", default)
+            for part, default in (("resistance", z.real), ("reactance", z.imag))
+        ))  # fmt: skip
+    return complex(z.real if z.real > 0.0 else _SMALLEST_OHM, max(z.imag, 0.0))
 
 
 def add_switches(script: CircuitScript) -> None:
@@ -81,21 +107,16 @@ def add_switches(script: CircuitScript) -> None:
     model, buses = script.model, script.buses
     for switch in model.of_kind(*SWITCHES):
         phases, (first, second) = _phases(script, switch), buses.ends(switch)
-        r_ohm = model.positive(
-            switch, "fuse_resistance" if switch.kind == "fuse" else "switch_resistance", "impedance", _SMALLEST_OHM
-        )
-        whole = _closed(script, switch, "status")
-        split = model.word(switch, "operating_mode", "BANKED").upper() == "INDIVIDUAL"
-        states = [
-            _closed(script, switch, f"phase_{phase}_state") if split and whole and phase in "ABC" else whole
-            for phase in phases
-        ]
+        if phases == "12":
+            wrong(switch, "phases", "has S, which no switch of GridLAB-D has; give phases among A, B and C")
+        z = _switch_ohm(script, switch)
+        states = _phase_states(script, switch, phases)
         for closed in sorted(set(states), reverse=True):
             part = "".join(phase for phase, state in zip(phases, states, strict=True) if state == closed)
             name = script.names.unique("line", switch.name if len(part) == len(phases) else f"{switch.name}_{part}")
             script.new(
                 "Line", name, bus1=buses.terminal(first, part), bus2=buses.terminal(second, part), phases=len(part),
-                switch="yes", r1=r_ohm, x1=0.0, r0=r_ohm, x0=0.0, c1=0.0, c0=0.0, units="none", length=1.0,
+                switch="yes", r1=z.real, x1=z.imag, r0=z.real, x0=z.imag, c1=0.0, c0=0.0, units="none", length=1.0,
             )  # fmt: skip
             if not closed:
                 script.commands.append(f"Open Line.{name} 1")
@@ -112,11 +133,13 @@ def add_regulators(script: CircuitScript) -> None:
 def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
     model, buses = script.model, script.buses
     config = model.reference(regulator, "configuration", "regulator_configuration")
-    if model.word(config, "connect_type", "WYE_WYE").upper() not in ("WYE_WYE", "1"):
+    if model.keyword(config, "regulator_configuration", "connect_type", "WYE_WYE") != "WYE_WYE":
         wrong(config, "connect_type", "cannot be represented; only WYE_WYE can")
     phases, (first, second) = _phases(script, regulator), buses.ends(regulator)
     up, down = (int(model.positive(config, name, "ratio")) for name in ("raise_taps", "lower_taps"))
-    step = model.positive(config, "regulation", "ratio") / up
+    step = model.real(config, "regulation", "ratio", 0.0) / up
+    if step < 0.0 or (step == 0.0 and _kind_of_control(script, config) != "MANUAL"):
+        wrong(config, "regulation", "must be positive, such as 0.1 for steps of 0.00625 by 16 taps")
     taps = {
         phase: model.real(
             regulator if f"tap_{phase}" in regulator.properties else config,
@@ -125,8 +148,8 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
         for phase in phases
     }  # fmt: skip
     control = _control(script, regulator, config, buses.base_v[second])
-    by_current = model.word(config, "Type", "B").upper() in ("B", "2")
-    banked = model.word(config, "control_level", "INDIVIDUAL").upper() in ("BANK", "2")
+    by_current = model.keyword(config, "regulator_configuration", "Type", "B") == "B"
+    banked = model.keyword(config, "regulator_configuration", "control_level", "INDIVIDUAL") == "BANK"
     if banked and (len(phases) < 3 or len(set(taps.values())) > 1):
         banked = False
         text = "its bank has fewer than three phases or unlike taps: each phase is controlled separately"
@@ -151,18 +174,15 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
             mintap=1.0 - down * step, numtaps=up + down, tap=ratio,
         )  # fmt: skip
         if control:
-            letter = next((p for p in phases if p in model.word(config, "PT_phase", phases).upper()), phases[0])
+            sensed_phases = model.phases(config, "PT_phase", phases)
+            letter = next((phase for phase in phases if phase in sensed_phases), phases[0])
             controls = control | {"r": _ldc(script, config, "r", part[0]), "x": _ldc(script, config, "x", part[0])}
             sensed = {"ptphase": phases.index(letter) + 1} if banked else {}
             script.new("RegControl", name, transformer=name, winding=2, **controls, **sensed)
 
 
 def _kind_of_control(script: CircuitScript, config: GlmObject) -> str:
-    kind = script.model.word(config, "Control", "MANUAL").upper()
-    kind = _CONTROLS.get(kind, kind)
-    if kind not in _CONTROLS.values():
-        wrong(config, "Control", f"must be one of {', '.join(_CONTROLS.values())}")
-    return kind
+    return script.model.keyword(config, "regulator_configuration", "Control", "MANUAL")
 
 
 def _ldc(script: CircuitScript, config: GlmObject, letter: str, phase: str) -> float:

@@ -15,6 +15,8 @@ _ANGLES_DEG = {"A": 0.0, "B": -120.0, "C": 120.0, "AB": 30.0, "BC": -90.0, "CA":
 _NEXT = {"A": "AB", "B": "BC", "C": "CA"}
 _LAWS = {"power": 1, "impedance": 2, "current": 5}
 """OpenDSS's model of each kind of load."""
+_EXPONENTS = {"power": 0, "impedance": 2, "current": 1}
+"""Exponent of the voltage in the power of each kind of load."""
 _QUANTITIES = {"power": "power", "impedance": "impedance", "current": "current"}
 _STEMS = ("power_", "current_", "impedance_", "shunt_", "constant_", "base_power")
 _VOLTAGE_LIMITS = {"vminpu": 0.1, "vlowpu": 0.05, "vmaxpu": 2.0}
@@ -71,7 +73,7 @@ def _terms(script: CircuitScript, item: GlmObject) -> Iterator[tuple[str, str, c
             nominal = cmath.rect(volts, math.radians(angle_deg + turn_deg))
             for law, quantity in _QUANTITIES.items():
                 value = _value(script, item, f"{prefix}{law}_{name}", quantity, used)
-                if value and not fractions:
+                if value and not (fractions and prefix):
                     yield law, leg, _power(law, value, nominal)
         yield from fractions
     for key, found in item.properties.items():
@@ -127,49 +129,70 @@ def _power(law: str, value: complex, nominal: complex) -> complex:
 def _fractions(
     script: CircuitScript, item: GlmObject, name: str, leg: str, used: set[str]
 ) -> Iterator[tuple[str, str, complex]]:
-    """Terms of a load that is written as a base power with fractions and power factors; they replace the others."""
+    """Terms of a load that is written as a base power with fractions and power factors; they replace its constants.
+
+    As in GridLAB-D, the share of constant power is what the others leave, and a power factor of 0 is reactive power
+    alone.
+    """
     model = script.model
     used |= {f"{law}_{part}_{name}" for part in ("fraction", "pf") for law in _LAWS}
     total = _value(script, item, f"base_power_{name}", "power", used).real
     if not total:
         return
-    nominal = model.positive(item, "nominal_voltage", "voltage", 120.0 if item.kind in TRIPLEX else None)
-    base = script.buses.base_v[script.buses.name(item)]
-    shares = [model.real(item, f"{law}_fraction_{name}", "ratio", 0.0) for law in _LAWS]
-    if not math.isclose(sum(shares), 1.0, abs_tol=1e-3):
-        wrong(item, f"power_fraction_{name}", "and the fractions of current and impedance must add up to 1")
-    for law, share in zip(_LAWS, shares, strict=True):
-        factor = model.real(item, f"{law}_pf_{name}", "ratio", 0.0)
+    bus = script.buses.name(item)
+    growth = script.buses.base_v[bus] / script.buses.nominal_v(bus)
+    shares = {law: model.real(item, f"{law}_fraction_{name}", "ratio", 0.0) for law in _LAWS}
+    rest = 1.0 - shares["current"] - shares["impedance"]
+    if not math.isclose(shares["power"], rest, abs_tol=1e-9):
+        text = f"power_fraction_{name} is {rest:g}, as in GridLAB-D: the fractions of its base power do not add up to 1"
+        script.report.add("nothing lost", item.kind, item.name, text)
+        shares["power"] = rest
+    for law, share in shares.items():
+        factor = model.real(item, f"{law}_pf_{name}", "ratio", 1.0)
         if abs(factor) > 1.0:
             wrong(item, f"{law}_pf_{name}", "must be from -1 to 1")
         if share:
-            active = abs(factor) or 1.0
-            reactive = math.sqrt(1.0 - active**2) * (-1.0 if factor < 0.0 else 1.0)
-            growth = {"power": 1.0, "current": base / nominal, "impedance": (base / nominal) ** 2}[law]
-            yield law, leg, total * share * growth * complex(active, reactive)
+            reactive = math.sqrt(1.0 - factor**2) * (-1.0 if factor < 0.0 else 1.0)
+            yield law, leg, total * share * growth ** _EXPONENTS[law] * complex(abs(factor), reactive)
 
 
 def add_capacitors(script: CircuitScript) -> None:
-    """Add the capacitors; one for each group of phases in the same state."""
+    """Add the capacitors; one for each phase."""
     model = script.model
     for item in model.of_kind("capacitor"):
-        text = model.word(item, "phases_connected", model.word(item, "phases")).upper()
+        text = model.phases(item, "phases_connected", model.word(item, "phases"))
         phases, delta = [phase for phase in "ABC" if phase in text], "D" in text
         bus = script.buses.name(item)
         rated = "cap_nominal_voltage" if "cap_nominal_voltage" in item.properties else "nominal_voltage"
         volts = model.positive(item, rated, "voltage", script.buses.base_v[bus])
+        closed = _closed_phases(script, item)
         for phase in phases:
             kvar = model.value(item, f"capacitor_{phase}", "power", 0.0).real / 1000.0
-            state = model.word(item, f"switch{phase}", "OPEN").upper()
-            if state not in ("OPEN", "CLOSED", "0", "1"):
-                wrong(item, f"switch{phase}", "must be CLOSED or OPEN")
             if kvar:
                 leg = _NEXT[phase] if delta else phase
                 script.new(
                     "Capacitor", script.names.unique("capacitor", f"{item.name}_{phase}"),
                     bus1=script.buses.terminal(bus, leg[:1]),
                     bus2=script.buses.terminal(bus, leg[1:]) if delta else f"{bus}.0",
-                    phases=1, kv=volts / 1000.0, kvar=kvar, states=f"({int(state in ('CLOSED', '1'))})",
+                    phases=1, kv=volts / 1000.0, kvar=kvar, states=f"({int(phase in closed)})",
                 )  # fmt: skip
-        if model.word(item, "control", "MANUAL").upper() not in ("MANUAL", "0"):
+        if model.keyword(item, "capacitor", "control", "MANUAL") != "MANUAL":
             script.report.add("lost", "capcontrol", item.name, "its capacitor stays as it is")
+
+
+def _closed_phases(script: CircuitScript, item: GlmObject) -> str:
+    """Phases of a capacitor whose switches are closed; those of a bank follow the phases of ``pt_phase``."""
+    model = script.model
+    closed = [p for p in "ABC" if model.keyword(item, "capacitor", f"switch{p}", "OPEN") == "CLOSED"]
+    if model.keyword(item, "capacitor", "service_status", "IN_SERVICE") == "OUT_OF_SERVICE":
+        script.report.add("nothing lost", "capacitor", item.name, "out of service: its switches are open")
+        return ""
+    if model.keyword(item, "capacitor", "control_level", "INDIVIDUAL") == "BANK":
+        sensed = model.phases(item, "pt_phase") if "pt_phase" in item.properties else ""
+        pairs = "D" in sensed
+        senses = [phase for phase in closed if set(_NEXT[phase] if pairs else phase) <= set(sensed)]
+        if bool(senses) != (len(closed) == len("ABC")):
+            text = f"its bank is {'closed' if senses else 'open'}, as the switches of pt_phase"
+            script.report.add("nothing lost", "capacitor", item.name, text)
+        return "ABC" if senses else ""
+    return "".join(closed)

@@ -7,6 +7,7 @@ from typing import NoReturn
 
 from dcgrid_env.grid.formats.gridlabd.glm_text import GlmFile, GlmObject
 from dcgrid_env.grid.formats.gridlabd.glm_values import number
+from dcgrid_env.grid.formats.gridlabd.glm_words import ENUMERATIONS, keyword, phase_letters
 from dcgrid_env.grid.topology import FeederError
 
 TRIPLEX = ("triplex_node", "triplex_meter", "triplex_load")
@@ -96,12 +97,21 @@ class Model:
             wrong(item, name, "must be positive")
         return value
 
-    def phases(self, item: GlmObject) -> str:
-        """Phases among ABC of an object, then N, D and S as its file has them."""
-        text = self.word(item, "phases").replace("|", "").replace(" ", "").upper()
-        if not text or set(text) - set("ABCNDSG"):
-            wrong(item, "phases", "must be letters among A, B, C, N, D and S")
-        return "".join(sorted(set(text), key="ABCNDSG".index))
+    def keyword(self, item: GlmObject, kind: str, name: str, default: str | None = None) -> str:
+        """Keyword of an enumeration, which a file may write as its number; ``kind`` is the class that defines it."""
+        text = self.word(item, name, default)
+        try:
+            return keyword(text, ENUMERATIONS[kind][name])
+        except ValueError as error:
+            wrong(item, name, str(error))
+
+    def phases(self, item: GlmObject, name: str = "phases", default: str | None = None) -> str:
+        """Letters of a set of phases in the order A, B, C, N, D, S, G; a file may write their number."""
+        text = self.word(item, name, default)
+        try:
+            return phase_letters(text)
+        except ValueError as error:
+            wrong(item, name, str(error))
 
     def setting(self, module: str, name: str, default: str) -> str:
         """A setting of a module as text."""

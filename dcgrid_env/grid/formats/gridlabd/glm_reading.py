@@ -17,8 +17,9 @@ from dcgrid_env.grid.formats.gridlabd.glm_model import NODES, Model
 from dcgrid_env.grid.formats.gridlabd.glm_text import GlmFile
 from dcgrid_env.grid.formats.gridlabd.glm_transformers import add_transformers
 from dcgrid_env.grid.formats.import_report import Report
-from dcgrid_env.grid.formats.opendss import Imported, read_opendss
-from dcgrid_env.grid.formats.opendss.reading import digests
+from dcgrid_env.grid.formats.opendss import Imported
+from dcgrid_env.grid.formats.opendss.circuit_process import read_in_child
+from dcgrid_env.grid.formats.opendss.reading import digests, read_circuit
 from dcgrid_env.grid.topology import FeederError
 
 _DATA = (
@@ -35,6 +36,7 @@ _SOURCE_OHM = 1e-7
 """Impedance of the source, which is ideal in GridLAB-D."""
 _BALANCED = 1e-3
 """Largest deviation of the source's voltages from a balanced system, relative."""
+_SMALLER = "import a part of the model, or remove what makes it grow"
 _ALWAYS = ("schedule", "capcontrol", "regulator", "source", "fuse", "recloser", "sectionalizer", "isolated")
 
 
@@ -59,13 +61,19 @@ def read_gridlabd(file: str | Path, *, allow: Collection[str] = (), root: str | 
     ------
     FeederError
         If a directive is refused, a value cannot be read, or an element cannot be represented, naming file and line.
-        If elements are lost and not allowed. If OpenDSSDirect.py is missing.
+        If elements are lost and not allowed. If OpenDSSDirect.py is missing. If the child process that reads the model
+        needs more time or memory than ``circuit_process`` allows.
 
     Notes
     -----
     The two legs of a split-phase bus are the phases a and b. Its voltage of leg 2 has the opposite sign of GridLAB-D's
     ``voltage_2``.
     """
+    return read_in_child(read_model, str(file), allow, {"root": None if root is None else str(root)}, _SMALLER)
+
+
+def read_model(file: str | Path, *, allow: Collection[str] = (), root: str | Path | None = None) -> Imported:
+    """Read a model in this process: see ``read_gridlabd``, which has a child do it."""
     path = Path(file)
     model = Model(GlmFile(path, None if root is None else Path(root)))
     report = Report("model")
@@ -79,7 +87,7 @@ def read_gridlabd(file: str | Path, *, allow: Collection[str] = (), root: str | 
         master = Path(folder) / f"{path.stem}.dss"
         master.write_text("\n".join(commands), encoding="utf-8")
         try:
-            found = read_opendss(master, allow=["isolated"])
+            found = read_circuit(master, allow=["isolated"])
         except FeederError as error:
             said = str(error).replace(str(master.resolve()), "script").replace(str(master), "script")
             raise FeederError(f"{path}: the equivalent OpenDSS circuit cannot be read: {said}") from None

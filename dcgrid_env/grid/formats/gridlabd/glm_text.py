@@ -1,7 +1,8 @@
 """Text of GridLAB-D's .glm files as objects with properties.
 
 Nothing is executed. Directives and blocks that only affect a simulation are skipped. Directives that start programs,
-load code or read other kinds of files are refused with file and line.
+load code or read other kinds of files are refused with file and line. So are blocks that nest too deep and variables
+that grow too long.
 """
 
 from __future__ import annotations
@@ -16,13 +17,19 @@ from dcgrid_env.grid.formats.opendss.script_reader import DEEPEST, MOST_FILES
 from dcgrid_env.grid.topology import FeederError
 
 _TOKEN = re.compile(r'"[^"]*"|\'[^\']*\'|[{};]|[^\s{};"\']+|["\']')
-_COMMENT = re.compile(r'"[^"]*"|\'[^\']*\'|(?P<comment>//|/\*)')
+_COMMENT = re.compile(r'"[^"]*"|\'[^\']*\'|//.*|/\*(?:.*?\*/|.*(?P<open>))')
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 _SKIPPED_DIRECTIVES = ("print", "verbose", "debug", "warning", "undef")
 _SKIPPED_BLOCKS = ("clock", "schedule", "filter")
 _SKIPPED_STATEMENTS = ("module", "global", "class")
 _CODE = ("intrinsic", "function", "private", "public", "protected", "static", "include", "void")
-_CLOSED = re.compile(r"\s*\(?\s*(?P<name>[\w.:${}]+)\s*(?P<sign>==|!=|=)\s*(?P<value>.*?)\s*\)?\s*")
+_CONDITION = re.compile(r"(?P<name>[\w.:${}]+)\s*(?P<sign>==|!=|=)(?P<value>.*)")
+_DEEPEST_BLOCK = 64
+"""Blocks within blocks, and conditions within conditions; models nest three deep."""
+_LONGEST_VALUE = 1024
+"""Characters of a variable; GridLAB-D's have as many."""
+_MOST_ADDED = 2**16
+"""Characters by which variables may lengthen a line."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +136,7 @@ class GlmFile:
                 continue
             line, commented = _without_comments(line, commented)
             if all(branches):
-                line = _VARIABLE.sub(lambda found: self._variables.get(found[1], found[0]), line)
+                line = self._expanded(line, where)
                 for token in _TOKEN.findall(line):
                     yield token, where
         if branches:
@@ -138,8 +145,9 @@ class GlmFile:
     def _directive(
         self, name: str, rest: str, where: str, path: Path, depth: int, branches: list[bool]
     ) -> Iterator[tuple[str, str]]:
-        rest = _VARIABLE.sub(lambda found: self._variables.get(found[1], found[0]), rest)
+        rest = self._expanded(rest, where)
         if name in ("ifdef", "ifndef", "if"):
+            check_depth(len(branches) + 1, where)
             branches.append(self._holds(name, rest, where))
         elif name in ("else", "endif"):
             if not branches:
@@ -150,6 +158,10 @@ class GlmFile:
             return
         elif name in ("define", "set"):
             variable, _, value = rest.rstrip(";").partition("=")
+            if len(value) > _LONGEST_VALUE:
+                raise FeederError(
+                    f"{where}: #{name} {variable.strip()[:60]} has {len(value)} characters; give at most {_LONGEST_VALUE}"
+                )
             self._variables[variable.strip()] = value.strip().strip("\"'")
             self.skipped.append((f"#{name} {variable.strip()}", where))
         elif name == "include":
@@ -164,14 +176,28 @@ class GlmFile:
                 "by #include"
             )
 
+    def _expanded(self, text: str, where: str) -> str:
+        """A text with the values of variables in place of ``${NAME}``."""
+        room = _MOST_ADDED
+
+        def value(found: re.Match[str]) -> str:
+            nonlocal room
+            text = self._variables.get(found[1], found[0])
+            room -= len(text)
+            if room < 0:
+                raise FeederError(f"{where}: variables make the line longer by more than {_MOST_ADDED}; shorten it")
+            return text
+
+        return _VARIABLE.sub(value, text)
+
     def _holds(self, name: str, rest: str, where: str) -> bool:
         if name != "if":
             return (rest in self._variables) == (name == "ifdef")
-        found = _CLOSED.fullmatch(rest)
+        found = _CONDITION.fullmatch(rest.strip().removeprefix("(").removesuffix(")").strip())
         if found is None:
             raise FeederError(f"{where}: #if {rest} cannot be read; write #if NAME==VALUE")
         value = self._variables.get(found["name"], found["name"])
-        return (value == found["value"].strip("\"'")) == (found["sign"] != "!=")
+        return (value == found["value"].strip().strip("\"'")) == (found["sign"] != "!=")
 
     def _included(self, rest: str, where: str, path: Path) -> Path:
         name = rest.rstrip(";").strip()
@@ -189,17 +215,24 @@ def _uncommented(text: str, comment: str) -> str:
 
 def _without_comments(line: str, commented: bool) -> tuple[str, bool]:
     """Return a line without comments, and whether a comment continues on the next line."""
-    kept = ""
-    while line:
-        if commented:
-            _, end, line = line.partition("*/")
-            commented = not end
-            continue
-        mark = next((found for found in _COMMENT.finditer(line) if found["comment"]), None)
-        if mark is None or mark["comment"] == "//":
-            return kept + (line if mark is None else line[: mark.start()]), False
-        kept, line, commented = kept + line[: mark.start()] + " ", line[mark.end() :], True
-    return kept, commented
+    if commented:
+        _, end, line = line.partition("*/")
+        if not end:
+            return "", True
+
+    def kept(found: re.Match[str]) -> str:
+        nonlocal commented
+        commented = found["open"] is not None
+        return found[0] if found[0][0] in "\"'" else " "
+
+    commented = False
+    return _COMMENT.sub(kept, line), commented
+
+
+def check_depth(depth: int, where: str) -> None:
+    """FeederError for blocks or conditions that nest too deep."""
+    if depth > _DEEPEST_BLOCK:
+        raise FeederError(f"{where}: blocks nest deeper than {_DEEPEST_BLOCK}; write objects one after the other")
 
 
 class _Blocks:
@@ -255,7 +288,7 @@ class _Blocks:
         elif kind in _SKIPPED_BLOCKS:
             if kind == "schedule":
                 self._file.schedules.add(" ".join(words[1:]))
-            self._skip(where)
+            self._skip(where, 1)
             self._file.skipped.append((" ".join(words), where))
         else:
             raise FeederError(f"{where}: {' '.join(words)[:60]!r} is refused: only objects and modules are read")
@@ -267,12 +300,14 @@ class _Blocks:
                 raise FeederError(f"{place}: {' '.join(words)} has code, which is refused; remove the class")
         self._file.skipped.append((" ".join(words), where))
 
-    def _skip(self, where: str) -> None:
+    def _skip(self, where: str, depth: int) -> None:
+        check_depth(depth, where)
         for _, end, place in self._statements(where):
             if end == "{":
-                self._skip(place)
+                self._skip(place, depth + 1)
 
-    def _object(self, header: list[str], where: str, parent: GlmObject | None) -> GlmObject:
+    def _object(self, header: list[str], where: str, parent: GlmObject | None, depth: int = 1) -> GlmObject:
+        check_depth(depth, where)
         if not header:
             raise FeederError(f"{where}: object without a class")
         made = self._file.new_object("".join(header), where, parent)
@@ -281,7 +316,7 @@ class _Blocks:
                 at = words.index("object") if "object" in words else -1
                 if at < 0 or at > 1:
                     raise FeederError(f"{place}: {' '.join(words)[:60]!r} before {{ cannot be read; expected object")
-                inner = self._object(words[at + 1 :], place, None if at else made)
+                inner = self._object(words[at + 1 :], place, None if at else made, depth + 1)
                 if at:
                     made.properties[words[0]] = Text(inner.name, place)
             elif words:

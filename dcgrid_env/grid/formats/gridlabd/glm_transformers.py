@@ -15,6 +15,8 @@ from dcgrid_env.grid.formats.gridlabd.glm_text import GlmObject
 
 _LARGEST_SHUNT = 1e6
 """Shunt impedance, p.u., from which on there is none; GridLAB-D's default is 999999999."""
+_REACTANCE_RATIO = 4.5
+"""GridLAB-D's default ratio of reactance to resistance where a transformer is described by its losses."""
 
 
 def add_transformers(script: CircuitScript) -> None:
@@ -41,13 +43,24 @@ def _impedance(model: Model, config: GlmObject, number: str = "") -> complex:
     return complex(*(model.real(config, f"{part}{number}", "ratio", 0.0) for part in ("resistance", "reactance")))
 
 
-def _core(model: Model, config: GlmObject) -> dict[str, float]:
+def _test_losses(model: Model, config: GlmObject) -> tuple[complex, complex] | None:
+    """Series and shunt impedance of a centre-tapped transformer, per unit, from its losses where both are written."""
+    no_load, full_load = (model.real(config, f"{name}_load_loss", "ratio", 0.0) for name in ("no", "full"))
+    if not (no_load > 0.0 and full_load > 0.0):
+        return None
+    ratio = model.positive(config, "reactance_resistance_ratio", "ratio", _REACTANCE_RATIO)
+    return complex(full_load, ratio * full_load), complex(1.0 / no_load, ratio / no_load)
+
+
+def _core(model: Model, config: GlmObject, shunt: complex | None = None) -> dict[str, float]:
     """No-load losses and magnetising current of the shunt impedance, percent."""
-    shunt = model.value(config, "shunt_impedance", "ratio", 0.0)
-    parts = {
-        "%noloadloss": model.real(config, "shunt_resistance", "ratio", shunt.real),
-        "%imag": model.real(config, "shunt_reactance", "ratio", shunt.imag),
-    }
+    if shunt is None:
+        shunt = model.value(config, "shunt_impedance", "ratio", 0.0)
+        shunt = complex(
+            model.real(config, "shunt_resistance", "ratio", shunt.real),
+            model.real(config, "shunt_reactance", "ratio", shunt.imag),
+        )
+    parts = {"%noloadloss": shunt.real, "%imag": shunt.imag}
     return {name: 100.0 / value for name, value in parts.items() if 0.0 < value < _LARGEST_SHUNT}
 
 
@@ -90,16 +103,18 @@ def _line_to_neutral(volts: float, base_v: float) -> float:
 def _add_centre_tapped(script: CircuitScript, item: GlmObject, config: GlmObject, phase: str) -> None:
     """A transformer of three windings: half of the resistance and 0.8 of the reactance are in the primary.
 
-    Each of the other two has the whole resistance and 0.4 of the reactance, unless ``impedance1`` gives all of them.
+    Each of the other two has the whole resistance and 0.4 of the reactance, unless ``impedance1`` or ``impedance2``
+    are written: those are the other two, alike if one is missing, and ``impedance`` is the primary.
     """
     model, buses = script.model, script.buses
     first, second = buses.ends(item)
-    one = f"power{phase}_rating"
-    kva = model.positive(config, one if one in config.properties else "power_rating", "rating")
-    z = _impedance(model, config)
+    kva = _phase_kva(script, item, config, phase)
+    losses = _test_losses(model, config)
+    z, shunt = losses or (_impedance(model, config), None)
+    halves = [_impedance(model, config, number) for number in "12"]
     windings = [complex(0.5 * z.real, 0.8 * z.imag), *2 * [complex(z.real, 0.4 * z.imag)]]
-    if _impedance(model, config, "1"):
-        windings = [z, _impedance(model, config, "1"), _impedance(model, config, "2")]
+    if any(halves):
+        windings = [z, halves[0] or halves[1], halves[1] or halves[0]]
     if not z.imag > 0.0:
         wrong(item, "configuration", "needs a positive reactance, or the imaginary part of impedance")
     primary, secondary = (model.positive(config, f"{w}_voltage", "voltage") / 1000.0 for w in ("primary", "secondary"))
@@ -108,5 +123,16 @@ def _add_centre_tapped(script: CircuitScript, item: GlmObject, config: GlmObject
         "Transformer", script.names.unique("transformer", item.name), phases=1, windings=3,
         buses=(buses.terminal(first, phase), f"{second}.1.0", f"{second}.0.2"), conns=("wye", "wye", "wye"),
         kvs=(primary, secondary, secondary), kvas=(kva, kva, kva), xhl=x + x_1, xht=x + x_2, xlt=x_1 + x_2, ppm=0,
-        **{"%rs": [100.0 * winding.real for winding in windings]}, **_core(model, config),
+        **{"%rs": [100.0 * winding.real for winding in windings]}, **_core(model, config, shunt),
     )  # fmt: skip
+
+
+def _phase_kva(script: CircuitScript, item: GlmObject, config: GlmObject, phase: str) -> float:
+    """Rating of the phase of a centre-tapped transformer, kVA; as in GridLAB-D, ``power_rating`` is that of three."""
+    model = script.model
+    if any(f"power{letter}_rating" in config.properties for letter in "ABC"):
+        return model.positive(config, f"power{phase}_rating", "rating")
+    kva = model.positive(config, "power_rating", "rating") / 3.0
+    text = f"rated {kva:g} kVA, a third of power_rating, as in GridLAB-D; write power{phase}_rating otherwise"
+    script.report.add("nothing lost", item.kind, item.name, text)
+    return kva

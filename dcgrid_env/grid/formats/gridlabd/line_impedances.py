@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from dcgrid_env.grid.formats.gridlabd.glm_model import Model, wrong
 from dcgrid_env.grid.formats.gridlabd.glm_text import GlmObject
+from dcgrid_env.grid.formats.import_report import Report
 
 Matrix = NDArray[Any]
 _R_EARTH, _X_EARTH = 0.00158836, 0.00202237
 """Resistance of the earth return and factor of the reactance, Ohm/mile per Hz."""
 _EARTH_OHM_M = 100.0
-_PERMITTIVITY = 0.01424
-"""Permittivity of air, microfarad/mile."""
+_PERMITTIVITY, _CABLE_PERMITTIVITY = 0.01424, 0.0142
+"""Permittivity of air and, as GridLAB-D has it for cables, of free space, microfarad/mile."""
 _OVERHEAD = ("overhead_line_conductor",)
 _CABLE = ("underground_line_conductor",)
 _TRIPLEX = ("triplex_line_conductor",)
@@ -35,7 +36,9 @@ class Wire:
     gmr: float
 
 
-def line_matrices(model: Model, line: GlmObject, phases: str, frequency_hz: float) -> tuple[Matrix, Matrix]:
+def line_matrices(
+    model: Model, line: GlmObject, phases: str, frequency_hz: float, report: Report
+) -> tuple[Matrix, Matrix]:
     """Impedance in Ohm/mile and capacitance in nF/mile over the phases of a line, ``"12"`` for a triplex line."""
     triplex = line.kind == "triplex_line"
     kind = "triplex_line_configuration" if triplex else "line_configuration"
@@ -49,9 +52,14 @@ def line_matrices(model: Model, line: GlmObject, phases: str, frequency_hz: floa
     spacing = model.reference(config, "spacing", "line_spacing")
     has_neutral = "N" in model.phases(line) and "conductor_N" in config.properties
     places = phases + ("N" if has_neutral else "")
+    d = _distances(model, spacing, places)
+    apart = [f"{places[i]}{places[j]}" for i, j in zip(*np.nonzero(np.triu(d == 0.0, 1)), strict=True)]
+    if apart:
+        text = f"no coupling between {', '.join(apart)}, as in GridLAB-D: distances of 0 in line_spacing {spacing.name}"
+        report.add("nothing lost", line.kind, line.name, text)
     if line.kind == "overhead_line":
-        return _overhead(model, config, spacing, places, len(phases), frequency_hz)
-    return _underground(model, config, spacing, places, len(phases), frequency_hz)
+        return _overhead(model, config, spacing, places, d, len(phases), frequency_hz)
+    return _underground(model, config, places, d, len(phases), frequency_hz)
 
 
 def _given(model: Model, config: GlmObject, numbers: list[int], letter: str, quantity: str) -> Matrix:
@@ -69,15 +77,16 @@ def carson(wires: list[Wire], distances: Matrix, frequency_hz: float) -> Matrix:
     wires
         The conductors.
     distances
-        Distance between each two, ft; the diagonal is not used.
+        Distance between each two, ft; 0 for those without coupling. The diagonal is not used.
     frequency_hz
         System frequency, Hz.
     """
     distances = np.array(distances, float)
     np.fill_diagonal(distances, [wire.gmr for wire in wires])
     added = math.log(_EARTH_OHM_M / frequency_hz) / 2.0 + 7.6786
-    reactance = _X_EARTH * frequency_hz * (np.log(1.0 / distances) + added)
-    return np.diag([wire.resistance for wire in wires]) + _R_EARTH * frequency_hz + 1j * reactance
+    coupled = distances > 0.0
+    reactance = _X_EARTH * frequency_hz * (added - np.log(np.where(coupled, distances, 1.0)))
+    return np.diag([wire.resistance for wire in wires]) + coupled * (_R_EARTH * frequency_hz + 1j * reactance)
 
 
 def reduced(m: Matrix, kept: int) -> Matrix:
@@ -88,16 +97,20 @@ def reduced(m: Matrix, kept: int) -> Matrix:
 
 
 def _distances(model: Model, spacing: GlmObject, places: str) -> Matrix:
+    """Distance between each two conductors, ft; GridLAB-D's default is 0."""
     size = len(places)
     d = np.ones((size, size))
     for i in range(size):
         for j in range(i + 1, size):
-            d[i, j] = d[j, i] = model.positive(spacing, f"distance_{places[i]}{places[j]}", "length")
+            name = f"distance_{places[i]}{places[j]}"
+            d[i, j] = d[j, i] = model.real(spacing, name, "length", 0.0)
+            if d[i, j] < 0.0:
+                wrong(spacing, name, "must not be negative")
     return d
 
 
 def _overhead(
-    model: Model, config: GlmObject, spacing: GlmObject, places: str, kept: int, frequency_hz: float
+    model: Model, config: GlmObject, spacing: GlmObject, places: str, d: Matrix, kept: int, frequency_hz: float
 ) -> tuple[Matrix, Matrix]:
     conductors = [model.reference(config, f"conductor_{place}", *_OVERHEAD) for place in places]
     wires = [
@@ -107,13 +120,14 @@ def _overhead(
         )
         for one in conductors
     ]
-    d = _distances(model, spacing, places)
     z = reduced(carson(wires, d, frequency_hz), kept)
     diameters = np.array([model.real(one, "diameter", "diameter", 0.0) for one in conductors])
     heights = np.array([model.real(spacing, f"distance_{place}E", "length", 0.0) for place in places])
     if diameters.min() <= 0.0 or heights.min() <= 0.0:
         return z, np.zeros((kept, kept))
     images = np.sqrt(d**2 + 4.0 * np.outer(heights, heights))
+    images[d == 0.0] = 1.0  # no coupling
+    d = np.where(d == 0.0, 1.0, d)
     np.fill_diagonal(d, diameters / 24.0)
     np.fill_diagonal(images, 2.0 * heights)
     potentials = np.log(images / d) / (2.0 * math.pi * _PERMITTIVITY)
@@ -121,7 +135,7 @@ def _overhead(
 
 
 def _underground(
-    model: Model, config: GlmObject, spacing: GlmObject, places: str, kept: int, frequency_hz: float
+    model: Model, config: GlmObject, places: str, d: Matrix, kept: int, frequency_hz: float
 ) -> tuple[Matrix, Matrix]:
     """Cables with concentric neutral strands, with a tape shield, or with neither."""
     conductors = [model.reference(config, f"conductor_{place}", *_CABLE) for place in places]
@@ -134,7 +148,7 @@ def _underground(
     ]
     screens = [(k, *found) for k, one in enumerate(conductors[:kept]) if (found := _screen(model, one))]
     placed = [*range(len(wires)), *(k for k, *_ in screens)]
-    d = _distances(model, spacing, places)[np.ix_(placed, placed)]
+    d = d[np.ix_(placed, placed)]
     for row, (k, _, radius, _) in enumerate(screens, start=len(wires)):
         d[k, row] = d[row, k] = radius
     z = carson([*wires, *(wire for _, wire, *_ in screens)], d, frequency_hz)
@@ -148,11 +162,15 @@ def _screen(model: Model, cable: GlmObject) -> tuple[Wire, float, float] | None:
     """Screen of a cable as one conductor, its radius in ft, and its capacitance to the phase in nF/mile."""
     inner_ft = model.real(cable, "conductor_diameter", "diameter", 0.0) / 24.0
     permittivity = model.real(cable, "insulation_relative_permitivitty", "ratio", 1.0)
-    charge = 2e3 * math.pi * _PERMITTIVITY * permittivity
+    charge = 2e3 * math.pi * _CABLE_PERMITTIVITY * permittivity
     shield_ft = model.real(cable, "shield_gmr", "length", 0.0)
     if shield_ft > 0.0:
         wire = Wire(model.real(cable, "shield_resistance", "impedance per length", 0.0), shield_ft)
-        return wire, shield_ft, charge / math.log(shield_ft / inner_ft) if 0.0 < inner_ft < shield_ft else 0.0
+        diameter, thickness = (
+            model.real(cable, f"shield_{name}", "diameter", 0.0) for name in ("diameter", "thickness")
+        )
+        radius = (diameter - thickness) / 24.0 if diameter > 0.0 else shield_ft
+        return wire, shield_ft, charge / math.log(radius / inner_ft) if 0.0 < inner_ft < radius else 0.0
     strands = model.real(cable, "neutral_strands", "ratio", 0.0)
     gmr = model.real(cable, "neutral_gmr", "length", 0.0)
     if strands <= 0.0 or gmr <= 0.0:
@@ -180,8 +198,10 @@ def _triplex(model: Model, config: GlmObject, frequency_hz: float) -> Matrix:
         )
         for one in conductors
     ]
-    diameter = model.positive(config, "diameter", "diameter") / 12.0
-    thickness = model.real(config, "insulation_thickness", "diameter") / 12.0
+    diameter = model.real(config, "diameter", "diameter", 0.0) / 12.0
+    thickness = model.real(config, "insulation_thickness", "diameter", 0.0) / 12.0
+    if not diameter + thickness > 0.0:
+        wrong(config, "diameter", "must be positive, or insulation_thickness")
     d = np.full((3, 3), diameter + thickness)
     d[0, 1] = d[1, 0] = diameter + 2.0 * thickness
     return reduced(carson(wires, d, frequency_hz), 2)

@@ -1,4 +1,4 @@
-"""Read OpenDSS circuits in a child process, because some files crash OpenDSS or need too much time or memory.
+"""Read three-phase circuits in a child process, because some files crash OpenDSS or need too much time or memory.
 
 The child imports this package, reads the circuit and writes tables as JSON; none of its failures is the caller's.
 """
@@ -6,6 +6,7 @@ The child imports this package, reads the circuit and writes tables as JSON; non
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import math
 import os
@@ -15,7 +16,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -33,6 +34,7 @@ LONGEST_S = 300.0
 LARGEST_MEMORY_BYTES = 4 * 2**30
 """Address space of the child, where the operating system limits it; the largest public circuits take 0.5 GiB."""
 _UNLIMITED = "if you trust the file, --trust reads it without limits of time and memory"
+_CRASHES = "leave elements out to find the one that OpenDSS cannot read"
 _WATCH_S = 0.5
 _VOLTAGES = ("v_pu", "v_pu_without")
 
@@ -62,9 +64,41 @@ def read_opendss(
         allowed, naming them. If OpenDSS crashes, or takes more than ``LONGEST_S`` or ``LARGEST_MEMORY_BYTES``.
         If OpenDSSDirect.py is missing.
     """
+    options = {"trust": trust, "root": None if root is None else str(root)}
+    return read_in_child(read_circuit, str(master), allow, options, _UNLIMITED, is_limited=not trust)
+
+
+def read_in_child(
+    read: Callable[..., Imported],
+    file: str,
+    allow: Collection[str],
+    options: dict[str, Any],
+    remedy: str,
+    *,
+    is_limited: bool = True,
+) -> Imported:
+    """Return what a function of a module reads from a file, with limits of time and memory.
+
+    Parameters
+    ----------
+    read
+        Function at the top of its module, which the child calls with the file, ``allow`` and the options.
+    file, allow, options
+        Its arguments; options by name, as plain values.
+    remedy
+        What to do about a file that takes too much time or memory.
+    is_limited
+        Whether the limits hold.
+
+    Raises
+    ------
+    FeederError
+        As the function raises it, and if the child crashes or exceeds ``LONGEST_S`` or ``LARGEST_MEMORY_BYTES``.
+    """
     # The child finds modules where this process does.
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"
-    asked = json.dumps([str(master), list(allow), trust, None if root is None else str(root), os.getpid()])
+    wanted = {"module": read.__module__, "function": read.__name__, "file": file, "remedy": remedy,
+              "options": options | {"allow": list(allow)}, "is_limited": is_limited, "parent": os.getpid()}  # fmt: skip
     child = subprocess.Popen(
         [sys.executable, "-c", code],
         stdin=subprocess.PIPE,
@@ -73,9 +107,9 @@ def read_opendss(
         env=os.environ | dict.fromkeys(THREADS, "1"),
     )
     try:
-        said, errors = child.communicate(asked.encode(), None if trust else LONGEST_S)
+        said, errors = child.communicate(json.dumps(wanted).encode(), LONGEST_S if is_limited else None)
     except subprocess.TimeoutExpired:
-        raise FeederError(f"{master}: reading it took more than {LONGEST_S:g} s; {_UNLIMITED}") from None
+        raise FeederError(f"{file}: reading it took more than {LONGEST_S:g} s; {remedy}") from None
     finally:  # on Ctrl-C and SIGTERM too
         child.kill()
         child.wait()
@@ -83,7 +117,7 @@ def read_opendss(
             if pipe:
                 pipe.close()
     if child.returncode:
-        raise FeederError(_crashed(str(master), child.returncode, errors.decode(errors="replace")))
+        raise FeederError(_crashed(file, child.returncode, errors.decode(errors="replace")))
     answer = json.loads(said)
     if "error" in answer:
         failed = FeederError(answer["error"])
@@ -92,15 +126,13 @@ def read_opendss(
     return _imported(answer)
 
 
-def _crashed(master: str, code: int, errors: str) -> str:
+def _crashed(file: str, code: int, errors: str) -> str:
     how = f"ended with exit code {code}"
     if code < 0:
         with contextlib.suppress(ValueError):
             how = f"crashed with {signal.Signals(-code).name}"
     said = f" ({errors.strip().splitlines()[-1]})" if errors.strip() else ""
-    return (
-        f"{master}: the process that reads it {how}{said}; leave elements out to find the one that OpenDSS cannot read"
-    )
+    return f"{file}: the process that reads it {how}{said}; {_CRASHES}"
 
 
 def _imported(answer: dict[str, Any]) -> Imported:
@@ -132,26 +164,27 @@ def _tuples(values: object) -> Any:
 
 def main() -> None:
     """Read the circuit that standard input names, and write it, or what is wrong, to standard output."""
-    master, allow, trust, root, parent = json.load(sys.stdin)
+    wanted = json.load(sys.stdin)
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as out:
         for stream in (1, 2):  # what OpenDSS prints is nobody's
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-        longest_s = math.inf if trust else LONGEST_S
-        threading.Thread(target=_end_without, args=(parent, longest_s), daemon=True).start()
-        if not trust:
+        longest_s = LONGEST_S if wanted["is_limited"] else math.inf
+        threading.Thread(target=_end_without, args=(wanted["parent"], longest_s), daemon=True).start()
+        read = getattr(importlib.import_module(wanted["module"]), wanted["function"])
+        if wanted["is_limited"]:
             _limit_memory()
-        json.dump(_answer(master, allow, trust, root), out)
+        json.dump(_answer(read, wanted["file"], wanted["options"], wanted["remedy"]), out)
 
 
-def _answer(master: str, allow: list[str], trust: bool, root: str | None) -> dict[str, Any]:
+def _answer(read: Callable[..., Imported], file: str, options: dict[str, Any], remedy: str) -> dict[str, Any]:
     try:
-        found = read_circuit(master, allow=allow, trust=trust, root=root)
+        found = read(file, **options)
     except FeederError as error:
         said = str(error)
     except MemoryError:
-        said = f"{master}: reading it takes more than {LARGEST_MEMORY_BYTES // 2**30} GiB; {_UNLIMITED}"
+        said = f"{file}: reading it takes more than {LARGEST_MEMORY_BYTES // 2**30} GiB; {remedy}"
     except Exception as error:
-        said = f"{master}: reading it ended in {type(error).__name__}: {' '.join(str(error).split())}; report the file"
+        said = f"{file}: reading it ended in {type(error).__name__}: {' '.join(str(error).split())}; report the file"
     else:
         voltages = {field: {node: (v.real, v.imag) for node, v in getattr(found, field).items()} for field in _VOLTAGES}
         return asdict(found) | voltages

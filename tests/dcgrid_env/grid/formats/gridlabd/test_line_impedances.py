@@ -7,6 +7,7 @@ from dcgrid_env import FeederError
 from dcgrid_env.grid.formats.gridlabd.glm_model import Model
 from dcgrid_env.grid.formats.gridlabd.glm_text import GlmFile
 from dcgrid_env.grid.formats.gridlabd.line_impedances import line_matrices
+from dcgrid_env.grid.formats.import_report import Report
 
 MODEL = """
 object overhead_line_conductor { name big; geometric_mean_radius 0.0313; diameter 0.927 in; resistance 0.1859; }
@@ -43,7 +44,7 @@ def test_matrices_are_those_that_ieee_publishes(name, tmp_path):
     path.write_text(MODEL)
     model = Model(GlmFile(path))
     line = next(item for item in model.file.objects if item.name == name)
-    z, c = line_matrices(model, line, "ABC"[: len(PUBLISHED[name][0])], 60.0)
+    z, c = line_matrices(model, line, "ABC"[: len(PUBLISHED[name][0])], 60.0, Report("model"))
     published_z, published_b = (np.triu(m) for m in PUBLISHED[name])
     np.testing.assert_allclose(np.triu(z), published_z, rtol=0.0, atol=1e-3)
     np.testing.assert_allclose(np.triu(c) * 2e-3 * np.pi * 60.0, published_b, rtol=1e-2)
@@ -54,7 +55,7 @@ def test_matrices_are_those_that_ieee_publishes(name, tmp_path):
     [
         ("geometric_mean_radius 0.0313; ", "", "overhead_line_conductor big: geometric_mean_radius is missing; add it"),
         ("resistance 0.1859", "resistance 0", "resistance '0' must be positive"),
-        ("distance_BC 7.0; ", "", "line_spacing pole: distance_BC is missing"),
+        ("distance_BC 7.0", "distance_BC -7.0", "line_spacing pole: distance_BC '-7.0' must not be negative"),
         ("conductor_B big", "conductor_B none", "conductor_B 'none' is no object of the model"),
         (
             "conductor_B big",
@@ -70,4 +71,4 @@ def test_errors_name_object_property_and_value(old, new, said, tmp_path):
     model = Model(GlmFile(path))
     line = next(item for item in model.file.objects if item.name == "601")
     with pytest.raises(FeederError, match=said):
-        line_matrices(model, line, "ABC", 60.0)
+        line_matrices(model, line, "ABC", 60.0, Report("model"))

@@ -4,6 +4,7 @@ import pytest
 
 from dcgrid_env import FeederError
 from dcgrid_env.grid.formats.gridlabd import read_gridlabd
+from dcgrid_env.grid.formats.gridlabd.glm_reading import read_model
 from helpers.gridlabd_text import CABLES, CAPACITORS, HEAD, REGULATOR, SPLIT_PHASE, TRANSFORMERS
 
 pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
@@ -143,7 +144,7 @@ def test_what_is_lost_must_be_allowed(model):
         ("object switch { name s; phases ABCN; from n1; to lc; }", "to 'lc' is a line_configuration; must be one of"),
         ("object switch { name s; phases ABCN; from n1; to base; }", "to 'base' is the bus that it comes from"),
         ("object switch { name s; phases Q; from n1; to src; }", "phases 'Q' must be letters among"),
-        ("object switch { name s; phases A; from n1; to src; status AJAR; }", "status 'AJAR' must be CLOSED or OPEN"),
+        ("object switch { name s; phases A; from n1; to src; status AJAR; }", "status 'AJAR' must be one of OPEN .0., CLOSED .1."),
         ("object load { name l; parent n1; phases AN; constant_power_A 5 ft; }", "constant_power_A '5 ft' must be in"),
         ("object load { name l; parent n1; phases AN; shunt_A 1; }", "load l: shunt_A '1' cannot be read here"),
         ("object load { name l; parent l; phases AN; }", "load l: parent 'l' makes a circle"),
@@ -151,30 +152,33 @@ def test_what_is_lost_must_be_allowed(model):
         ("object node { name x; phases A; bustype SWING; nominal_voltage 1; }", "the buses src, x as sources"),
         ("object node { name x; phases A; }", "node x: nominal_voltage is missing; add it"),
         ("object capacitor { name c; phases A; }", "capacitor c: parent is missing"),
-        ("object load { name l; parent n1; phases AN; base_power_A 9; power_fraction_A 0.5; nominal_voltage 7200; }",
-         "power_fraction_A '0.5' and the fractions of current and impedance must add up to 1"),
-        (TRANSFORMERS.replace("connect_type WYE_WYE", "connect_type OPEN_WYE"), "connect_type 'OPEN_WYE' cannot be"),
+        ("object load { name l; parent n1; phases AN; base_power_A 9; power_pf_A 1.5; }", "power_pf_A '1.5' must be from"),
+        ("object node { name x; phases ABC; bustype 1; nominal_voltage 7200; }", "bustype '1' keeps a voltage"),
+        ("object node { name x; phases ABC; bustype 3; nominal_voltage 7200; }", "the buses src, x as sources"),
+        ("object node { name x; phases 512; nominal_voltage 7200; }", "phases '512' must be letters among A, B, C"),
+        ("object switch { name s; phases AS; from n1; to src; }", "phases 'AS' has S, which no switch"),
+        (TRANSFORMERS.replace("connect_type WYE_WYE", "connect_type OPEN_WYE"), "connect_type 'OPEN_WYE' must be one of WYE_WYE"),
         (TRANSFORMERS.replace("primary_voltage 12470", "primary_voltage 0"), "primary_voltage '0' must be positive"),
         (TRANSFORMERS.replace("reactance 0.05", "reactance 0"), "needs a positive reactance"),
         (TRANSFORMERS.replace("to low2;", "to low2; status OPEN;"), "t2: status 'OPEN' cannot be represented"),
-        (REGULATOR.replace("MORE", "Control SOMEHOW;"), "Control 'SOMEHOW' must be one of MANUAL"),
+        (REGULATOR.replace("MORE", "Control SOMEHOW;"), "Control 'SOMEHOW' must be one of MANUAL .1., OUTPUT_VOLTAGE .2., REMOTE_NODE .3., LINE_DROP_COMP .4."),
         (LDC.replace("connect_type WYE_WYE", "connect_type CLOSED_DELTA"), "connect_type 'CLOSED_DELTA' cannot be"),
     ],
 )  # fmt: skip
 def test_errors_name_file_line_object_property_and_value(text, said, model):
     with pytest.raises(FeederError, match=said) as refused:
-        read_gridlabd(model(text))
+        read_model(model(text))
     assert "\n" not in str(refused.value)
     assert "model" in str(refused.value)
 
 
 def test_unknown_losses_and_missing_files(model, tmp_path):
     with pytest.raises(FeederError, match="'nonsense' is no kind of loss; choose among"):
-        read_gridlabd(model(), allow=["nonsense"])
+        read_model(model(), allow=["nonsense"])
     with pytest.raises(FeederError, match="there is no file"):
-        read_gridlabd(tmp_path / "none.glm")
+        read_model(tmp_path / "none.glm")
     with pytest.raises(FeederError, match="no source"):
-        read_gridlabd(model("object node { name n; phases A; nominal_voltage 1; }", head=""))
+        read_model(model("object node { name n; phases A; nominal_voltage 1; }", head=""))
     unbalanced = HEAD.replace("voltage_A 7344", "voltage_A 7000")
     with pytest.raises(FeederError, match=r"source src: its voltages are not balanced.*--allow source"):
-        read_gridlabd(model(head=unbalanced))
+        read_model(model(head=unbalanced))
