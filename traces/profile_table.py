@@ -165,8 +165,8 @@ def checked_table(
     for i in np.flatnonzero(steps <= 0.0)[:1]:
         how = "repeats the time before it" if steps[i] == 0.0 else "is before the time of the sample before it"
         raise TraceError(
-            f"{file}, {where(i + 1)}, column 'time': it {how}; sort the samples by time, one at each, or give UTC offsets "
-            "to local times"
+            f"{file}, {where(i + 1)}, column 'time': it {how}; sort the samples by time, one at each, or give UTC "
+            "offsets to local times"
         )
     step_s = float(np.median(steps))
     if not LEAST_STEP_S - 1e-9 <= step_s <= MOST_STEP_S + 1e-9:

@@ -10,6 +10,8 @@ from dcgrid_env.grid.topology import FeederError
 
 Fate = Literal["taken", "nothing lost", "lost", "refused"]
 _SHOWN = 5
+UNBALANCED = "its phases differ, and each gets their mean in a balanced feeder"
+"""What becomes of a load or generator with a power for each phase."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import json
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 
@@ -29,7 +30,9 @@ def _run(what, path, wanted):
     if importlib.util.find_spec("gridlabd") is None:
         pytest.skip("gridlabd is not installed (extra test, on Linux)")
     command = [sys.executable, "-W", "ignore", __file__, what, str(path), json.dumps(wanted)]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout)
+    folder = Path(path).parent  # where GridLAB-D leaves a file
+    ran = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60, cwd=folder)
+    return json.loads(ran.stdout)
 
 
 def _loaded(path):

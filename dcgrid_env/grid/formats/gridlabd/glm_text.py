@@ -160,7 +160,8 @@ class GlmFile:
             variable, _, value = rest.rstrip(";").partition("=")
             if len(value) > _LONGEST_VALUE:
                 raise FeederError(
-                    f"{where}: #{name} {variable.strip()[:60]} has {len(value)} characters; give at most {_LONGEST_VALUE}"
+                    f"{where}: #{name} {variable.strip()[:60]} has {len(value)} characters; give at most "
+                    f"{_LONGEST_VALUE}"
                 )
             self._variables[variable.strip()] = value.strip().strip("\"'")
             self.skipped.append((f"#{name} {variable.strip()}", where))

@@ -98,7 +98,9 @@ def read_in_child(
     # The child finds modules where this process does.
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"
     wanted = {"module": read.__module__, "function": read.__name__, "file": file, "remedy": remedy,
-              "options": options | {"allow": list(allow)}, "is_limited": is_limited, "parent": os.getpid()}  # fmt: skip
+              "options": options | {"allow": list(allow)}, "parent": os.getpid(),
+              "longest_s": LONGEST_S if is_limited else None,
+              "most_bytes": LARGEST_MEMORY_BYTES if is_limited else None}  # fmt: skip
     child = subprocess.Popen(
         [sys.executable, "-c", code],
         stdin=subprocess.PIPE,
@@ -107,7 +109,7 @@ def read_in_child(
         env=os.environ | dict.fromkeys(THREADS, "1"),
     )
     try:
-        said, errors = child.communicate(json.dumps(wanted).encode(), LONGEST_S if is_limited else None)
+        said, errors = child.communicate(json.dumps(wanted).encode(), wanted["longest_s"])
     except subprocess.TimeoutExpired:
         raise FeederError(f"{file}: reading it took more than {LONGEST_S:g} s; {remedy}") from None
     finally:  # on Ctrl-C and SIGTERM too
@@ -168,21 +170,23 @@ def main() -> None:
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as out:
         for stream in (1, 2):  # what OpenDSS prints is nobody's
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-        longest_s = LONGEST_S if wanted["is_limited"] else math.inf
+        longest_s = math.inf if wanted["longest_s"] is None else wanted["longest_s"]
         threading.Thread(target=_end_without, args=(wanted["parent"], longest_s), daemon=True).start()
         read = getattr(importlib.import_module(wanted["module"]), wanted["function"])
-        if wanted["is_limited"]:
-            _limit_memory()
-        json.dump(_answer(read, wanted["file"], wanted["options"], wanted["remedy"]), out)
+        if wanted["most_bytes"] is not None:
+            _limit_memory(wanted["most_bytes"])
+        json.dump(_answer(read, wanted), out)
 
 
-def _answer(read: Callable[..., Imported], file: str, options: dict[str, Any], remedy: str) -> dict[str, Any]:
+def _answer(read: Callable[..., Imported], wanted: dict[str, Any]) -> dict[str, Any]:
+    file = wanted["file"]
     try:
-        found = read(file, **options)
+        found = read(file, **wanted["options"])
     except FeederError as error:
         said = str(error)
     except MemoryError:
-        said = f"{file}: reading it takes more than {LARGEST_MEMORY_BYTES // 2**30} GiB; {remedy}"
+        most = f" than {wanted['most_bytes'] / 2**30:g} GiB" if wanted["most_bytes"] else " than there is"
+        said = f"{file}: reading it takes more memory{most}; {wanted['remedy']}"
     except Exception as error:
         said = f"{file}: reading it ended in {type(error).__name__}: {' '.join(str(error).split())}; report the file"
     else:
@@ -199,12 +203,12 @@ def _end_without(parent: int, longest_s: float) -> None:
     os._exit(1)
 
 
-def _limit_memory() -> None:
+def _limit_memory(most_bytes: int) -> None:
     """Limit the address space where the operating system can, and leave no memory image behind."""
     try:
         import resource
     except ImportError:  # Windows
         return
-    for limit, value in ((resource.RLIMIT_AS, LARGEST_MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
+    for limit, value in ((resource.RLIMIT_AS, most_bytes), (resource.RLIMIT_CORE, 0)):
         with contextlib.suppress(ValueError, OSError):  # above a limit that is set, or not known to the system
             resource.setrlimit(limit, (value, value))

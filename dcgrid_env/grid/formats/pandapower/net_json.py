@@ -96,6 +96,9 @@ def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, A
             raise FeederError(f"{file}: {key} is {value!r}; give a positive number")
         net[key] = float(value)
     net["name"] = str(members.get("name") or "")
+    options = members.get("user_pf_options")
+    if isinstance(options, dict):
+        net["user_pf_options"] = {str(name): None for name in options}
     for name, plain in tables.items():
         if not plain["index"]:
             continue

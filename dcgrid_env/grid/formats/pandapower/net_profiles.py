@@ -34,7 +34,8 @@ class NetProfiles:
 
     def __init__(self, called: str, net: Any, report: Report):
         self.changes: dict[Any, tuple[np.ndarray, np.ndarray]] = {}
-        """Bus of the net, and what its loads, generators and storages draw beyond their present power, kW and kvar, (sample,)."""
+        """Bus of the net, and what its loads, generators and storages draw beyond their present power, kW and kvar,
+        (sample,)."""
         self._called, self._times = called, None
         profiles = net.get("profiles")
         if not isinstance(profiles, dict):

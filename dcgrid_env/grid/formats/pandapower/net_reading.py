@@ -19,7 +19,7 @@ import numpy as np
 from dcgrid_env.grid.formats.bus_branch import BusBranchGrid, ClosedSwitch, ImportedFeeder, Source, imported
 from dcgrid_env.grid.formats.bus_branch.bus_naming import errors_naming, named_buses
 from dcgrid_env.grid.formats.bus_branch.description import empty_grid
-from dcgrid_env.grid.formats.import_report import Report
+from dcgrid_env.grid.formats.import_report import UNBALANCED, Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
 from dcgrid_env.grid.formats.pandapower.net_profiles import NetProfiles
 from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, PandapowerNet, check_net
@@ -28,6 +28,11 @@ from dcgrid_env.grid.topology import FeederError
 
 _TOLERANCES_MVA = (1e-9, 1e-7, 1e-5)
 """Mismatch at which pandapower's power flow ends; coarser where rounding does not let it reach a finer one."""
+_OPTIONS = {
+    "trafo_model", "trafo3w_losses", "voltage_depend_loads", "consider_line_temperature", "switch_rx_ratio",
+    "neglect_open_switch_branches", "distributed_slack", "tdpf",
+}  # fmt: skip
+"""Options of pandapower's power flow that change its model of a net."""
 _BS, _GS, _PD, _QD, _VALUES = 5, 4, 2, 3, (13, 14, 16, 17)
 """Columns of pandapower's model of buses: shunts, loads, and shares of constant current and impedance of P and Q."""
 
@@ -80,6 +85,8 @@ def read_pandapower(
                 "lost", "controller", map(str, net.controller.index), "it moves nothing: taps stay as they are"
             )
         _report_what_is_refused(net, report)
+        _report_taps(net, report)
+        _report_options(net, report)
         converged = _solve(called, net)
         rows = ModelRows(net)
         grid = _grid(called, net, rows, bus_names)
@@ -178,6 +185,12 @@ def _report_what_is_refused(net: PandapowerNet, report: Report) -> None:
             report.add_all("nothing lost", name, map(str, table.index[~live]), "out of service: it is left out")
 
 
+def _report_options(net: PandapowerNet, report: Report) -> None:
+    options = _OPTIONS & set(net.get("user_pf_options") or ())
+    text = "the net's option of the power flow is ignored: pandapower's default holds"
+    report.add_all("lost", "user_pf_options", sorted(options), text)
+
+
 def _add_switches(net: PandapowerNet, grid: BusBranchGrid, rows: ModelRows, report: Report) -> None:
     table = net.switch
     for i, bus, element, et, closed in zip(table.index, table.bus, table.element, table.et, table.closed, strict=True):
@@ -204,13 +217,48 @@ def _add_loads(net: PandapowerNet, grid: BusBranchGrid, rows: ModelRows, report:
         live = table.in_service.to_numpy(dtype=bool) & table.bus.map(net.bus.in_service).to_numpy(dtype=bool)
         text = "a load" if "load" in kind or kind == "motor" else "a negative load" if "sgen" in kind else kind
         texts = {"storage": "a load of its present power", "ward": "a load and a shunt", "shunt": "a shunt"}
-        report.add_all("taken", kind, map(str, table.index[live]), texts.get(kind, text))
+        unbalanced = live & _is_unbalanced(table) if kind.startswith("asymmetric") else np.zeros(len(table), bool)
+        report.add_all("taken", kind, map(str, table.index[live & ~unbalanced]), texts.get(kind, text))
+        report.add_all("lost", kind, map(str, table.index[unbalanced]), UNBALANCED)
         report.add_all("nothing lost", kind, map(str, table.index[~live]), "out of service: it is left out")
     moved = (abs(p * i_p) > 0) | (abs(q * i_q) > 0)
     share = [c for c in ("const_i_p_percent", "const_i_q_percent") if c in net.load.columns]
     if moved.any():
         names = net.load.index[(net.load[share] != 0).any(axis=1)]
         report.add_all("lost", "load", map(str, names), "its share of constant current becomes constant power")
+
+
+def _is_unbalanced(table: Any) -> np.ndarray:
+    """Whether the phases of each load or generator differ, (row,)."""
+    different = np.zeros(len(table), bool)
+    for unit in ("p_{}_mw", "q_{}_mvar"):
+        phases = table[[unit.format(phase) for phase in "abc"]].to_numpy(dtype=float)
+        different |= ~np.isclose(phases, phases.mean(axis=1, keepdims=True), atol=0.0).all(axis=1)
+    return different
+
+
+def _report_taps(net: PandapowerNet, report: Report) -> None:
+    """Report taps off their neutral position that pandapower ignores because they have no type."""
+    for kind, tap in itertools.product(("trafo", "trafo3w"), ("tap", "tap2")):
+        table = net[kind]
+        if f"{tap}_pos" not in table.columns:
+            continue
+        steps = [f"{tap}_step_{unit}" for unit in ("percent", "degree") if f"{tap}_step_{unit}" in table.columns]
+        for i, row in table.iterrows():
+            of_type = row.get(f"{tap}_changer_type")
+            has_type = isinstance(of_type, str) and of_type != ""
+            position, neutral = _number(row[f"{tap}_pos"]), _number(row.get(f"{tap}_neutral"))
+            if not has_type and position != neutral and any(_number(row[step]) for step in steps):
+                text = (
+                    f"its {tap}_pos {position:g} has no effect, as in pandapower, because {tap}_changer_type is empty: "
+                    "write Ratio if the tap is there"
+                )
+                report.add("nothing lost", f"tap of {kind}", str(i), text)
+
+
+def _number(cell: Any) -> float:
+    """A cell as a number; 0 for an empty one."""
+    return float(cell) if isinstance(cell, int | float | np.number) and cell == cell else 0.0
 
 
 def _add_sources(net: PandapowerNet, grid: BusBranchGrid, rows: ModelRows, report: Report, fix: bool) -> None:

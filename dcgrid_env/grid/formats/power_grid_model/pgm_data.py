@@ -16,6 +16,8 @@ from dcgrid_env.grid.topology import FeederError
 _REMEDY = "give a JSON file that power-grid-model wrote"
 _LARGEST = 1e18
 _KEYS = ("version", "type", "is_batch", "attributes", "data")
+_MAY_BE_LARGE = {"sk"}
+"""Fields in which a large number stands for an ideal element; any finite one is read."""
 _MAY_BE_INFINITE = {"i_n", "x_grounding_from", "x_grounding_to", "r_grounding_from", "r_grounding_to"}
 MISSING = f"power-grid-model is missing; {from_clone('power-grid-model')}"
 Data = dict[str, np.ndarray]
@@ -94,20 +96,21 @@ class _Look:
         for field, value in cells.items():
             fields = self.dtypes[component].fields or {}
             if field in fields:
-                self._cell(f"{where}: {field}", fields[field][0], value, field in _MAY_BE_INFINITE)
+                largest = float(np.finfo(float).max) if field in _MAY_BE_LARGE else _LARGEST
+                self._cell(f"{where}: {field}", fields[field][0], value, field in _MAY_BE_INFINITE, largest)
                 continue
             self.extra[component, field] = self.extra.get((component, field), 0) + 1
             if component == "node" and field == "name" and isinstance(value, str) and isinstance(cells.get("id"), int):
                 self.names[cells["id"]] = value
 
-    def _cell(self, where: str, dtype: np.dtype[Any], value: object, infinite: bool) -> None:
+    def _cell(self, where: str, dtype: np.dtype[Any], value: object, infinite: bool, largest: float) -> None:
         if value is None:
             return
         if dtype.shape:
             if not isinstance(value, list) or len(value) != dtype.shape[0]:
                 raise FeederError(f"{where} is {str(value)[:60]}; give {dtype.shape[0]} numbers")
             for one in value:
-                self._cell(where, dtype.base, one, infinite)
+                self._cell(where, dtype.base, one, infinite, largest)
         elif infinite and value in ("inf", "+inf", "-inf"):
             return
         elif isinstance(value, bool) or not isinstance(value, int | float):
@@ -118,7 +121,7 @@ class _Look:
                 raise FeederError(
                     f"{where} is {str(value)[:60]}; give a whole number of {limits.min + 1} to {limits.max}"
                 )
-        elif not abs(value) < _LARGEST and not (infinite and abs(value) == np.inf):
+        elif not abs(value) <= largest and not (infinite and abs(value) == np.inf):
             raise FeederError(f"{where} is {str(value)[:60]}; give a finite number")
 
 

@@ -64,11 +64,12 @@ DISTANCES = "distance_AB 2.5; distance_BC 4.5; distance_AC 7.0; distance_AN 5.66
 def overhead(distances):
     return (
         "object overhead_line_conductor { name oh; geometric_mean_radius 0.0244; resistance 0.306; diameter 0.721; }\n"
-        f"object line_spacing {{ name sp; {distances} distance_AE 28; distance_BE 28; distance_CE 28; distance_NE 24; }}\n"
+        f"object line_spacing {{ name sp; {distances} distance_AE 28; distance_BE 28; distance_CE 28;"
+        " distance_NE 24; }\n"
         "object line_configuration { name oc; conductor_A oh; conductor_B oh; conductor_C oh; conductor_N oh;"
         " spacing sp; }\n"
         "object overhead_line { name o; phases ABCN; from n1; to m; length 30000; configuration oc; }\n"
-        "object load { name m; phases ABCN; nominal_voltage 7200; constant_power_A 300+90j kVA; constant_power_B 2e5; }\n"
+        "object load { name m; phases ABCN; nominal_voltage 7200; constant_power_A 3e5+9e4j; constant_power_B 2e5; }\n"
     )
 
 
@@ -88,7 +89,7 @@ def cable(distances, conductor):
         f"object line_spacing {{ name sp; {distances} }}\n"
         "object line_configuration { name uc; conductor_A ug; conductor_B ug; conductor_C ug; spacing sp; }\n"
         "object underground_line { name u; phases ABC; from n1; to m; length 30000; configuration uc; }\n"
-        "object load { name m; phases ABCN; nominal_voltage 7200; constant_power_A 300+90j kVA; constant_power_B 2e5; }\n"
+        "object load { name m; phases ABCN; nominal_voltage 7200; constant_power_A 3e5+9e4j; constant_power_B 2e5; }\n"
     )
 
 

@@ -1,5 +1,7 @@
 """Text of .glm files: objects, comments, includes and conditions, and what is refused."""
 
+import time
+
 import pytest
 
 from dcgrid_env import FeederError
@@ -112,3 +114,53 @@ def test_files_are_read_below_the_root(tmp_path):
         GlmFile(sub)
     with pytest.raises(FeederError, match="not beneath the root folder"):
         GlmFile(tmp_path / "m.glm", root=tmp_path / "sub")
+
+
+NESTED = "object node { " * 1500 + "name n; " + "} ;" * 1500
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (NESTED, "m.glm, line 1: blocks nest deeper than 64; write objects one after the other"),
+        (NESTED.replace(" object", "\nobject"), "m.glm, line 65: blocks nest deeper"),
+        ("schedule s { " + "b { " * 1100 + "* * * * * 1; " + "} " * 1101, "m.glm, line 1: blocks nest deeper than 64"),
+        ("#ifdef A\n" * 5000, "m.glm, line 65: blocks nest deeper"),
+        (
+            "#define a=xxxxxxxxxx\n" + "#define a=${a}${a}${a}${a}\n" * 9,
+            "line 5: #define a has 2560 characters; give at",
+        ),
+        ("#set a=" + "x" * 5000, "m.glm, line 1: #set a has 5000 characters; give at most 1024"),
+        (f"#define a={'x' * 1000}\nobject node {{ name {'${a}' * 100}; }}", "line 2: variables make the line longer"),
+    ],
+)
+def test_what_nests_or_grows_without_bound_is_refused(text, said, tmp_path):
+    with pytest.raises(FeederError, match=said) as refused:
+        read(tmp_path, text)
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("object node { /* a */ name /* b; */ n; }", "n"),
+        ('object node { name "a /* b"; } /* c', "a /* b"),
+        ("object node { name 'a//b'; } // c /* d", "a//b"),
+        ("/* // */ object node { name n; }", "n"),
+        ("/**/object node { name n; }/**/", "n"),
+    ],
+)
+def test_comments_are_left_out(line, name, tmp_path):
+    assert [item.name for item in read(tmp_path, line + "\n").objects] == [name]
+
+
+@pytest.mark.slow
+def test_a_line_of_comments_takes_time_in_proportion_to_its_length(tmp_path):
+    def seconds(n):
+        begin = time.process_time()
+        read(tmp_path, "/* a */ " * n + "object node { name n; }")
+        return time.process_time() - begin
+
+    seconds(1000)
+    assert seconds(400_000) < 30.0 * seconds(40_000)

@@ -1,10 +1,13 @@
 """Elements of GridLAB-D models in the tables, and what is lost or refused."""
 
+import sys
+
 import pytest
 
 from dcgrid_env import FeederError
 from dcgrid_env.grid.formats.gridlabd import read_gridlabd
 from dcgrid_env.grid.formats.gridlabd.glm_reading import read_model
+from dcgrid_env.grid.formats.opendss import circuit_process
 from helpers.gridlabd_text import CABLES, CAPACITORS, HEAD, REGULATOR, SPLIT_PHASE, TRANSFORMERS
 
 pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (extra opendss)")
@@ -144,7 +147,8 @@ def test_what_is_lost_must_be_allowed(model):
         ("object switch { name s; phases ABCN; from n1; to lc; }", "to 'lc' is a line_configuration; must be one of"),
         ("object switch { name s; phases ABCN; from n1; to base; }", "to 'base' is the bus that it comes from"),
         ("object switch { name s; phases Q; from n1; to src; }", "phases 'Q' must be letters among"),
-        ("object switch { name s; phases A; from n1; to src; status AJAR; }", "status 'AJAR' must be one of OPEN .0., CLOSED .1."),
+        ("object switch { name s; phases A; from n1; to src; status AJAR; }",
+         "status 'AJAR' must be one of OPEN .0., CLOSED .1."),
         ("object load { name l; parent n1; phases AN; constant_power_A 5 ft; }", "constant_power_A '5 ft' must be in"),
         ("object load { name l; parent n1; phases AN; shunt_A 1; }", "load l: shunt_A '1' cannot be read here"),
         ("object load { name l; parent l; phases AN; }", "load l: parent 'l' makes a circle"),
@@ -152,16 +156,19 @@ def test_what_is_lost_must_be_allowed(model):
         ("object node { name x; phases A; bustype SWING; nominal_voltage 1; }", "the buses src, x as sources"),
         ("object node { name x; phases A; }", "node x: nominal_voltage is missing; add it"),
         ("object capacitor { name c; phases A; }", "capacitor c: parent is missing"),
-        ("object load { name l; parent n1; phases AN; base_power_A 9; power_pf_A 1.5; }", "power_pf_A '1.5' must be from"),
+        ("object load { name l; parent n1; phases AN; base_power_A 9; power_pf_A 1.5; }",
+         "power_pf_A '1.5' must be from"),
         ("object node { name x; phases ABC; bustype 1; nominal_voltage 7200; }", "bustype '1' keeps a voltage"),
         ("object node { name x; phases ABC; bustype 3; nominal_voltage 7200; }", "the buses src, x as sources"),
         ("object node { name x; phases 512; nominal_voltage 7200; }", "phases '512' must be letters among A, B, C"),
         ("object switch { name s; phases AS; from n1; to src; }", "phases 'AS' has S, which no switch"),
-        (TRANSFORMERS.replace("connect_type WYE_WYE", "connect_type OPEN_WYE"), "connect_type 'OPEN_WYE' must be one of WYE_WYE"),
+        (TRANSFORMERS.replace("connect_type WYE_WYE", "connect_type OPEN_WYE"),
+         "connect_type 'OPEN_WYE' must be one of WYE_WYE"),
         (TRANSFORMERS.replace("primary_voltage 12470", "primary_voltage 0"), "primary_voltage '0' must be positive"),
         (TRANSFORMERS.replace("reactance 0.05", "reactance 0"), "needs a positive reactance"),
         (TRANSFORMERS.replace("to low2;", "to low2; status OPEN;"), "t2: status 'OPEN' cannot be represented"),
-        (REGULATOR.replace("MORE", "Control SOMEHOW;"), "Control 'SOMEHOW' must be one of MANUAL .1., OUTPUT_VOLTAGE .2., REMOTE_NODE .3., LINE_DROP_COMP .4."),
+        (REGULATOR.replace("MORE", "Control SOMEHOW;"), 
+         "must be one of MANUAL .1., OUTPUT_VOLTAGE .2., REMOTE_NODE .3., LINE_DROP_COMP .4."),
         (LDC.replace("connect_type WYE_WYE", "connect_type CLOSED_DELTA"), "connect_type 'CLOSED_DELTA' cannot be"),
     ],
 )  # fmt: skip
@@ -182,3 +189,22 @@ def test_unknown_losses_and_missing_files(model, tmp_path):
     unbalanced = HEAD.replace("voltage_A 7344", "voltage_A 7000")
     with pytest.raises(FeederError, match=r"source src: its voltages are not balanced.*--allow source"):
         read_model(model(head=unbalanced))
+
+
+@pytest.mark.slow
+def test_the_child_process_reads_what_this_process_reads(model, monkeypatch):
+    path = model(LDC)
+    assert repr(read_gridlabd(path)) == repr(read_model(path))
+    monkeypatch.setattr(circuit_process, "LONGEST_S", 0.1)
+    with pytest.raises(FeederError, match=r"model\.glm: reading it took more than 0\.1 s; import a part") as refused:
+        read_gridlabd(path)
+    assert "--trust" not in str(refused.value)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the operating system does not limit the address space")
+@pytest.mark.slow
+def test_memory_is_limited(model, monkeypatch):
+    monkeypatch.setattr(circuit_process, "LARGEST_MEMORY_BYTES", 2**30)
+    path = model("object node { name n; " + "a_long_name a_long_value; " * 4_000_000 + "}")
+    with pytest.raises(FeederError, match=r"model\.glm: reading it takes more memory than 1 GiB; import a part of"):
+        read_gridlabd(path)

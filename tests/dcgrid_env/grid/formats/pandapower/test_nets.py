@@ -37,8 +37,8 @@ def net_of_all_kinds():
         pp.create_shunt(net, 3, q_mvar=-0.3, p_mw=0.01, vn_kv=21.0, step=2)
         pp.create_ward(net, 2, 0.1, 0.05, 0.02, 0.03)
         pp.create_motor(net, 5, 0.02, 0.9, efficiency_percent=90.0)
-        pp.create_asymmetric_load(net, 5, p_a_mw=0.01, p_b_mw=0.02, q_c_mvar=0.005)
-        pp.create_asymmetric_sgen(net, 5, p_a_mw=0.005)
+        pp.create_asymmetric_load(net, 5, **dict.fromkeys(("p_a_mw", "p_b_mw", "p_c_mw"), 0.01), scaling=0.9)
+        pp.create_asymmetric_sgen(net, 5, **dict.fromkeys(("q_a_mvar", "q_b_mvar", "q_c_mvar"), 0.002))
         pp.create_impedance(net, 3, 6, 0.05, 0.04, 5.0, in_service=False)
     return net
 
@@ -126,6 +126,46 @@ def test_a_share_of_constant_current_is_lost_by_name():
         read_pandapower(net)
     imported = read_pandapower(net, allow=["load"])
     assert 1e-7 < apart_pu(imported) < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["asymmetric_load", "asymmetric_sgen"])
+@pytest.mark.parametrize("column", ["p_b_mw", "q_c_mvar"])
+def test_phases_that_differ_are_lost_by_name(kind, column):
+    net = net_of_all_kinds()
+    net[kind].loc[0, column] = 0.03
+    with pytest.raises(FeederError, match=rf"{kind} 0: its phases differ.* --allow {kind} accepts that"):
+        read_pandapower(net)
+    found = fates(read_pandapower(net, allow=[kind]))
+    assert found[kind, "lost"] == ("0",)
+    assert (kind, "taken") not in found
+    net[kind].loc[0, "in_service"] = False
+    assert fates(read_pandapower(net))[kind, "nothing lost"] == ("0",)
+
+
+def test_taps_without_a_type_have_no_effect_and_are_named():
+    net = net_of_all_kinds()
+    lowest = {}
+    for kind in ("Ratio", None):
+        net.trafo.loc[0, "tap_changer_type"] = kind
+        imported = read_pandapower(net)
+        assert apart_pu(imported) < 1e-7
+        lowest[kind] = min(imported.v_pu.values())
+        named = fates(imported).get(("tap of trafo", "nothing lost"), ())
+        assert named == (() if kind else ("0",))
+    assert abs(lowest["Ratio"] - lowest[None]) > 0.01
+    assert any("its tap_pos -3 has no effect, as in pandapower" in row.text for row in imported.findings)
+    net.trafo.loc[0, "tap_pos"] = net.trafo.tap_neutral[0]
+    assert ("tap of trafo", "nothing lost") not in fates(read_pandapower(net))
+
+
+def test_options_of_the_power_flow_in_a_net_are_lost_by_name(tmp_path):
+    net = net_of_all_kinds()
+    pp.set_user_pf_options(net, trafo_model="pi", max_iteration=7)
+    pp.to_json(net, str(tmp_path / "net.json"))
+    for source in (net, tmp_path / "net.json"):
+        with pytest.raises(FeederError, match=r"user_pf_options trafo_model: .* --allow user_pf_options accepts that"):
+            read_pandapower(source)
+        assert apart_pu(read_pandapower(source, allow=["user_pf_options"])) < 1e-7
 
 
 def test_generators_may_be_fixed_at_their_power():

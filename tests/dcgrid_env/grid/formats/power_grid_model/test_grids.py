@@ -46,7 +46,7 @@ def grid():
             {"id": 21, "node": 6, "p_specified": 5e4, "q_specified": 3e4, "status": 1, "type": 1},
         ],
         "sym_gen": [{"id": 22, "node": 9, "p_specified": 1e6, "q_specified": -3e4, **at}],
-        "asym_load": [{"id": 23, "node": 5, "p_specified": [1e4, 2e4, 3e4], "q_specified": [1e3, 1e3, 2e3], **at}],
+        "asym_load": [{"id": 23, "node": 5, "p_specified": [2e4] * 3, "q_specified": [1e3] * 3, **at}],
         "shunt": [{"id": 24, "node": 3, "status": 1, "g1": 1e-5, "b1": 2e-4, "g0": 0.0, "b0": 0.0}],
         "sym_voltage_sensor": [{"id": 25, "measured_object": 2, "u_measured": 20e3, "u_sigma": 1.0}],
     }
@@ -123,6 +123,35 @@ def test_constant_current_and_tap_regulators_are_lost_by_name(tmp_path):
     ):
         read_power_grid_model(path)
     read_power_grid_model(path, allow=["sym_load", "transformer_tap_regulator"])
+
+
+@pytest.mark.parametrize("kind", ["asym_load", "asym_gen"])
+@pytest.mark.parametrize("law", [0, 1])
+def test_phases_that_differ_are_lost_by_name(kind, law, tmp_path):
+    data = grid()
+    data[kind] = [data.pop("asym_load")[0] | {"q_specified": [1e3, 1e3, 5e3], "type": law}]
+    path = written(tmp_path, data)
+    with pytest.raises(FeederError, match=rf"{kind} 23: its phases differ.*--allow {kind} accepts that"):
+        read_power_grid_model(path)
+    found = fates(read_power_grid_model(path, allow=[kind]))
+    assert found[kind, "lost"] == ("23",)
+    assert (kind, "taken") not in found
+    data[kind][0]["status"] = 0
+    assert fates(read_power_grid_model(written(tmp_path, data)))[kind, "nothing lost"] == ("23",)
+
+
+@pytest.mark.parametrize("sk", [1e15, 1e18, 1e20, 1e300])
+def test_a_source_of_very_large_short_circuit_power_is_ideal(sk, tmp_path):
+    data = grid()
+    data["source"][0].update(sk=sk, u_ref_angle=0.2)
+    imported = read_power_grid_model(written(tmp_path, data))
+    assert imported.network.source.bus == ("1",)
+    assert imported.v_pu["1"] == pytest.approx(1.03, abs=1e-9)
+    assert apart_pu(imported) < 1e-7
+    assert fates(imported)["source", "nothing lost"] == ("10",)
+    data["source"][0]["sk"] = float("inf")
+    with pytest.raises(FeederError, match="sk is inf; give a finite number"):
+        read_power_grid_model(written(tmp_path, data))
 
 
 def test_a_batch_and_two_fields_of_one_name_are_refused(tmp_path):
