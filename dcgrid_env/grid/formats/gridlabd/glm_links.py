@@ -209,10 +209,13 @@ def _control(script: CircuitScript, regulator: GlmObject, config: GlmObject, vol
             wrong(config, "power_transducer_ratio", "is missing; band_center is behind a potential transformer")
         ratio = volts / 120.0
     scale = 1.0 if on_secondary else 1.0 / ratio
+    current_ratio = model.real(config, "current_transducer_ratio", "ratio", 0.0)
+    if not current_ratio > 0.0 and any(_ldc(script, config, part, phase) for part in "rx" for phase in "ABC"):
+        wrong(config, "current_transducer_ratio", "must be positive; the compensator settings need it")
     return {
         "vreg": scale * center, "band": scale * band, "ptratio": ratio,
-        "ctprim": model.real(config, "current_transducer_ratio", "ratio", 0.0) or 300.0,
-        "delay": model.real(config, "time_delay", "time", 30.0),
+        "ctprim": current_ratio or 300.0,
+        "delay": model.real(config, "time_delay", "time", 0.0),
         "tapdelay": max(model.real(config, "dwell_time", "time", 0.0), 0.0), "maxtapchange": 1,
         "enabled": "no" if kind == "MANUAL" else "yes",
     }  # fmt: skip
