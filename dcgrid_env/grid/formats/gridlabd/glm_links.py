@@ -137,6 +137,9 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
         wrong(config, "connect_type", "cannot be represented; only WYE_WYE can")
     phases, (first, second) = _phases(script, regulator), buses.ends(regulator)
     up, down = (int(model.positive(config, name, "ratio")) for name in ("raise_taps", "lower_taps"))
+    for name, number in (("raise_taps", up), ("lower_taps", down)):
+        if number < 1:
+            wrong(config, name, "must be at least 1")
     step = model.real(config, "regulation", "ratio", 0.0) / up
     if step < 0.0 or (step == 0.0 and _kind_of_control(script, config) != "MANUAL"):
         wrong(config, "regulation", "must be positive, such as 0.1 for steps of 0.00625 by 16 taps")
@@ -165,8 +168,11 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
         volts = buses.base_v[first]
         kv = line_to_line(volts) if len(part) == 3 else volts / 1000.0
         tap = taps[part[0]]
-        r_percent = 100.0 * r_ohm * _BASE_KVA / (1000.0 * kv**2)
-        ratio = 1.0 / (1.0 - tap * step) if by_current and not control else 1.0 + tap * step
+        ratio = 1.0 / max(1.0 - tap * step, 1e-9) if by_current and not control else 1.0 + tap * step
+        if not 0.1 <= ratio <= 10.0:
+            wrong(config, "regulation", f"makes a ratio of {ratio:.3g} at tap {tap:g}; must be within 0.1 to 10")
+        # The resistance is at the to side, and OpenDSS multiplies it by the square of the ratio there.
+        r_percent = 100.0 * r_ohm / ratio**2 * _BASE_KVA / (1000.0 * kv**2)
         script.new(
             "Transformer", name, phases=len(part), windings=2, xhl=_X_PERCENT,
             buses=(buses.terminal(first, part), buses.terminal(second, part)), conns=("wye", "wye"), kvs=(kv, kv),

@@ -93,7 +93,7 @@ def read_in_child(
     Raises
     ------
     FeederError
-        As the function raises it, and if the child crashes or exceeds ``LONGEST_S`` or ``LARGEST_MEMORY_BYTES``.
+        If the function raises it, or if the child crashes or exceeds ``LONGEST_S`` or ``LARGEST_MEMORY_BYTES``.
     """
     # The child finds modules where this process does.
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import main; main()"

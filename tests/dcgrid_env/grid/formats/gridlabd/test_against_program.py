@@ -2,6 +2,7 @@
 
 import pytest
 
+from dcgrid_env import FeederError
 from dcgrid_env.grid.formats.gridlabd.glm_reading import read_model
 from dcgrid_env.grid.formats.gridlabd.glm_words import ENUMERATIONS, PHASES, phase_letters
 from helpers.gridlabd_program import properties, voltages
@@ -11,7 +12,7 @@ pytest.importorskip("opendssdirect", reason="OpenDSSDirect.py is not installed (
 CLOSE_PU = 1e-6
 CONCRETE = {"link": "switch"}
 """A class to make an object of, where the one that defines a property cannot be."""
-NUMBERS = [(kind, name) for kind, properties in ENUMERATIONS.items() for name in properties]
+NUMBERS = [(kind, name) for kind, names in ENUMERATIONS.items() for name in names]
 
 
 @pytest.mark.parametrize(("kind", "name"), NUMBERS)
@@ -152,6 +153,9 @@ MODELS = {
     "capacitor of two phases": capacitor("phases_connected 3; switchA 1; switchB 1; switchC CLOSED;"),
     "capacitor out of service": capacitor("service_status OUT_OF_SERVICE; switchA 1; switchB 1;"),
     "regulator in numbers": regulator("connect_type 1; Control 1; Type 1; regulation 0.1; tap_pos_A 5; tap_pos_B -3;"),
+    "regulator with resistance": regulator("connect_type 1; regulation 0.1; tap_pos_A 16; tap_pos_B -8;").replace(
+        "configuration rc;", "configuration rc; regulator_resistance 5;"
+    ),
     "regulator without regulation": regulator("connect_type 1; tap_pos_A 5;"),
 }
 
@@ -197,3 +201,56 @@ def test_controls_by_number_are_those_by_keyword(number, word, more, model):
     assert repr(found[0]) == repr(found[1])
     assert found[0].r_ldc_v[0] == (3.0 if word == "LINE_DROP_COMP" else 0.0)
     assert found[0].x_ldc_v[0] == (5.0 if word == "LINE_DROP_COMP" else 0.0)
+
+
+AUTOMATIC = "connect_type 1; regulation 0.1; band_center 7320; band_width 120; Control 2; Type A;"
+DEFAULTS = {
+    "switch": (beside("switch", "EXTRA"), "s", "status operating_mode phase_A_state phase_B_state phase_C_state"),
+    "fuse": (beside("fuse", "EXTRA"), "s", "status phase_A_status phase_B_status phase_C_status"),
+    "line": (beside("switch", "").replace("length 3 mile;", "length 3 mile; EXTRA"), "l2", "status"),
+    "node": (beside("switch", "").replace("name n2;", "name n2; EXTRA"), "n2", "bustype"),
+    "load": (
+        load("base_power_A 5e5; impedance_fraction_A 0.3; EXTRA"),
+        "z", "current_fraction_A power_pf_A current_pf_A impedance_pf_A",
+    ),
+    "capacitor": (capacitor("EXTRA"), "c", "switchA switchB switchC control control_level service_status"),
+    "manual regulator": (
+        regulator("connect_type 1; EXTRA"),
+        "rc", "regulation Control Type control_level time_delay dwell_time band_center band_width",
+    ),
+    "automatic regulator": (
+        regulator(f"{AUTOMATIC} EXTRA"),
+        "rc", "time_delay dwell_time compensator_r_setting_A compensator_x_setting_A current_transducer_ratio PT_phase",
+    ),
+    "spacing": (overhead("distance_AB 2.5; EXTRA"), "sp", "distance_AC distance_BC distance_AN distance_BN"),
+    "centre-tapped transformer": (
+        centre_tapped("powerB_rating 50; impedance 0.006+0.0136j; EXTRA"),
+        "ct", "shunt_resistance shunt_reactance resistance1 reactance1 no_load_loss full_load_loss",
+    ),
+    "centre-tapped transformer by its losses": (
+        centre_tapped("powerB_rating 50; no_load_loss 0.01; full_load_loss 0.02; EXTRA"),
+        "ct", "reactance_resistance_ratio",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+@pytest.mark.slow
+def test_defaults_are_gridlabds(name, model):
+    """What is left out means the same as the value that GridLAB-D gives it."""
+    text, item, names = DEFAULTS[name]
+    allow = ["fuse"] if name == "fuse" else []
+    path = model(text.replace("EXTRA", ""))
+    found = properties(path, [(item, one) for one in names.split()])
+    without = read_model(path, allow=allow)
+    written = " ".join(f"{one} {value};" for (_, one), value in found.items())
+    explicit = read_model(model(text.replace("EXTRA", written)), allow=allow)
+    assert repr(explicit.network) == repr(without.network)
+
+
+def test_a_compensator_needs_a_current_transducer(model):
+    text = regulator(f"{AUTOMATIC} power_transducer_ratio 60; compensator_x_setting_B 4;").replace(
+        "Control 2", "Control 4"
+    )
+    with pytest.raises(FeederError, match="regulator_configuration rc: current_transducer_ratio must be positive"):
+        read_model(model(text))
