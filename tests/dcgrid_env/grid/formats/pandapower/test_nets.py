@@ -130,6 +130,7 @@ def test_a_share_of_constant_current_is_lost_by_name():
 
 @pytest.mark.parametrize("kind", ["asymmetric_load", "asymmetric_sgen"])
 @pytest.mark.parametrize("column", ["p_b_mw", "q_c_mvar"])
+@pytest.mark.slow
 def test_phases_that_differ_are_lost_by_name(kind, column):
     net = net_of_all_kinds()
     net[kind].loc[0, column] = 0.03
@@ -142,6 +143,7 @@ def test_phases_that_differ_are_lost_by_name(kind, column):
     assert fates(read_pandapower(net))[kind, "nothing lost"] == ("0",)
 
 
+@pytest.mark.slow
 def test_taps_without_a_type_have_no_effect_and_are_named():
     net = net_of_all_kinds()
     lowest = {}
@@ -158,6 +160,7 @@ def test_taps_without_a_type_have_no_effect_and_are_named():
     assert ("tap of trafo", "nothing lost") not in fates(read_pandapower(net))
 
 
+@pytest.mark.slow
 def test_options_of_the_power_flow_in_a_net_are_lost_by_name(tmp_path):
     net = net_of_all_kinds()
     pp.set_user_pf_options(net, trafo_model="pi", max_iteration=7)
