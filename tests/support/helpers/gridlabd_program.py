@@ -1,6 +1,6 @@
 """GridLAB-D itself, as the package ``gridlabd`` runs it: an independent reading and solution of a model.
 
-It runs in a process of its own, which ends with its threads and pipes.
+It runs in a separate process, which ends with its threads and pipes.
 """
 
 import importlib.util

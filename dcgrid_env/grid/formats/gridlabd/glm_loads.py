@@ -131,7 +131,7 @@ def _fractions(
 ) -> Iterator[tuple[str, str, complex]]:
     """Terms of a load that is written as a base power with fractions and power factors; they replace its constants.
 
-    As in GridLAB-D, the share of constant power is what the others leave, and a power factor of 0 is reactive power
+    As in GridLAB-D, the other shares determine that of constant power, and a power factor of 0 means reactive power
     alone.
     """
     model = script.model

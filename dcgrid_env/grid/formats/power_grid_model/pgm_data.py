@@ -17,7 +17,7 @@ _REMEDY = "give a JSON file that power-grid-model wrote"
 _LARGEST = 1e18
 _KEYS = ("version", "type", "is_batch", "attributes", "data")
 _MAY_BE_LARGE = {"sk"}
-"""Fields in which a large number stands for an ideal element; any finite one is read."""
+"""Fields in which a large number means an ideal element; any finite number is read."""
 _MAY_BE_INFINITE = {"i_n", "x_grounding_from", "x_grounding_to", "r_grounding_from", "r_grounding_to"}
 MISSING = f"power-grid-model is missing; {from_clone('power-grid-model')}"
 Data = dict[str, np.ndarray]

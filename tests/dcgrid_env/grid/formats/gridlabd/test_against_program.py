@@ -38,7 +38,7 @@ def test_numbers_of_phases_are_gridlabds(tmp_path):
 
 
 def beside(kind, properties):
-    """A link of two buses beside a line, so that they are supplied when it is open."""
+    """Return a link in parallel with a line, which supplies its second bus when the link is open."""
     return (
         "object node { name n2; phases ABCN; nominal_voltage 7200; }\n"
         f"object {kind} {{ name s; phases ABCN; from n1; to n2; {properties} }}\n"
