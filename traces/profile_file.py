@@ -220,7 +220,7 @@ def seconds_of_dates(name: str, cells: Sequence[Any]) -> tuple[FloatArray, str]:
 def _seconds(
     cells: Sequence[Any], refuse: Callable[[int, str], TraceError], names: Sequence[Any] | None = None
 ) -> tuple[FloatArray, str]:
-    """Return times and the first date as ``seconds_of_dates`` does; ``names`` has the series of each row, if several."""
+    """Return times and the first date as ``seconds_of_dates`` does; ``names`` has the series of each row."""
     dates: list[datetime] = []
     for i, cell in enumerate(cells):
         try:
