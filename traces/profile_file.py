@@ -12,8 +12,8 @@ Long form, a row for each sample of each of them, with the second column named l
     2025-01-01T00:00,s701a,0.41,0.35
 
 The first column contains the times: dates (``time``, ISO 8601 or DD.MM.YYYY HH:MM), seconds (``time_s``) or hours
-(``time_h``), both counted from a midnight. Dates may have UTC offsets, or be local times that skip and repeat an hour as
-clocks do (``traces.summer_time``). Lines of a CSV file that begin with # are comments. The delimiter is a comma, a
+(``time_h``), both counted from a midnight. Dates may have UTC offsets, or be local times that skip and repeat an hour
+as clocks do (``traces.summer_time``). Lines of a CSV file that begin with # are comments. The delimiter is a comma, a
 semicolon or a tab, and with the latter two numbers may have decimal commas.
 """
 
