@@ -1,20 +1,21 @@
 """Nodal admittances of a three-phase feeder that is not radial, per unit.
 
 Y V is the current that linear elements draw at each node, for voltages V to ground. Regulators and switches may have
-no impedance, or one so small that differences of voltages would be lost in rounding. Each of their phases, a *coupler*,
-adds an unknown, the current i that it brings to the side that it feeds, and a row. From the winding f to the winding t
-with the ratio r, 1 for a switch, and the impedance z at the neutral tap
+no impedance, or one so small that differences of voltages would be lost in rounding; so may lines (``NEAR_ZERO``). Each
+of their phases, a *coupler*, adds an unknown, the current i that it brings to the side that it feeds, and a row. From
+the winding f to the winding t with the ratio r, 1 for a switch or line, and the impedance z at the neutral tap
 
     V_t = r V_f - r^2 z i        with the draw -i at t and r i at f
 
-A winding is from a node to ground or between two nodes. Per unit is that of ``three_phase_matrices``, by node.
+The couplers of a line have mutual impedances in addition. A winding is from a node to ground or between two nodes. Per
+unit is that of ``three_phase_matrices``, by node.
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,11 +24,17 @@ from scipy.sparse import csr_matrix
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.three_phase_checks import node_names
+from dcgrid_env.grid.three_phase_legs import Legs
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA, symmetric, transformer_impedance, winding_shunts
 from dcgrid_env.grid.topology import FeederError, listed
 
 GROUND = -1
 _PER_SIEMENS = 1000.0 / PHASE_BASE_KVA  # times both base voltages in kV
+NEAR_ZERO = 1e-5
+"""Impedance of a line, as a share of the median of all lines and transformers, below which its phases are couplers.
+
+Rounding of the nodal equations moves voltages by about 1e-16 p.u. over this share.
+"""
 Nodes = dict[str, dict[str, int]]
 """Node by bus and letter."""
 
@@ -44,7 +51,9 @@ class NodalMatrices(NamedTuple):
     coupler_z: NDArray[np.complex128]
     """Impedance at the neutral tap, (n_coupler,)."""
     coupler_regulator: NDArray[np.intp]
-    """Row of the regulators' table, -1 for a switch, (n_coupler,)."""
+    """Row of the regulators' table, -1 for a switch or line, (n_coupler,)."""
+    coupler_mutual: csr_matrix
+    """Impedances between the couplers of a line, (n_coupler, n_coupler), symmetric, nothing on its diagonal."""
     feed: csr_matrix
     """The current brought to each node by what feeds it, from the voltages of all nodes, (n_node, n_node)."""
     feed_coupler: NDArray[np.intp]
@@ -62,7 +71,12 @@ class NodalMatrices(NamedTuple):
     """Rated current of what feeds each node, A, NaN where it is not known, (n_node,)."""
 
 
-class _Element(NamedTuple):
+class Element(NamedTuple):
+    """A linear element: a row of a table, or a part of one."""
+
+    kind: str
+    """The table."""
+    row: int
     nodes: tuple[int, ...]
     y: NDArray[np.complex128]
     """Primitive admittance matrix, p.u."""
@@ -70,34 +84,48 @@ class _Element(NamedTuple):
     """Rated current at each node if it is the one that is fed, A."""
 
 
-class _Coupler(NamedTuple):
+class Coupler(NamedTuple):
+    """A coupler: a phase of a switch or line, or a winding of a regulator."""
+
+    kind: str
+    """The table."""
+    row: int
     ends: tuple[int, int, int, int]
     z: complex
-    regulator: int
     rating_a: float
+    mutual: tuple[complex, ...] = ()
+    """Impedances to the couplers of the same line before it."""
+
+    @property
+    def regulator(self) -> int:
+        """Row of the regulators' table, -1 for another coupler."""
+        return self.row if self.kind == "regulator" else -1
 
 
-def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> NodalMatrices:
+def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64], carrying: Legs) -> NodalMatrices:
     """Compile checked tables; ``base_kv`` is the base voltage of each node, line to neutral, (n_node,).
+
+    ``carrying`` are impedances of legs at nodes that nothing else connects, which are elements here.
 
     Raises
     ------
     FeederError
-        Naming nodes that no element connects to the source.
+        Naming nodes that no element connects to the source, and the elements there.
     """
     n = len(base_kv)
-    elements = [*_lines(network, nodes, base_kv), *_transformers(network, nodes, base_kv)]
-    elements += _admittances(network, nodes, base_kv)
-    couplers = [*_regulators(network, nodes, base_kv, elements), *_switches(network, nodes, base_kv)]
+    elements, couplers = elements_of(network, nodes, base_kv, NEAR_ZERO * median_impedance(network))
+    elements += [leg_element("leg", k, carrying, k) for k in range(len(carrying.row))]
     source = network.source
     z = (np.array(source.r_ohm[0]) + 1j * np.array(source.x_ohm[0])) / (base_kv[0] ** 2 * _PER_SIEMENS)
     ends = np.array([c.ends for c in couplers], np.intp).reshape(-1, 4)
     fed = _fed(elements, couplers, n)
-    lost = [f"{bus}.{letter}" for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not fed[node]]
+    lost = [(bus, letter) for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not fed[node]]
     if lost:
+        there = elements_at(network, {bus for bus, _ in lost})
         raise FeederError(
-            f"feeder {network.name!r}: no element connects the nodes {listed(lost)} to the source; add one, or turn "
-            "the regulator whose to_bus is on the side of the source"
+            f"feeder {network.name!r}: no element connects the nodes {listed(['.'.join(one) for one in lost])} to the "
+            f"source; at their buses are {listed(there) if there else 'no elements'}; add one, or turn the regulator "
+            "whose to_bus is on the side of the source"
         )
     return NodalMatrices(
         y=_sum([(e.nodes, e.y) for e in elements], n),
@@ -105,8 +133,72 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64])
         coupler_ends=ends,
         coupler_z=np.array([c.z for c in couplers], np.complex128),
         coupler_regulator=np.array([c.regulator for c in couplers], np.intp),
+        coupler_mutual=_mutual(couplers),
         **_feeds(elements, couplers, fed, n),
     )
+
+
+def elements_of(
+    network: Network, nodes: Nodes, base_kv: NDArray[np.float64], least_z_pu: float = 0.0
+) -> tuple[list[Element], list[Coupler]]:
+    """The linear elements of checked tables other than legs, and the couplers: lines below an impedance among them."""
+    elements: list[Element] = []
+    couplers: list[Coupler] = []
+    _lines(network, nodes, base_kv, least_z_pu, elements, couplers)
+    elements += [*_transformers(network, nodes, base_kv), *_admittances(network, nodes, base_kv)]
+    lines, couplers = couplers, [*_regulators(network, nodes, base_kv, elements), *_switches(network, nodes, base_kv)]
+    return elements, couplers + lines
+
+
+def leg_element(kind: str, row: int, legs: Legs, k: int) -> Element:
+    """A leg of constant impedance as an element."""
+    y = complex(legs.p_kw[k], -legs.q_kvar[k]) / PHASE_BASE_KVA / float(legs.rated_pu[k]) ** 2
+    nodes = tuple(node for node in (int(legs.node[k]), int(legs.other[k])) if node != GROUND)
+    between = np.array([[1.0, -1.0], [-1.0, 1.0]])[: len(nodes), : len(nodes)]
+    return Element(kind, row, nodes, y * between, np.full(len(nodes), math.nan))
+
+
+def elements_at(network: Network, buses: Container[str]) -> list[str]:
+    """Names of the elements at some buses, each with its kind."""
+    found = []
+    for kind in ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core"):
+        table: Any = getattr(network, kind)
+        ends = [getattr(table, field) for field in ("from_bus", "to_bus", "bus") if hasattr(table, field)]
+        word = "transformer" if kind == "core" else kind.removeprefix("phase_")
+        for name, *of_row in zip(table.name, *ends, strict=True):
+            found += [f"{word} {name}"] if any(bus in buses for bus in of_row) else []
+    for name, named in zip(network.admittance.name, network.admittance.nodes, strict=True):
+        if any(bus in buses for bus, _ in node_names(named)):
+            found.append(name.replace(".", " ", 1))
+    return list(dict.fromkeys(found))
+
+
+def line_impedances(network: Network) -> list[float]:
+    """Largest entry of the impedance matrix of each line, p.u."""
+    line, bases = network.phase_line, _base_ohms(network)
+    return [
+        float(np.nanmax(np.abs(np.array(r, float) + 1j * np.array(x, float)))) / bases[bus]
+        for r, x, bus in zip(line.r_ohm, line.x_ohm, line.to_bus, strict=True)
+    ]
+
+
+def median_impedance(network: Network) -> float:
+    """Median impedance of the lines and transformers, p.u.; 0 where there are none."""
+    transformer, bases = network.transformer, _base_ohms(network)
+    units = [abs(transformer_impedance(transformer, k)) / bases[bus] for k, bus in enumerate(transformer.to_bus)]
+    sizes = line_impedances(network) + units
+    return float(np.median(sizes)) if sizes else 0.0
+
+
+def _base_ohms(network: Network) -> dict[str, float]:
+    return {bus: kv**2 * _PER_SIEMENS for bus, kv in zip(network.node.bus, network.node.base_kv_ln, strict=True)}
+
+
+def _mutual(couplers: Sequence[Coupler]) -> csr_matrix:
+    entries = [(k, k - len(of.mutual) + j, z) for k, of in enumerate(couplers) for j, z in enumerate(of.mutual) if z]
+    row, column, z = (np.array(part) for part in zip(*entries, strict=True)) if entries else (np.zeros(0, int),) * 3
+    below = csr_matrix((z.astype(np.complex128), (row, column)), (len(couplers), len(couplers)))
+    return _frozen((below + below.T).tocsr())
 
 
 def _inverse(network: Network, what: str, z: NDArray[Any]) -> NDArray[Any]:
@@ -152,30 +244,50 @@ def _two_sided(y_s: NDArray[Any], through: NDArray[Any], shunts: Sequence[NDArra
     return np.block([[from_y + shunts[0], mutual], [mutual.T, y_s + shunts[1]]])
 
 
-def _lines(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Element]:
+def _lines(
+    network: Network,
+    nodes: Nodes,
+    base_kv: NDArray[np.float64],
+    least_z_pu: float,
+    elements: list[Element],
+    couplers: list[Coupler],
+) -> None:
+    """Add the lines to the elements, or those of less impedance to the couplers."""
     table = network.phase_line
     rated = table.rating_a or (math.nan,) * len(table)
     for row, phases in enumerate(table.phases):
-        at = ["abc".index(phase) for phase in phases]
+        at, size = ["abc".index(phase) for phase in phases], len(phases)
         r, x, b_us = (np.array(m[row], float)[np.ix_(at, at)] for m in (table.r_ohm, table.x_ohm, table.b_us))
-        half = 0.5e-6j * b_us
+        half, z = 0.5e-6j * b_us, r + 1j * x
         ends = [nodes[bus][phase] for bus in (table.from_bus[row], table.to_bus[row]) for phase in phases]
-        y = _inverse(network, f"line {table.name[row]}", r + 1j * x)
-        y = _two_sided(y, np.eye(len(at)), (half, half))
-        yield _Element(tuple(ends), _per_unit(y, ends, base_kv), np.full(len(ends), rated[row]))
+        z_pu = z / (base_kv[ends[0]] ** 2 * _PER_SIEMENS)
+        if np.abs(z_pu).max() < least_z_pu:
+            couplers += [
+                Coupler("phase_line", row, (i, GROUND, j, GROUND), z_pu[k, k], rated[row], tuple(z_pu[k, :k].tolist()))
+                for k, (i, j) in enumerate(zip(ends[:size], ends[size:], strict=True))
+            ]
+            y = np.zeros((size, size), np.complex128)
+        else:
+            y = _inverse(network, f"line {table.name[row]}", z)
+        y = _two_sided(y, np.eye(size), (half, half))
+        if y.any():
+            element = Element(
+                "phase_line", row, tuple(ends), _per_unit(y, ends, base_kv), np.full(2 * size, rated[row])
+            )
+            elements.append(element)
 
 
-def _switches(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Coupler]:
+def _switches(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[Coupler]:
     table = network.switch
     rated = table.rating_a or (math.nan,) * len(table)
     for row, phases in enumerate(table.phases):
         z = complex(table.r_ohm[row], table.x_ohm[row])
         for phase in phases if table.state[row] == "closed" else "":
             i, j = nodes[table.from_bus[row]][phase], nodes[table.to_bus[row]][phase]
-            yield _Coupler((i, GROUND, j, GROUND), z / (base_kv[j] ** 2 * _PER_SIEMENS), -1, rated[row])
+            yield Coupler("switch", row, (i, GROUND, j, GROUND), z / (base_kv[j] ** 2 * _PER_SIEMENS), rated[row])
 
 
-def _transformers(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Element]:
+def _transformers(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[Element]:
     """Transformers by their windings; a delta leaves the zero sequence of its side to the other elements."""
     table = network.transformer
     rated = table.rating_kva or table.kva
@@ -192,21 +304,21 @@ def _transformers(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) 
         y = _two_sided(y, kv_to / kv_from * through, [1j * shunt for shunt in winding_shunts(table, row)])
         ends = [nodes[bus][phase] for bus in (table.from_bus[row], table.to_bus[row]) for phase in phases]
         amps = [rated[row] / (size * kv / math.sqrt(3.0)) for kv in (kv_from, kv_to) for _ in phases]
-        yield _Element(tuple(ends), _per_unit(y, ends, base_kv), np.array(amps))
+        yield Element("transformer", row, tuple(ends), _per_unit(y, ends, base_kv), np.array(amps))
 
 
-def _admittances(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[_Element]:
+def _admittances(network: Network, nodes: Nodes, base_kv: NDArray[np.float64]) -> Iterator[Element]:
     table = network.admittance
     rated = table.rating_a or (math.nan,) * len(table)
     for row, names in enumerate(table.nodes):
         ends = [nodes[bus][letter] for bus, letter in node_names(names)]
         y = _per_unit(symmetric(table.g_s[row], table.b_s[row]), ends, base_kv)
-        yield _Element(tuple(ends), y, np.full(len(ends), rated[row]))
+        yield Element("admittance", row, tuple(ends), y, np.full(len(ends), rated[row]))
 
 
 def _regulators(
-    network: Network, nodes: Nodes, base_kv: NDArray[np.float64], elements: list[_Element]
-) -> Iterator[_Coupler]:
+    network: Network, nodes: Nodes, base_kv: NDArray[np.float64], elements: list[Element]
+) -> Iterator[Coupler]:
     table = network.regulator
     rated = table.rating_kva_per_phase or table.kva_per_phase
     for row in range(len(table)):
@@ -218,15 +330,13 @@ def _regulators(
             t = [nodes[table.to_bus[row]][letter] for letter in at_to]
             z = z_ohm / (base_kv[t[0]] ** 2 * _PER_SIEMENS)
             ends = (*f, *[GROUND] * (2 - len(f)), *t, *[GROUND] * (2 - len(t)))
-            yield _Coupler((ends[0], ends[1], ends[2], ends[3]), z, row, rated[row] / table.kv_ln[row])
+            yield Coupler("regulator", row, (ends[0], ends[1], ends[2], ends[3]), z, rated[row] / table.kv_ln[row])
             for node in (*f, *t) if shunt_s else ():
                 one = _per_unit(np.array([[shunt_s]]), (node,), base_kv)
-                elements.append(_Element((node,), one, np.full(1, math.nan)))
+                elements.append(Element("regulator", row, (node,), one, np.full(1, math.nan)))
 
 
-def _neighbours(
-    elements: Sequence[_Element], couplers: Sequence[_Coupler], n: int
-) -> list[list[tuple[int, int, float]]]:
+def _neighbours(elements: Sequence[Element], couplers: Sequence[Coupler], n: int) -> list[list[tuple[int, int, float]]]:
     """Connections of each node: the other node, the element (a coupler as a negative number), and the admittance."""
     joined: list[list[tuple[int, int, float]]] = [[] for _ in range(n)]
     for k, coupler in enumerate(couplers):
@@ -244,7 +354,7 @@ def _neighbours(
     return joined
 
 
-def _fed(elements: Sequence[_Element], couplers: Sequence[_Coupler], n: int) -> list[tuple[int, int, float] | None]:
+def _fed(elements: Sequence[Element], couplers: Sequence[Coupler], n: int) -> list[tuple[int, int, float] | None]:
     """What feeds each node: the node before it, the element or coupler, and the admittance; None for a node without.
 
     Nodes are taken from the source on, those that are fewest elements away first. Of several ways to a node the one
@@ -265,7 +375,7 @@ def _fed(elements: Sequence[_Element], couplers: Sequence[_Coupler], n: int) -> 
     return fed
 
 
-def _feeds(elements: Sequence[_Element], couplers: Sequence[_Coupler], fed: list[Any], n: int) -> dict[str, Any]:
+def _feeds(elements: Sequence[Element], couplers: Sequence[Coupler], fed: list[Any], n: int) -> dict[str, Any]:
     rows: list[tuple[int, int, complex]] = []
     coupler, regulator = np.full(n, -1, np.intp), np.full(n, -1, np.intp)
     parent, z_pu, rating_a, sign = np.full(n, -1, np.intp), np.zeros(n), np.full(n, math.nan), np.ones(n)

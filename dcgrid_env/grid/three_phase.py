@@ -17,7 +17,7 @@ from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.nodal_matrices import NodalMatrices, nodal_matrices
 from dcgrid_env.grid.three_phase_checks import check_three_phase
-from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, core_legs, load_legs
+from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, carrying_legs, core_legs, joined, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
 from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes, read_only
 from dcgrid_env.grid.three_phase_ratings import ratings_a
@@ -115,7 +115,7 @@ class ThreePhaseFeeder(PhaseNodes):
     @cached_property
     def nodal(self) -> NodalMatrices:
         """The nodal admittances of a feeder that is not radial, per unit."""
-        return nodal_matrices(self.network, self._nodes_by_phase, self.base_kv_ln[self.node_bus])
+        return nodal_matrices(self.network, self._nodes_by_phase, self.base_kv_ln[self.node_bus], self._carrying_legs)
 
     @cached_property
     def n_unknown(self) -> int:
@@ -197,8 +197,14 @@ class ThreePhaseFeeder(PhaseNodes):
 
     @cached_property
     def core_legs(self) -> Legs:
-        """The legs of the transformers' cores, which draw their no-load losses."""
-        return _frozen(core_legs(self.network, self._nodes_by_phase, self._bases))
+        """The legs of the transformers' cores, which draw their no-load losses, and the opposite of ``carrying_legs``."""
+        cores = core_legs(self.network, self._nodes_by_phase, self._bases)
+        carrying = self._carrying_legs
+        return _frozen(joined((cores, carrying._replace(p_kw=-carrying.p_kw, q_kvar=-carrying.q_kvar))))
+
+    @cached_property
+    def _carrying_legs(self) -> Legs:
+        return carrying_legs(self.network, self._nodes_by_phase, (self.load_legs, self.capacitor_legs))
 
     @cached_property
     def first_device_leg(self) -> int:

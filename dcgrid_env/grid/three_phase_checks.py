@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,7 +28,7 @@ SHIFTS = {WINDINGS[0]: (0.0,), WINDINGS[1]: (-30.0, 30.0), WINDINGS[2]: (0.0,)}
 TABLES = ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core", "admittance")
 TABLES += ("capacitor_control",)
 _SAME_BASE = 1e-9  # relative
-_FAR = 10.0
+FAR = 10.0
 """A rated voltage this many times the base voltage of its bus, or this much less, is in another unit or misplaced."""
 LEAST_KVA = 1e-6
 """Smallest rated power of a transformer or regulator, kVA."""
@@ -267,7 +268,7 @@ def _check_regulators(network: Network, buses: dict[str, tuple[str, float]]) -> 
 
 
 def _near(kv: float, base_kv_ln: float) -> bool:
-    return 1.0 / _FAR < kv / base_kv_ln < _FAR
+    return 1.0 / FAR < kv / base_kv_ln < FAR
 
 
 def _check_voltage(network: Network, what: str, field: str, kv: float, base_kv_ln: float) -> None:
@@ -378,9 +379,18 @@ def _check_cores(network: Network, buses: dict[str, tuple[str, float]]) -> None:
 
 
 def node_names(nodes: str) -> list[tuple[str, str]]:
-    """Bus and letter of each node in a text such as ``"650.a 650.b"``; an empty letter where there is none."""
-    parts = [word.rpartition(".") for word in nodes.split()]
-    return [(bus, letter) for bus, _, letter in parts]
+    """Bus and letter of each node in a text such as ``"650.a 650.b"``; an empty letter where there is none.
+
+    The name of a bus may contain blanks.
+    """
+    found, begun = [], ""
+    for word in re.split(r"(\s+)", nodes.strip()):
+        begun += word
+        bus, dot, letter = begun.rpartition(".") if word[-2:-1] == "." else ("", "", "")
+        if dot and letter in LETTERS:
+            found.append((bus.lstrip(), letter))
+            begun = ""
+    return [*found, *((word, "") for word in begun.split())]
 
 
 def _check_admittances(network: Network, buses: dict[str, tuple[str, float]]) -> None:

@@ -17,13 +17,14 @@ and beyond that the h of constant power (c = 1), as in OpenDSS.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.grid.network import Network
-from dcgrid_env.grid.three_phase_checks import legs_of
+from dcgrid_env.grid.three_phase_checks import legs_of, node_names
 
 SHARES = {
     "PQ": (0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
@@ -96,6 +97,38 @@ def core_legs(network: Network, first_node: dict[str, dict[str, int]], bases: di
         if table.p_kw[row][i] != 0 or table.q_kvar[row][i] != 0
     ]
     return _legs(table, rows, [SHARES["Z"]] * len(rows), [(0.5, 0.9, 1.1)] * len(rows), first_node, bases)
+
+
+def carrying_legs(network: Network, nodes: dict[str, dict[str, int]], legs: Sequence[Legs]) -> Legs:
+    """The legs at nodes that no table of branches connects, such as the floating neutral of a star.
+
+    Each has the law of an impedance, at its rated power. Nodal equations contain these impedances; their cores draw the
+    opposite, so that the legs alone count.
+    """
+    connected = {nodes[network.source.bus[0]][phase] for phase in "abc"}
+    for table in (network.phase_line, network.switch, network.transformer):
+        states = getattr(table, "state", ("closed",) * len(table))
+        for i, j, phases, state in zip(table.from_bus, table.to_bus, table.phases, states, strict=True):
+            connected |= {nodes[bus][phase] for bus in (i, j) for phase in phases if state == "closed"}
+    regulator = network.regulator
+    for row in range(len(regulator)):
+        for letters in regulator.windings(row):
+            for bus, there in zip((regulator.from_bus[row], regulator.to_bus[row]), letters, strict=True):
+                connected |= {nodes[bus][letter] for letter in there}
+    for named in network.admittance.nodes:
+        connected |= {nodes[bus][letter] for bus, letter in node_names(named)}
+    alone = np.array([node not in connected for node in range(sum(map(len, nodes.values())))] + [False])
+    both = joined(legs)
+    there = alone[both.node] | alone[both.other]
+    columns: Any = (column[..., there] for column in both)
+    found = Legs(*columns)
+    return found._replace(p_kw=np.abs(found.p_kw))
+
+
+def joined(legs: Sequence[Legs]) -> Legs:
+    """All legs of several, one after the other."""
+    columns: Any = (np.concatenate(of_all, axis=-1) for of_all in zip(*legs, strict=True))
+    return Legs(*columns)
 
 
 def _legs(

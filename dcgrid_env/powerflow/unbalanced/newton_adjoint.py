@@ -128,7 +128,7 @@ def _to_unknowns(
     fed = np.flatnonzero(nodal.feed_coupler >= 0)
     to_v = to_v + nodal.feed.conj().T @ to_i + 2.0 * of_loss * (nodal.y.real @ v)
     to_v[:3] -= np.conj(nodal.source_y).T @ to_i[:3]
-    to_couplers = 2.0 * of_loss * nodal.coupler_z.real * tap**2 * currents
+    to_couplers = 2.0 * of_loss * (nodal.coupler_z.real * tap**2 * currents + nodal.coupler_mutual.real @ currents)
     np.add.at(to_couplers, nodal.feed_coupler[fed], nodal.feed_sign[fed] * to_i[fed])
     return to_v, to_couplers
 

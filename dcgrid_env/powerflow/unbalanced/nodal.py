@@ -5,9 +5,9 @@ currents J(V) that legs, capacitors and cores draw, and s what the ideal source 
 
     M x = s - J(V)          M = (Y, C; C^T, -r^2 z) is symmetric
 
-C has r at the winding f of a coupler and -1 at t. M is factored at the base taps. At other taps the difference times
-the last x goes to the right-hand side. It couples only by what a tap changes, so it converges faster than the legs'
-currents do.
+C has r at the winding f of a coupler and -1 at t. Couplers of one line have mutual impedances next to their z. M is
+factored at the base taps. At other taps the difference times the last x goes to the right-hand side. It couples only by
+what a tap changes, so it converges faster than the legs' currents do.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Nodal(NamedTuple):
     coupler_z: np.ndarray
     """Impedance at the neutral tap, (n_coupler, 2)."""
     coupler_regulator: np.ndarray
-    """Row of the regulator, int, (n_coupler,); -1 for a switch."""
+    """Row of the regulator, int, (n_coupler,); -1 for a switch or line."""
     base_ratio: np.ndarray
     """Ratio at which the matrix is factored, (n_coupler,)."""
     feed_start: np.ndarray
@@ -89,6 +89,10 @@ class Nodal(NamedTuple):
     loss_column: np.ndarray
     loss: np.ndarray
     """Conductances: the loss is V^H G V, (entry,)."""
+    mutual_start: np.ndarray
+    mutual_column: np.ndarray
+    mutual: np.ndarray
+    """Resistances between couplers, in whose loss they count, (entry,)."""
 
 
 class _Factors(NamedTuple):
@@ -171,6 +175,7 @@ def _laid_out(feeder: ThreePhaseFeeder, factors: _Factors, devices: np.ndarray) 
         feed_coupler=m.feed_coupler.astype(np.int64),
         feed_sign=m.feed_sign,
         **(_entries("loss", loss) | {"loss": np.ascontiguousarray(loss.data)}),
+        **(_entries("mutual", m.coupler_mutual) | {"mutual": np.array(m.coupler_mutual.data).real.copy()}),
     )
 
 
@@ -258,6 +263,8 @@ def nodal_matrix(feeder: ThreePhaseFeeder, ratio: np.ndarray) -> csc_matrix:
         there = end != GROUND
         parts += [(value[there], end[there], c[there]), (value[there], c[there], end[there])]
     parts.append((-(ratio**2) * m.coupler_z, c, c))
+    mutual: Any = m.coupler_mutual.tocoo()
+    parts.append((-mutual.data, mutual.row + n, mutual.col + n))
     values, rows, columns = (np.concatenate(part) for part in zip(*parts, strict=True))
     return csc_matrix((values.astype(np.complex128), (rows, columns)), (size, size))
 

@@ -85,6 +85,11 @@ def _of_losses(nodal, wide, n_node, n_coupler, V, ratio, loss, G):
             tap = ratio[t + b] if nodal.coupler_regulator[k] >= 0 else 1.0
             G[c + b] += loss[b] * r * tap * tap * V[c + b]
             G[c + W + b] += loss[b] * r * tap * tap * V[c + W + b]
+        for entry in range(nodal.mutual_start[k], nodal.mutual_start[k + U1]):
+            o, r = (n_node + U4 + nodal.mutual_column[entry]) * U2 * W, 2.0 * nodal.mutual[entry]
+            for b in range(W):
+                G[c + b] += loss[b] * r * V[o + b]
+                G[c + W + b] += loss[b] * r * V[o + W + b]
 
 
 @compiled(inner=True)

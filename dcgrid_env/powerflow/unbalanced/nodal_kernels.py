@@ -172,6 +172,10 @@ def nodal_loss(plan, nodal, wide, V, ratio, loss):
         for b in range(W):
             tap = ratio[t + b] if nodal.coupler_regulator[k] >= 0 else 1.0
             loss[b] += r * tap * tap * (V[c + b] * V[c + b] + V[c + W + b] * V[c + W + b])
+        for entry in range(nodal.mutual_start[k], nodal.mutual_start[k + U1]):
+            o, r = (n_node + U4 + nodal.mutual_column[entry]) * U2 * W, nodal.mutual[entry]
+            for b in range(W):
+                loss[b] += r * (V[o + b] * V[c + b] + V[o + W + b] * V[c + W + b])
 
 
 @compiled(inner=True)

@@ -5,7 +5,7 @@ OpenDSSDirect.py comes with the extra ``opendss`` and is imported here alone, wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -225,6 +225,15 @@ class DssCircuit:
                 self.engine.CktElement.Enabled(enabled)
             if not enabled:
                 yield
+
+    def raise_impedances(self, factors: Mapping[str, float]) -> None:
+        """Multiply the series impedances of lines by factors; their charging stays."""
+        lines = self.engine.Lines
+        for name, factor in factors.items():
+            lines.Name(name)
+            r, x = ([factor * float(one) for one in matrix()] for matrix in (lines.RMatrix, lines.XMatrix))
+            lines.RMatrix(r)
+            lines.XMatrix(x)
 
     def volts(self) -> dict[str, complex]:
         """Voltage of each node to ground, V, by its name such as ``"671.1"``."""

@@ -9,13 +9,12 @@ import numpy as np
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.dss_lines import rounded
-from dcgrid_env.grid.formats.opendss.dss_loads import Row, by_connection, legs_between
+from dcgrid_env.grid.formats.opendss.dss_loads import Row, by_connection, legs_between, row_name
 from dcgrid_env.grid.formats.opendss.joints import Letters, Supply
+from dcgrid_env.grid.three_phase_checks import FAR
 
 KINDS = ("generator", "pvsystem", "storage")
 _LAWS = {1: "PQ", 2: "Z", 4: "PQ"}
-_FAR = 10.0
-"""A rated voltage this many times that of its bus, or this much less: the element is an impedance at any voltage."""
 _LEAST_PU = 1e-3
 """Below ``vminpu`` the element is an impedance down to no voltage; the tables need a voltage where this ends."""
 
@@ -49,20 +48,20 @@ def _rows(circuit: DssCircuit, report: Report, kind: str, name: str, legs: list[
     power = np.asarray(circuit.engine.CktElement.TotalPowers(), np.float64)
     law, v = _LAWS.get(model, "PQ"), _across(circuit, size, delta)
     base_kv = circuit.base_kv_ln(circuit.terminals()[0].bus)
-    if base_kv > 0.0 and not 1.0 / _FAR < kv / base_kv < _FAR:
+    if base_kv > 0.0 and not 1.0 / FAR < kv / base_kv < FAR:
         law, kv = "Z", base_kv
     circuit.activate(kind, name)
     v_pu = v / (1000.0 * kv)
     at_pu = np.clip(v_pu, vmin, vmax) if law == "PQ" else np.ones(size)
     equal = float(((v_pu / at_pu) ** 2).sum())  # beyond the limits it is an impedance
     p_kw, q_kvar = (rounded(figure / (equal or size)) for figure in power[:2])
-    ps, qs = by_connection(legs, p_kw), by_connection(legs, q_kvar)
+    ps, qs = (by_connection(dict.fromkeys(legs, each)) for each in (p_kw, q_kvar))
     report.add("taken", kind, name, "in loads.csv, as a load that injects its present power")
     if any(circuit.text(field) for field in ("daily", "yearly", "duty")):
         report.add("nothing lost", kind, name, "its load shape is left out: it injects its present power")
     limits = {"vmin_pu": max(vmin, 2.0 * _LEAST_PU), "vmax_pu": vmax, "vlow_pu": _LEAST_PU}
     return [
-        {"name": f"{kind}.{name}" + ("" if len(ps) == 1 else f"_{connection.replace(' ', '_')}"),
+        {"name": row_name(f"{kind}.{name}", connection, len(ps)),
          "bus": circuit.terminals()[0].bus, "connection": connection, "model": law, "leg_kv": kv,
          "p_kw": ps[connection], "q_kvar": qs[connection], "zip": (), "exponents": (), **limits}
         for connection in ps

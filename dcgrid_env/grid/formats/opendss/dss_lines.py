@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -17,24 +18,37 @@ from dcgrid_env.grid.formats.opendss.joints import Joint, Letters
 from dcgrid_env.grid.three_phase_tables import Matrix
 
 _ROUNDING = 1e-12  # relative, of what an inverse leaves in place of 0
+_CANCELLED = 2e-15
+"""Relative, of what the difference of two entries leaves in place of 0; short cables have little more charging."""
 _SWITCH_B_US = 1e-3
 """Charging that a switch is not thought to have: OpenDSS's own default is 2e-4 microsiemens."""
 _NO_PHASE = math.nan
+UNLIKE = "a row of another table would not have its admittances"
+"""Why an element whose row differs from OpenDSS's matrix is a row of the admittances."""
 _METRES = {"mi": 1609.344, "kft": 304.8, "km": 1000.0, "m": 1.0, "ft": 0.3048, "in": 0.0254, "cm": 0.01, "mm": 0.001}
 
 
-def read_lines(circuit: DssCircuit, report: Report, ratings: ScriptRatings, letters: Letters) -> list[Joint]:
-    """Read the lines, switches, reactors and fault resistances, and report them."""
+def read_lines(
+    circuit: DssCircuit, report: Report, ratings: ScriptRatings, letters: Letters, generic: Collection[str]
+) -> list[Joint]:
+    """Read the lines, switches, reactors and fault resistances, and report them.
+
+    Those in ``generic``, as class.name, become rows of the admittances.
+    """
     named = [(kind, name) for kind in ("line", "reactor", "fault") for name in circuit.names(kind)]
     found = []
     for kind, name in named:
         rating_a = ratings.of_conductor(kind, name) if kind != "fault" else math.nan
         branch = kind == "line" or (kind == "reactor" and _in_series(circuit, name))
-        line: Joint | str | None = _line(circuit, report, kind, name, rating_a) if branch else ""
+        line: Joint | str | None = "" if not branch else UNLIKE
+        if branch and f"{kind}.{name}" not in generic:
+            line = _line(circuit, report, kind, name, rating_a)
         if isinstance(line, str):
             reason, line = line, admittance_joint(circuit, letters, kind, name, rating_a)
             report_admittance(report, kind, name, line, reason)
         found.append(line)
+        if isinstance(line, Joint) and line.kind == "switch" and not line.closed:
+            found.append(_charging_of_open(circuit, report, letters, kind, name))
     return _side_by_side([line for line in found if isinstance(line, Joint)], report)
 
 
@@ -46,6 +60,15 @@ def report_admittance(report: Report, kind: str, name: str, joint: Joint | str |
         report.add("taken", kind, name, f"in admittances.csv{f': {reason}' if reason else ''}")
     else:
         report.add("nothing lost", kind, name, "it connects nothing")
+
+
+def _charging_of_open(circuit: DssCircuit, report: Report, letters: Letters, kind: str, name: str) -> Joint | None:
+    """The admittance that an open line keeps at an end that is not open; None if it is that of a switch."""
+    joint = admittance_joint(circuit, letters, kind, name)
+    if not isinstance(joint, Joint) or max(map(abs, joint.values["b_s"])) < 1e-6 * _SWITCH_B_US:
+        return None
+    report.add("nothing lost", kind, name, "its charging at the end that is not open is in admittances.csv")
+    return replace(joint, closed=False)
 
 
 def _in_series(circuit: DssCircuit, name: str) -> bool:
@@ -67,14 +90,14 @@ def _line(circuit: DssCircuit, report: Report, kind: str, name: str, rating_a: f
         y = circuit.admittance()
     n = len(first.nodes)
     shunt = y[:n, :n] + y[:n, n:]
-    noise = _ROUNDING * np.abs(y[:n, n:]).max()
-    if np.abs(shunt.real).max() > noise + 1e-9 * np.abs(shunt).max():
+    series = np.abs(y[:n, n:]).max()
+    if np.abs(shunt.real).max() > _ROUNDING * series + 1e-9 * np.abs(shunt).max():
         return "it has a shunt conductance"
     try:
         z = np.linalg.inv(-y[:n, n:])
     except np.linalg.LinAlgError:
         return "its admittance matrix has no inverse"
-    b_us = 2e6 * np.where(np.abs(shunt.imag) > noise, shunt.imag, 0.0)  # half of it stands at this end
+    b_us = 2e6 * np.where(np.abs(shunt.imag) > _CANCELLED * series, shunt.imag, 0.0)  # half of it stands at this end
     phases = "".join("abc"[node - 1] for node in sorted(first.nodes))
     turned = np.argsort(first.nodes)
     z, b_us = z[np.ix_(turned, turned)], b_us[np.ix_(turned, turned)]
@@ -82,7 +105,7 @@ def _line(circuit: DssCircuit, report: Report, kind: str, name: str, rating_a: f
     length_m = _length_m(circuit) if kind == "line" else math.nan
     is_switch = kind == "line" and circuit.yes("switch")
     values = _columns(length_m, z, b_us, phases) | {"rating_a": rating_a}
-    joint = Joint("phase_line", name, ends, phases, not any(opened), values)
+    joint = Joint("phase_line", name, ends, phases, not any(opened), values, members=(f"{kind}.{name}",))
     return _as_switch(report, kind, joint, is_switch, z, b_us)
 
 
@@ -149,10 +172,10 @@ def _side_by_side(lines: list[Joint], report: Report) -> list[Joint]:
 def _joined(first: Joint, second: Joint) -> Joint:
     """Two closed lines as one whose admittance is the sum of theirs."""
     phases = "".join(sorted(set(first.phases + second.phases)))
-    name = f"{first.name}+{second.name}"
+    name, members = f"{first.name}+{second.name}", (*first.members, *second.members)
     of_other_phases = len(phases) == len(first.phases + second.phases)
     if first.kind == second.kind == "switch" and first.values == second.values and of_other_phases:
-        return replace(first, name=name, phases=phases)
+        return replace(first, name=name, phases=phases, members=members)
     positions = ["abc".index(phase) for phase in phases]
     y, b_us = np.zeros((2, 3, 3), np.complex128), np.zeros((3, 3))
     for k, line in enumerate((first, second)):
@@ -167,7 +190,7 @@ def _joined(first: Joint, second: Joint) -> Joint:
     ratings = [float(line.values["rating_a"]) for line in (first, second)]
     most = [rating / shares[k].max() for k, rating in enumerate(ratings)]
     values["rating_a"] = rounded(min(most)) if not any(map(math.isnan, most)) else math.nan
-    return replace(first, kind="phase_line", name=name, phases=phases, values=values)
+    return replace(first, kind="phase_line", name=name, phases=phases, values=values, members=members)
 
 
 def _matrices(line: Joint) -> tuple[NDArray[Any], NDArray[Any]]:

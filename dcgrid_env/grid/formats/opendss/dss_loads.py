@@ -1,9 +1,9 @@
-"""Loads and capacitors of an OpenDSS circuit as legs between two conductors, or between a conductor and ground."""
+"""Loads and transformer cores of an OpenDSS circuit as legs between two conductors, or from one to ground."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from dcgrid_env.grid.formats.import_report import Report
@@ -19,31 +19,29 @@ _MOTOR = (0.0, 2.0)
 Row = dict[str, Any]
 
 
-def legs_between(
-    end: Terminal, letters: Letters, size: int, delta: bool, neutral: Sequence[int] | None = None
-) -> list[str] | None:
+def legs_between(end: Terminal, letters: Letters, size: int, delta: bool) -> list[str] | None:
     """The legs of an element by their conductors, as ``connections`` has them; None if it has none or one twice."""
     near = end.nodes[:size]
     if delta:
         far = [*end.nodes[1:size], *(end.nodes[size:] or end.nodes[:1])]
     else:
-        far = list(neutral) if neutral is not None else [end.nodes[size] if len(end.nodes) > size else 0] * size
+        far = [end.nodes[size] if len(end.nodes) > size else 0] * size
     legs = ["ca" if leg == "ac" else leg for leg in (letters.of(pair) for pair in zip(near, far, strict=True))]
     alike = any(one == other for one, other in zip(near, far, strict=True))
     return None if alike or len(set(legs)) < len(legs) else legs
 
 
-def by_connection(legs: Sequence[str], each: float) -> dict[str, tuple[float, ...]]:
+def by_connection(of_leg: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
     """The figure of each leg in the tables' order, for the connections that occur."""
     found: dict[str, tuple[float, ...]] = {}
     for connection in ("wye", "delta"):
         known = legs_of(connection)
-        if set(legs) & set(known):
-            found[connection] = tuple(each if leg in legs else 0.0 for leg in known)
-    others = [leg for leg in legs if leg not in (*legs_of("wye"), *legs_of("delta"))]
+        if set(of_leg) & set(known):
+            found[connection] = tuple(of_leg.get(leg, 0.0) for leg in known)
+    others = [leg for leg in of_leg if leg not in (*legs_of("wye"), *legs_of("delta"))]
     for first in range(0, len(others), 3):
         named = others[first : first + 3]
-        found[" ".join(named)] = (*[each] * len(named), 0.0, 0.0)[:3]
+        found[" ".join(named)] = (*(of_leg[leg] for leg in named), 0.0, 0.0)[:3]
     return found
 
 
@@ -82,15 +80,16 @@ def _load_rows(
     # OpenDSS asks for vlow first, so that below it nothing else counts; a step in place of the line between them.
     vmin = max(circuit.figure("vminpu"), vlow * (1.0 + 1e-9))
     common = {"bus": bus, "leg_kv": rounded(kv), "vmin_pu": vmin, "vmax_pu": circuit.figure("vmaxpu"), "vlow_pu": vlow}
-    ps, qs = by_connection(legs, p_kw), by_connection(legs, q_kvar)
+    ps, qs = (by_connection(dict.fromkeys(legs, each)) for each in (p_kw, q_kvar))
     return [
-        {"name": _row_name(name, connection, len(ps)), "connection": connection, **common, **law,
+        {"name": row_name(name, connection, len(ps)), "connection": connection, **common, **law,
          "p_kw": ps[connection], "q_kvar": qs[connection]}
         for connection in ps
     ]  # fmt: skip
 
 
-def _row_name(name: str, connection: str, n: int) -> str:
+def row_name(name: str, connection: str, n: int) -> str:
+    """Name of the row of one connection of an element that has ``n``."""
     return name if n == 1 else f"{name}_{connection.replace(' ', '_')}"
 
 
@@ -124,59 +123,10 @@ def core_rows(unit: Unit, report: Report) -> list[Row]:
     legs = legs_of("delta") if delta else list(unit.phases)
     text = "its no-load losses and magnetising current are a constant impedance in the table of cores"
     report.add("nothing lost", "transformer", unit.name, text)
-    [(connection, ps)] = by_connection(legs, rounded(p_kw)).items()
-    [(_, qs)] = by_connection(legs, rounded(q_kvar)).items()
+    [(connection, ps)] = by_connection(dict.fromkeys(legs, rounded(p_kw))).items()
+    [(_, qs)] = by_connection(dict.fromkeys(legs, rounded(q_kvar))).items()
     kv = last.kv_ll * last.tap / (1.0 if delta else math.sqrt(3.0))
     return [
-        {"name": unit.name, "bus": last.bus, "connection": connection, "leg_kv": rounded(kv), "p_kw": ps, "q_kvar": qs}
+        {"name": unit.name, "bus": last.bus, "connection": connection, "leg_kv": rounded(kv), "p_kw": ps, "q_kvar": qs,
+         "members": (f"transformer.{unit.name}",)}
     ]  # fmt: skip
-
-
-def capacitor_legs(circuit: DssCircuit, letters: Letters, name: str) -> list[str] | None:
-    """The legs of a capacitor bank that can be switched as susceptances; None for one that is to be an admittance."""
-    circuit.activate("capacitor", name)
-    ends, size = circuit.terminals(), circuit.engine.CktElement.NumPhases()
-    delta = circuit.text("conn").lower() in ("delta", "ll")
-    legs = None
-    opened = circuit.open_conductors()
-    if len(ends) == 1 or (ends[1].bus == ends[0].bus and (all(opened[0]) or not any(map(any, opened)))):
-        legs = legs_between(ends[0], letters, size, delta, None if delta else ends[1].nodes[:size])
-    return None if any(circuit.figures("r") + circuit.figures("xl")) else legs
-
-
-def read_capacitors(
-    circuit: DssCircuit, report: Report, supply: Supply, letters: Letters
-) -> tuple[list[Row], dict[str, list[list[str]]]]:
-    """Rows of the capacitors that have supply, one for each step of a bank, and their names by bank and step."""
-    rows: list[Row] = []
-    names: dict[str, list[list[str]]] = {}
-    for name in circuit.names("capacitor"):
-        legs = capacitor_legs(circuit, letters, name)
-        if legs is None:
-            continue  # among the admittances
-        bus, size = circuit.terminals()[0].bus, circuit.engine.CktElement.NumPhases()
-        if not set("".join(legs)) <= set(supply.phases.get(bus, "")):
-            report.add("lost", "isolated", f"capacitor {name}", "without supply: it is left out")
-            continue
-        delta = circuit.text("conn").lower() in ("delta", "ll")
-        kv = circuit.figure("kv") / (math.sqrt(3.0) if size > 1 and not delta else 1.0)
-        of_steps = _capacitor_rows(circuit, name, bus, legs, kv)
-        names[name.lower()] = [[row["name"] for row in of_step] for of_step in of_steps]
-        rows += [row for of_step in of_steps for row in of_step]
-        report.add("taken", "capacitor", name, "in capacitors.csv")
-    return rows, names
-
-
-def _capacitor_rows(circuit: DssCircuit, name: str, bus: str, legs: list[str], kv: float) -> list[list[Row]]:
-    steps, states = circuit.figures("kvar"), circuit.figures("states")
-    if all(circuit.open_conductors()[0]):  # as CapControls leave a bank without a step that is on
-        states = [0.0] * len(steps)
-    rows: list[list[Row]] = []
-    for k, kvar in enumerate(steps):
-        of_step = name if len(steps) == 1 else f"{name}_{k + 1}"
-        rows.append([])
-        for connection, each in by_connection(legs, rounded(kvar / len(legs))).items():
-            on = k < len(states) and states[k] == 1.0  # as OpenDSS reads it
-            rows[-1].append({"name": of_step, "bus": bus, "connection": connection, "leg_kv": rounded(kv), "kvar": each,
-                         "state": "on" if on else "off"})  # fmt: skip
-    return rows

@@ -176,6 +176,7 @@ def regulator_row(
         "r_percent": unit.r_percent if proper else 0.0, "x_percent": unit.x_percent if proper else 0.0,
         "tap": round(tap), "tap_neutral": 0, "tap_min": round(lowest), "tap_max": round(highest),
         "tap_step": rounded(step), "antifloat_ppm": unit.antifloat_ppm if proper else 0.0, **regulation.values,
+        "members": (f"transformer.{unit.name}",),
     }  # fmt: skip
 
 

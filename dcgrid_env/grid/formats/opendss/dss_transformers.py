@@ -6,11 +6,12 @@ Those of two windings that a table can hold are units. The others become rows of
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from dcgrid_env.grid.formats.import_report import Report
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, Terminal
-from dcgrid_env.grid.formats.opendss.dss_lines import rounded
+from dcgrid_env.grid.formats.opendss.dss_lines import UNLIKE, rounded
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.joints import Joint
 from dcgrid_env.grid.three_phase_tables import WINDINGS
@@ -54,9 +55,12 @@ class Unit:
     bank: str
 
 
-def read_units(circuit: DssCircuit, ratings: ScriptRatings) -> dict[str, Unit | str]:
-    """Each transformer by name, or why it is to be a row of the admittances."""
-    return {name: _unit(circuit, ratings, name) for name in circuit.names("transformer")}
+def read_units(circuit: DssCircuit, ratings: ScriptRatings, generic: Collection[str]) -> dict[str, Unit | str]:
+    """Each transformer by name, or why it is to be a row of the admittances, as those in ``generic`` are."""
+    return {
+        name: UNLIKE if f"transformer.{name}" in generic else _unit(circuit, ratings, name)
+        for name in circuit.names("transformer")
+    }
 
 
 def rating_of_fed_side(circuit: DssCircuit, ratings: ScriptRatings, name: str, depth: dict[str, int]) -> float:
@@ -106,9 +110,11 @@ def _unit(circuit: DssCircuit, ratings: ScriptRatings, name: str) -> Unit | str:
         return "its phases change, or are not in the order 1 2 3"
     rating_kva = ratings.of_transformer(name)
     circuit.activate("transformer", name)
+    # Reactances hold at the frequency of the transformer.
+    higher = float(engine.Solution.Frequency()) / circuit.figure("basefreq")
     return Unit(
         name, "".join("abc"[node - 1] for node in sorted(nodes[0])), nodes[0], (windings[0], windings[1]),
-        circuit.figures("kvas")[0], rating_kva, rounded(resistance), rounded(circuit.figure("xhl")),
+        circuit.figures("kvas")[0], rating_kva, rounded(resistance), rounded(circuit.figure("xhl") * higher),
         circuit.text("leadlag").lower() in ("lag", "ansi"),
         circuit.figure("ppm_antifloat"), circuit.figure("%noloadloss"), circuit.figure("%imag"), circuit.text("bank"),
     )  # fmt: skip
@@ -156,7 +162,8 @@ def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
         "r_percent": unit.r_percent, "x_percent": unit.x_percent, "shift_deg": shift_deg,
         "antifloat_ppm": unit.antifloat_ppm, "rating_kva": rounded(unit.rating_kva * min(first.tap, to_tap)),
     }  # fmt: skip
-    return Joint("transformer", unit.name, (first.bus, to_bus), unit.phases, True, values)
+    members = (f"transformer.{unit.name}",)
+    return Joint("transformer", unit.name, (first.bus, to_bus), unit.phases, True, values, members=members)
 
 
 def merged(joints: list[Joint], report: Report) -> list[Joint]:
@@ -179,6 +186,7 @@ def merged(joints: list[Joint], report: Report) -> list[Joint]:
         text = "beside each other between two buses: one row that is both"
         report.add("nothing lost", "transformer", f"{other.name} and {joint.name}", text)
         found[joint.ends] = replace(
-            other, name=f"{other.name}+{joint.name}", phases=phases, values=joint.values | added
-        )
+            other, name=f"{other.name}+{joint.name}", phases=phases, values=joint.values | added,
+            members=(*other.members, *joint.members),
+        )  # fmt: skip
     return list(found.values())

@@ -1,16 +1,20 @@
 """One line of an OpenDSS script as words, read by OpenDSS's rules and rewritten in an unambiguous form.
 
 Words are separated by blanks and commas, and ``name=value`` is one word. Quotes, parentheses, brackets or braces may
-enclose a value, up to the first that closes. Text that OpenDSS and this file could read differently is refused:
-nested brackets of one kind, control characters, and OpenDSS's variables ``@name``.
+enclose a value, up to the first that closes; within a word they are letters like others, as in ``Line.l(r:a-b)``. Text
+that OpenDSS and this file could read differently is refused: nested brackets of one kind, control characters, and
+OpenDSS's variables ``@name``.
 """
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 CLOSING = {'"': '"', "'": "'", "(": ")", "[": "]", "{": "}"}
 _BLANK = " \t"
+_VARIABLE = re.compile(r"""(^|[\s,=|("'\[{])@""")
+"""Text that names a variable, alone or in a list; within a name ``@`` is a letter."""
 
 
 class Word(NamedTuple):
@@ -55,9 +59,15 @@ def words_of(line: str) -> list[Word]:
         else:
             words.append(Word("", text, quote))
     for word in words:
-        if "@" in word.name + word.text:
+        if _VARIABLE.search(word.name) or _VARIABLE.search(word.text):
             raise ValueError(f"{str(word)!r} may name a variable of OpenDSS; write what it stands for")
     return words
+
+
+def quoted(text: str) -> Word:
+    """A value in the first kind of quotes that it does not contain."""
+    quote = next((one for one, closing in CLOSING.items() if one not in text and closing not in text), "")
+    return Word("", text, quote)
 
 
 def _skipped(line: str, index: int, characters: str) -> int:
@@ -76,8 +86,6 @@ def _value(line: str, index: int) -> tuple[str, str, int]:
     if quote not in CLOSING:
         end = index
         while end < len(line) and line[end] not in _BLANK + ",=" and not _is_comment(line, end):
-            if line[end] in "\"'()[]{}":
-                raise ValueError(f"{line[end]} within the word {line[index:].split()[0]!r}; separate words by blanks")
             end += 1
         return line[index:end], "", end
     end = line.find(CLOSING[quote], index + 1)

@@ -27,11 +27,16 @@ class Joint:
     values: dict[str, Any] = field(default_factory=dict)
     """The other columns of the row."""
     nodes: tuple[Node, ...] = ()
+    """Nodes of an admittance, in the order of its matrix."""
+    parts: tuple[tuple[Node, ...], ...] = ()
+    """The same nodes, those that it connects with each other together."""
+    members: tuple[str, ...] = ()
+    """The elements that it is, as class.name."""
 
     @property
-    def all_nodes(self) -> Sequence[Node]:
-        """All nodes that it connects."""
-        return self.nodes or [(bus, phase) for bus in self.ends for phase in self.phases]
+    def node_groups(self) -> Sequence[Sequence[Node]]:
+        """All its nodes, those that it connects with each other together."""
+        return self.parts or [[(bus, phase) for bus in self.ends for phase in self.phases]]
 
 
 @dataclass
@@ -67,26 +72,42 @@ class Supply:
     phases: dict[str, str]
     """Letters of the conductors that each bus is fed with."""
 
+    def has(self, nodes: Iterable[Node]) -> bool:
+        """Whether all these nodes have supply."""
+        return all(letter in self.phases.get(bus, "") for bus, letter in nodes)
+
     def fed(self, joint: Joint) -> bool:
-        """Whether all its nodes have supply."""
-        return all(letter in self.phases.get(bus, "") for bus, letter in joint.all_nodes)
+        """Whether a joint has supply at all nodes of one of its groups."""
+        return any(map(self.has, joint.node_groups))
 
 
-def supply_of(source: str, joints: Sequence[Joint]) -> Supply:
-    """Follow the closed joints from the source bus."""
-    joints_of_node: dict[Node, list[Joint]] = {}
+def supply_of(source: str, joints: Sequence[Joint], legs: Sequence[Sequence[Node]] = ()) -> Supply:
+    """Follow the closed joints from the source bus.
+
+    ``legs`` are the nodes of each element that draws. A node that no joint reaches has supply if such an element
+    connects it with one that has: the neutral of a star that nothing else grounds.
+    """
+    groups_of_node: dict[Node, list[Sequence[Node]]] = {}
+    reached: set[Node] = set()
     for joint in joints:
-        for node in joint.all_nodes if joint.closed else ():
-            joints_of_node.setdefault(node, []).append(joint)
+        for group in joint.node_groups:
+            reached.update(group)
+            for node in group if joint.closed else ():
+                groups_of_node.setdefault(node, []).append(group)
     depth: dict[Node, int] = {(source, phase): 0 for phase in "abc"}
+    reached.update(depth)
+    for nodes in legs:
+        carried = [node for node in nodes if node not in reached]
+        for node in nodes if carried else ():
+            groups_of_node.setdefault(node, []).append(carried)
     used: set[int] = set()
     queue = list(depth)
     for node in queue:
-        for joint in joints_of_node.get(node, ()):
-            if id(joint) in used:
+        for group in groups_of_node.get(node, ()):
+            if id(group) in used:
                 continue
-            used.add(id(joint))
-            for other in joint.all_nodes:
+            used.add(id(group))
+            for other in group:
                 if other not in depth:
                     depth[other] = depth[node] + (other[0] != node[0])
                     queue.append(other)

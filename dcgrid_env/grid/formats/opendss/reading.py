@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from dcgrid_env.core.files import sha256_of
-from dcgrid_env.grid.formats.import_report import Finding, Report
-from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint
+from dcgrid_env.grid.formats.import_report import Finding, Report, shown_names
+from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint, part_with_supply
+from dcgrid_env.grid.formats.opendss.dss_bases import check_frequency, derive_bases
 from dcgrid_env.grid.formats.opendss.dss_capacitor_controls import read_capacitor_controls
+from dcgrid_env.grid.formats.opendss.dss_capacitors import (
+    Legs,
+    capacitor_admittances,
+    capacitor_steps,
+    read_capacitors,
+)
+from dcgrid_env.grid.formats.opendss.dss_check import SOLVABLE_PU, lines_to_raise, unlike_elements
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
 from dcgrid_env.grid.formats.opendss.dss_further_ratings import with_further_ratings
+from dcgrid_env.grid.formats.opendss.dss_generation import KINDS as GENERATION
 from dcgrid_env.grid.formats.opendss.dss_generation import read_generation
 from dcgrid_env.grid.formats.opendss.dss_lines import read_lines, report_admittance
-from dcgrid_env.grid.formats.opendss.dss_loads import Row, capacitor_legs, core_rows, read_capacitors, read_loads
+from dcgrid_env.grid.formats.opendss.dss_loads import Row, core_rows, legs_between, read_loads
 from dcgrid_env.grid.formats.opendss.dss_losses import LossEffect, Solved, effects_of_losses, solved
 from dcgrid_env.grid.formats.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.grid.formats.opendss.dss_regulators import (
@@ -39,7 +48,7 @@ from dcgrid_env.grid.formats.opendss.dss_transformers import (
     read_units,
     transformer_joint,
 )
-from dcgrid_env.grid.formats.opendss.joints import Joint, Letters, Supply, supply_of
+from dcgrid_env.grid.formats.opendss.joints import Joint, Letters, Node, Supply, supply_of
 from dcgrid_env.grid.formats.three_phase_columns import says_nothing
 from dcgrid_env.grid.network import (
     AdmittanceTable,
@@ -105,13 +114,27 @@ def read_circuit(
     folder = None if root is None else Path(root)
     circuit = loaded_circuit(Path(master), trust, folder)
     switch_as_asked(circuit)
-    before, report = solved(circuit), Report()
-    for command, where in circuit.skipped:
-        report.add("nothing lost", "command", f"{command} ({where})", "it shows or writes results: it is left out")
-    report.add_all("nothing lost", "command", [f"solve ({where})" for where in circuit.unsettled], _UNSETTLED)
-    ratings = ScriptRatings(circuit, Path(master), report, folder)
-    shapes = LoadShapes(circuit, report)
-    network, profiles = _network(circuit, report, ratings, shapes, Path(master).name, allow)
+    check_frequency(circuit)
+    derived, before = derive_bases(circuit), solved(circuit)
+    reading = _Reading(circuit, Path(master), folder, allow, derived)
+    network, unlike = reading.network()
+    if unlike:  # once more, with these by their admittance matrices
+        reading = _Reading(circuit, Path(master), folder, allow, derived, unlike)
+        network, unlike = reading.network()
+    if unlike:
+        raise FeederError(
+            f"circuit {circuit.name!r}: {shown_names(unlike)}: the tables give other admittances than OpenDSS has; "
+            "leave the element out, or give its values in another form"
+        )
+    report, profiles = reading.report, reading.profiles
+    raised = lines_to_raise(network, reading.members["phase_line"]) if before else {}
+    if raised:
+        circuit.raise_impedances(raised)
+        before = solved(circuit)
+        text = (
+            f"its impedance is near 0, where OpenDSS's voltages are inexact: compared with {SOLVABLE_PU:g} p.u. instead"
+        )
+        report.add_all("nothing lost", "line", raised, text)
     names = _names_of_nodes(circuit, network)
     effects, after = effects_of_losses(circuit, report.findings, before, names) if before else ((), None)
     return Imported(
@@ -154,54 +177,109 @@ def digests(files: Iterable[Path], folder: str | Path) -> tuple[tuple[str, str],
     return tuple((path.resolve().relative_to(folder).as_posix(), sha256_of(path)) for path in files)
 
 
-def _network(
-    circuit: DssCircuit,
-    report: Report,
-    ratings: ScriptRatings,
-    shapes: LoadShapes,
-    script: str,
-    allow: Collection[str],
-) -> tuple[Network, tuple[ImportedProfiles, ...]]:
-    source, source_bus = read_source(circuit, report)
-    letters = Letters(circuit.node_numbers())
-    if letters.beyond:
-        renamed = ", ".join(f"{number} is {letters[number]}" for number in letters.beyond)
-        report.add("nothing lost", "node", "numbers beyond 26", f"they have unused letters: {renamed}")
-    lines, units = read_lines(circuit, report, ratings, letters), read_units(circuit, ratings)
-    others = _series_capacitors(circuit, report, letters)
-    supply = supply_of(source_bus, [*lines, *others, *_unit_joints(circuit, letters, units)])
-    lines = _with_supply([*lines, *others], supply, report)
-    tables = _Tables(circuit, report, supply, letters, ratings)
-    for name, unit in units.items():
-        tables.add(name, unit, tables.regulations.pop(name.lower(), None))
-    for regulation in tables.regulations.values():
-        fate = "nothing lost" if regulation.is_fixed else "lost"
-        report.add(fate, "regcontrol", regulation.name, "its transformer is not in the tables")
-    generation = read_generation(circuit, report, supply, letters)
-    loads = [*read_loads(circuit, report, supply, letters, shapes), *generation]
-    profiles = shapes.profiles()
-    capacitors, steps = read_capacitors(circuit, report, supply, letters)
-    capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, steps)
-    transformers = merged(tables.transformers, report)
-    report_the_rest(circuit, report)
-    report.refuse_unless(circuit.name, allow)
-    network = Network(
-        name=circuit.name,
-        source=source,
-        node=_nodes(circuit, supply, tables.between, letters),
-        phase_line=_table(PhaseLineTable, _rows(lines, "phase_line")),
-        switch=_table(SwitchTable, _rows(lines, "switch")),
-        transformer=_table(TransformerTable, _rows(transformers, "transformer")),
-        regulator=_table(RegulatorTable, tables.regulators),
-        phase_load=_table(PhaseLoadTable, loads),
-        capacitor=_table(CapacitorTable, capacitors),
-        capacitor_control=_table(CapacitorControlTable, capacitor_controls),
-        core=_table(CoreTable, tables.cores),
-        admittance=_table(AdmittanceTable, _admittance_rows([*lines, *tables.admittances])),
-        frequency_hz=float(circuit.engine.Solution.Frequency()),
-        source_of_facts=f"OpenDSS script {script}",
-    )
-    return with_further_ratings(network, circuit, ratings, report), profiles
+class _Reading:
+    """One reading of a solved circuit into tables, with its report.
+
+    ``derived`` is what ``derive_bases`` returns. ``generic`` are elements, as class.name, that become rows of the
+    admittances.
+    """
+
+    def __init__(
+        self,
+        circuit: DssCircuit,
+        master: Path,
+        root: Path | None,
+        allow: Collection[str],
+        derived: tuple[int, list[float]],
+        generic: Sequence[str] = (),
+    ) -> None:
+        self._circuit, self._script, self._allow, self._generic = circuit, master.name, allow, generic
+        self.report = report = Report()
+        self._ratings, self._shapes = ScriptRatings(circuit, master, report, root), LoadShapes(circuit, report)
+        self.profiles: tuple[ImportedProfiles, ...] = ()
+        self.members: dict[str, list[tuple[str, ...]]] = {}
+        """Elements, as class.name, that each row of a table is, by table and row."""
+        for command, where in circuit.skipped:
+            report.add("nothing lost", "command", f"{command} ({where})", "it shows or writes results: it is left out")
+        report.add_all("nothing lost", "command", [f"solve ({where})" for where in circuit.unsettled], _UNSETTLED)
+        number, bases = derived
+        if number:
+            text = "the script sets no base voltages here: they are the nearest of the voltages of source and windings"
+            report.add("nothing lost", "bus", f"{number} buses, from {', '.join(f'{kv:.6g}' for kv in bases)} kV", text)
+
+    def network(self) -> tuple[Network, list[str]]:
+        """The tables, and the elements, as class.name, whose rows have other admittances than OpenDSS."""
+        circuit, report, ratings, generic = self._circuit, self.report, self._ratings, self._generic
+        source, source_bus = read_source(circuit, report)
+        letters = Letters(circuit.node_numbers())
+        if letters.beyond:
+            renamed = ", ".join(f"{number} is {letters[number]}" for number in letters.beyond)
+            report.add("nothing lost", "node", "numbers beyond 26", f"they have unused letters: {renamed}")
+        lines, units = read_lines(circuit, report, ratings, letters, generic), read_units(circuit, ratings, generic)
+        steps = capacitor_steps(circuit, letters, generic)
+        lines += capacitor_admittances(circuit, report, letters, steps)
+        joints = [*lines, *_unit_joints(circuit, letters, units)]
+        supply = supply_of(source_bus, joints, list(_nodes_of_legs(circuit, letters, steps)))
+        lines = _with_supply(lines, supply, report)
+        tables = _Tables(circuit, report, supply, letters, ratings)
+        for name, unit in units.items():
+            tables.add(name, unit, tables.regulations.pop(name.lower(), None))
+        for regulation in tables.regulations.values():
+            fate = "nothing lost" if regulation.is_fixed else "lost"
+            report.add(fate, "regcontrol", regulation.name, "its transformer is not in the tables")
+        generation = read_generation(circuit, report, supply, letters)
+        loads = [*read_loads(circuit, report, supply, letters, self._shapes), *generation]
+        self.profiles = self._shapes.profiles()
+        capacitors, rows_of_steps = read_capacitors(circuit, report, supply, steps)
+        capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, rows_of_steps)
+        transformers = merged(tables.transformers, report)
+        report_the_rest(circuit, report)
+        report.refuse_unless(circuit.name, self._allow)
+        rows = {
+            "phase_line": _rows(lines, "phase_line"),
+            "switch": _rows(lines, "switch"),
+            "transformer": _rows(transformers, "transformer"),
+            "regulator": tables.regulators,
+            "capacitor": capacitors,
+            "core": tables.cores,
+            "admittance": _admittance_rows([*lines, *tables.admittances]),
+        }
+        network = Network(
+            name=circuit.name,
+            source=source,
+            node=_nodes(circuit, supply, tables.between, letters),
+            phase_line=_table(PhaseLineTable, rows["phase_line"]),
+            switch=_table(SwitchTable, rows["switch"]),
+            transformer=_table(TransformerTable, rows["transformer"]),
+            regulator=_table(RegulatorTable, rows["regulator"]),
+            phase_load=_table(PhaseLoadTable, loads),
+            capacitor=_table(CapacitorTable, rows["capacitor"]),
+            capacitor_control=_table(CapacitorControlTable, capacitor_controls),
+            core=_table(CoreTable, rows["core"]),
+            admittance=_table(AdmittanceTable, rows["admittance"]),
+            frequency_hz=float(circuit.engine.Solution.Frequency()),
+            source_of_facts=f"OpenDSS script {self._script}",
+        )
+        self.members = {kind: [tuple(row["members"]) for row in of_kind] for kind, of_kind in rows.items()}
+        unlike = unlike_elements(circuit, letters, network, self.members, tables.between)
+        return with_further_ratings(network, circuit, ratings, report), unlike
+
+
+def _nodes_of_legs(
+    circuit: DssCircuit, letters: Letters, steps: Mapping[str, list[Legs] | None]
+) -> Iterable[list[Node]]:
+    """Nodes of each leg of what draws or injects."""
+    for kind in ("load", *GENERATION):
+        for name in circuit.names(kind):
+            circuit.activate(kind, name)
+            end, size = circuit.terminals()[0], circuit.engine.CktElement.NumPhases()
+            for leg in legs_between(end, letters, size, circuit.text("conn").lower() in ("delta", "ll")) or ():
+                yield [(end.bus, letter) for letter in leg]
+    for name, of_steps in steps.items():
+        circuit.activate("capacitor", name)
+        bus = circuit.terminals()[0].bus
+        for leg in (leg for legs in of_steps or () for leg in legs):
+            yield [(bus, letter) for letter in leg]
 
 
 def _unit_joints(circuit: DssCircuit, letters: Letters, units: dict[str, Unit | str]) -> Iterable[Joint]:
@@ -210,32 +288,19 @@ def _unit_joints(circuit: DssCircuit, letters: Letters, units: dict[str, Unit | 
         if isinstance(unit, Unit):
             yield Joint("unit", name, tuple(winding.bus for winding in unit.windings), unit.phases, True)
         else:
-            circuit.activate("transformer", name)
-            nodes = [(end.bus, letters[node]) for end in circuit.terminals() for node in end.nodes if node]
-            yield Joint("unit", name, (), "", True, {}, tuple(dict.fromkeys(nodes)))
-
-
-def _series_capacitors(circuit: DssCircuit, report: Report, letters: Letters) -> list[Joint]:
-    """Capacitors that cannot be switched as a susceptance: in series, or with a resistance or reactance."""
-    found = []
-    for name in circuit.names("capacitor"):
-        if capacitor_legs(circuit, letters, name) is None:
-            joint = admittance_joint(circuit, letters, "capacitor", name)
-            reason = "in series, at no separate legs, or with a reactance of its own; it stays in its present state"
-            report_admittance(report, "capacitor", name, joint, reason)
-            found += [joint] if isinstance(joint, Joint) else []
-    return found
+            joint = admittance_joint(circuit, letters, "transformer", name)
+            if isinstance(joint, Joint):
+                yield joint
 
 
 def _with_supply(lines: Sequence[Joint], supply: Supply, report: Report) -> list[Joint]:
     kept = []
     for line in lines:
         if supply.fed(line):
-            kept.append(line)
+            kept.append(part_with_supply(line, supply, report) if line.kind == "admittance" else line)
         else:
-            word, _, rest = line.name.partition(".") if line.kind == "admittance" else ("", "", line.name)
-            for kind in (word,) if word else ("line", "reactor"):
-                report.withdraw(kind, rest.split("+"))
+            for kind, _, name in (full.partition(".") for full in line.members):
+                report.withdraw(kind, [name])
             fate = "lost" if line.closed else "nothing lost"
             kind = "" if line.kind == "admittance" else "line "
             report.add(fate, "isolated", f"{kind}{line.name}", "without supply at an end: it is left out")
@@ -321,7 +386,7 @@ class _Tables:
             report.add("lost", "regcontrol", regulation.name, f"{made}: its tap is fixed")
         joint = admittance_joint(circuit, self.letters, "transformer", name, rating_a)
         report_admittance(report, "transformer", name, joint, reason)
-        self.admittances += [joint] if isinstance(joint, Joint) else []
+        self.admittances += [part_with_supply(joint, self.supply, report)] if isinstance(joint, Joint) else []
 
     def _between(self, unit: Unit) -> str:
         first, second = unit.windings
@@ -335,7 +400,9 @@ class _Tables:
 
 
 def _admittance_rows(joints: Iterable[Joint]) -> list[Row]:
-    return [{"name": joint.name, **joint.values} for joint in joints if joint.kind == "admittance"]
+    return [
+        {"name": joint.name, **joint.values, "members": joint.members} for joint in joints if joint.kind == "admittance"
+    ]
 
 
 def _nodes(circuit: DssCircuit, supply: Supply, between: dict[str, tuple[str, str]], letters: Letters) -> NodeTable:
@@ -345,8 +412,8 @@ def _nodes(circuit: DssCircuit, supply: Supply, between: dict[str, tuple[str, st
         base_kv, (x, y) = circuit.base_kv_ln(like), circuit.coordinates(like)
         if not base_kv > 0:
             raise FeederError(
-                f"circuit {circuit.name!r}: bus {bus} has no base voltage; add Set VoltageBases=[..] and "
-                "CalcVoltageBases to the script"
+                f"circuit {circuit.name!r}: bus {bus} has no base voltage, and none can be derived from the source and "
+                "the transformers; add Set VoltageBases=[..] and CalcVoltageBases to the script"
             )
         if not (math.isfinite(x) and math.isfinite(y)):
             x = y = math.nan
@@ -356,10 +423,11 @@ def _nodes(circuit: DssCircuit, supply: Supply, between: dict[str, tuple[str, st
 
 def _rows(joints: Iterable[Joint], kind: str) -> list[Row]:
     return [
-        {"name": joint.name, "from_bus": joint.ends[0], "to_bus": joint.ends[1], "phases": joint.phases, **joint.values}
+        {"name": joint.name, "from_bus": joint.ends[0], "to_bus": joint.ends[1], "phases": joint.phases, **joint.values,
+         "members": joint.members}
         for joint in joints
         if joint.kind == kind
-    ]
+    ]  # fmt: skip
 
 
 def _table(table: type[Any], rows: Sequence[Row]) -> Any:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dcgrid_env.grid.formats.opendss import script_rules as rules
-from dcgrid_env.grid.formats.opendss.dss_words import CLOSING, Word, words_of
+from dcgrid_env.grid.formats.opendss.dss_words import CLOSING, Word, quoted, words_of
 from dcgrid_env.grid.formats.opendss.script_counts import Counts
 from dcgrid_env.grid.formats.opendss.script_files import file_beneath, text_of
 from dcgrid_env.grid.topology import FeederError
@@ -132,7 +132,7 @@ class Script:
         element, dot, one = first.name.rpartition(".")
         if not dot or "." not in element:
             raise ValueError(f"{first.name!r} is no command")
-        return "edit", [Word("", element, '"'), first._replace(name=one), *words[1:]]
+        return "edit", [quoted(element), first._replace(name=one), *words[1:]]
 
     def _file_beneath(self, folder: Path, name: str) -> Path:
         path = file_beneath(self._root, folder, name)
@@ -200,4 +200,5 @@ class Script:
         path = self._file_beneath(folder, match["path"].strip("\"'"))
         if CLOSING[word.quote] in str(path) or word.quote in str(path):
             raise ValueError(f"{str(path)!r} holds {word.quote}; rename the folder or the file")
-        return word._replace(text=f'{match["kind"]}="{path}"{match["rest"]}')
+        columns = "".join(f",{key}={value}" for key, value in rules.COLUMNS_WITHIN.findall(match["rest"]))
+        return word._replace(text=f'{match["kind"]}="{path}"{columns}')

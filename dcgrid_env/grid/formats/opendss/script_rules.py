@@ -67,6 +67,12 @@ FILE_WITHIN = re.compile(
     re.IGNORECASE,
 )
 """A value in brackets that refers to the figures of a file."""
+COLUMNS_WITHIN = re.compile(r"(col|column|header)\s*=\s*(\w+)", re.IGNORECASE)
+"""One of its settings."""
+_NAMED = re.compile(r"(file|sngfile|dblfile)\s*=", re.IGNORECASE)
+"""Text by which OpenDSS reads figures from a file."""
+_BUSES = ("bus", "bus1", "bus2", "buses")
+"""Properties that are names of buses, which may contain an equals sign."""
 
 
 def resolved(word: str, ours: Sequence[str], theirs: Sequence[str]) -> str:
@@ -110,7 +116,7 @@ def check_plain(command: str, words: Sequence[Word]) -> None:
         if word.name and word.name.lower() not in names:
             where = f"as word {place + 1}" if by_place else "here"
             raise ValueError(f"{word.name!r} is not known {where}; choose {', '.join(names)}")
-        if "=" in word.text:
+        if _NAMED.search(word.text):
             raise ValueError(f"{str(word)!r} may name a file")
 
 
@@ -137,7 +143,7 @@ def check_property(kind: str, word: Word, is_first: bool) -> str:
     ):
         why = f"may be {begun[0]}" if begun else "may name a file or a program"
         raise ValueError(f"the property {word.name!r} {why}; leave it out")
-    if "=" in word.text:
+    if "=" in word.text and (name not in _BUSES or _NAMED.search(word.text)):
         if word.quote not in ("(", "[") or not FILE_WITHIN.match(word.text):
             raise ValueError(f"{str(word)!r} may name a file; give the figures, or (file=NAME)")
         return "within"

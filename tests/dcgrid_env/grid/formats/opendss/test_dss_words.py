@@ -27,7 +27,6 @@ def test_lines_worked_by_hand(line, words):
     ("new x kw=((1 2) usermodel=y)", "stands within"),
     ('new x "kw"=3', "stands in quotes"),
     ("new x kw=(1 2", "not closed"),
-    ("new x kw=1(2)", "within the word"),
     ("redirect @lastexportfile", "variable of OpenDSS"),
     ("new x file=@a", "variable of OpenDSS"),
     ("new\x00x", "control character"),
