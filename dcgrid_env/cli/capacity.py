@@ -94,6 +94,8 @@ class Capacity(OverWorkers):
     """Largest size to try, MW. Default: about three times the feeder's load."""
     tuned: Path | None = None
     """File with the gains of the tuned controllers, written by dcgrid tune."""
+    allow: str = ""
+    """unverified: go on with an imported feeder whose voltages are not those of the program that it comes from."""
     out: Path = Path("results/capacity")
     """Folder for capacity.csv, capacity.png and results.json. Created if missing."""
 

@@ -30,6 +30,8 @@ class Check(OverWorkers):
     split: str | None = None
     """Split of the episodes: train, validation, test, ood, or whole (all of load profiles and recordings). Default:
     whole for a scenario with load profiles or recordings, else validation."""
+    allow: str = ""
+    """unverified: go on with an imported feeder whose voltages are not those of the program that it comes from."""
     seconds: float = 40.0
     """Time limit for starting new work, s. After it, all columns use the same, smaller set of episodes."""
 

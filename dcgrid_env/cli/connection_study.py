@@ -40,6 +40,8 @@ class ConnectionStudy(OverWorkers):
 
     file: tyro.conf.Positional[Path]
     """Study file (.toml) with bus, mw, feeder or scenario, and settings."""
+    allow: str = ""
+    """unverified: go on with an imported feeder whose voltages are not those of the program that it comes from."""
     out: Path = Path("results/study")
     """Folder for report.html, report.json and capacity.csv. Created if missing."""
 

@@ -38,6 +38,7 @@ class _Export(Command):
     def run(self) -> None:
         """Write the file, read it back and compare voltages with the other program's; write nothing on an error."""
         from dcgrid_env.cli.grid_import import comparison
+        from dcgrid_env.cli.import_record import CLOSE_PU
         from dcgrid_env.core.files import write_bytes
 
         if self.out.exists():
@@ -47,6 +48,8 @@ class _Export(Command):
             file = Path(folder) / self.out.name
             self.write(feeder, file)
             said = comparison(self.read_back(file), feeder)
+            if said.largest and not said.is_close:
+                raise ValueError(f"{said}: must be at most {CLOSE_PU:g}; nothing was written, please report the feeder")
             write_bytes(self.out, file.read_bytes())
         console = plain_console()
         say(console, str(said))

@@ -142,6 +142,17 @@ class ImportRecord:
         return (f"voltages differ by more than {CLOSE_PU:g} p.u. {why}",)
 
     @property
+    def unverified(self) -> str:
+        """Why the power flow of the source's program does not verify the tables; empty if it does.
+
+        Where elements are omitted, the circuit without them is the one that counts, if it is compared.
+        """
+        last = self.comparisons[-1]
+        if last.is_close or (last.largest and self.has_losses and len(self.comparisons) == 1):
+            return ""
+        return " and ".join(self.verdicts) if last.largest else str(last)
+
+    @property
     def lines(self) -> tuple[str, ...]:
         """The report in lines of text, without the findings."""
         effects = map(effect_text, self.effects)
@@ -159,7 +170,7 @@ class ImportRecord:
     def as_json(self) -> dict[str, Any]:
         """The record as plain values; a figure that is not known is None."""
         files = [{"name": name, "sha256": digest} for name, digest in self.files]
-        return _plain({"format": _FORMAT} | asdict(self) | {"files": files})
+        return _plain({"format": _FORMAT} | asdict(self) | {"files": files, "unverified": self.unverified})
 
 
 def effect_text(effect: LossEffect) -> str:

@@ -16,6 +16,7 @@ from dcgrid_command.streams import complain, standard_streams
 from dcgrid_env import __version__
 from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.remedies import with_options
+from dcgrid_env.cli.stamps import stamps_respected
 from dcgrid_env.cli.terminal import any_characters
 from dcgrid_env.core.plugins import tolerate_malformed
 from dcgrid_env.core.signals import raising
@@ -49,7 +50,8 @@ def main(args: list[str] | None = None, commands: Group = COMMANDS, prog: str = 
             if sum(word.partition("=")[0] == "--set" for word in words) > 1:
                 raise ValueError("set: must be given once; put every FIELD=VALUE after a single --set")
             command = parse([word for word in words if word != TRACEBACK], commands, prog)
-            command.run()
+            with stamps_respected(getattr(command, "allow", None)):
+                command.run()
     except (ValueError, OSError, MemoryError) as error:
         if TRACEBACK in words:
             complain("".join(traceback.format_exception(error)).rstrip("\n"))

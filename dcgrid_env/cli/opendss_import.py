@@ -11,16 +11,8 @@ import numpy as np
 import tyro
 
 from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.import_page import HTML_FILE, write_report
-from dcgrid_env.cli.import_record import (
-    ImportRecord,
-    compared,
-    findings_table,
-    ratings_by_kind,
-    reproduction,
-)
-from dcgrid_env.cli.settings import check_folder
-from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.cli.import_output import ImportOutput
+from dcgrid_env.cli.import_record import ImportRecord, compared, ratings_by_kind, reproduction
 from dcgrid_env.grid.three_phase_tables import LETTERS
 
 if TYPE_CHECKING:
@@ -35,7 +27,8 @@ class _ThreePhaseImport(Command):
     out: Path
     """Folder for the tables. It must be new or empty."""
     allow: str = ""
-    """Types of elements to omit even if this changes the grid, separated by commas, for example isource,isolated."""
+    """Types of elements to omit even if this changes the grid, separated by commas, for example isource,isolated.
+    unverified accepts a feeder whose voltages are not those of OpenDSS."""
     root: Path | None = None
     """Folder below which the file may read others, for example that of a whole repository. Default: the folder of
     the file."""
@@ -47,24 +40,18 @@ class _ThreePhaseImport(Command):
     def run(self) -> None:
         """Read, compile, solve, report the outcome for each element, and write; write nothing on an error."""
         from dcgrid_env import ThreePhaseFeeder
-        from dcgrid_env.core.files import whole_folder
         from dcgrid_env.grid.formats.opendss import write_imported_profiles
 
-        if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise ValueError(f"out: must be a new or empty folder, got {self.out}; choose another --out")
-        check_folder(self.out)
-        imported = self.read([kind.strip() for kind in self.allow.split(",") if kind.strip()])
+        output = ImportOutput(self.out, self.allow)
+        output.check()
+        imported = self.read(output.kinds)
         feeder = ThreePhaseFeeder.from_network(imported.network)
-        record = recorded(imported, feeder)
-        with whole_folder(self.out) as folder:
+
+        def tables(folder: Path) -> None:
             feeder.to_csv(folder)
             write_imported_profiles(imported.profiles, folder)
-            write_report(record, folder)
-        console = plain_console()
-        console.print(findings_table(record.findings))
-        for line in record.lines:
-            say(console, line)
-        say(console, f"wrote {self.out}: {record.size}; {HTML_FILE} has the report")
+
+        output.write(recorded(imported, feeder), tables)
 
 
 @dataclass(frozen=True)

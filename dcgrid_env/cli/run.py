@@ -77,6 +77,8 @@ class Run(Command):
     course: Literal["auto", "parquet", "none"] = "auto"
     """Whether every step is written to course/CONTROLLER/part-*.parquet in --out: auto writes episodes that do not fit
     into memory, parquet writes all, none writes nothing. Writing requires the extra parquet."""
+    allow: str = ""
+    """unverified: go on with an imported feeder whose voltages are not those of the program that it comes from."""
     out: Path = Path("results/run")
     """Folder for results.json, figure.png and, with --feeder, scenario.toml. It is created if needed."""
     open: bool = False

@@ -24,7 +24,7 @@ from scipy.sparse import csr_matrix
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.three_phase_checks import node_names
-from dcgrid_env.grid.three_phase_legs import Legs
+from dcgrid_env.grid.three_phase_legs import Legs, chosen
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA, symmetric, transformer_impedance, winding_shunts
 from dcgrid_env.grid.topology import FeederError, listed
 
@@ -54,6 +54,9 @@ class NodalMatrices(NamedTuple):
     """Row of the regulators' table, -1 for a switch or line, (n_coupler,)."""
     coupler_mutual: csr_matrix
     """Impedances between the couplers of a line, (n_coupler, n_coupler), symmetric, nothing on its diagonal."""
+    carrying: Legs
+    """Legs that alone connect a node with the source. Their impedances at rated power are in ``y``; cores draw the
+    opposite, so that the legs themselves count."""
     feed: csr_matrix
     """The current brought to each node by what feeds it, from the voltages of all nodes, (n_node, n_node)."""
     feed_coupler: NDArray[np.intp]
@@ -102,10 +105,10 @@ class Coupler(NamedTuple):
         return self.row if self.kind == "regulator" else -1
 
 
-def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64], carrying: Legs) -> NodalMatrices:
+def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64], legs: Legs) -> NodalMatrices:
     """Compile checked tables; ``base_kv`` is the base voltage of each node, line to neutral, (n_node,).
 
-    ``carrying`` are impedances of legs at nodes that nothing else connects, which are elements here.
+    ``legs`` are those of loads and capacitors. Some may alone connect a node, such as the neutral of a star.
 
     Raises
     ------
@@ -114,11 +117,15 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64],
     """
     n = len(base_kv)
     elements, couplers = elements_of(network, nodes, base_kv, NEAR_ZERO * median_impedance(network))
-    elements += [leg_element("leg", k, carrying, k) for k in range(len(carrying.row))]
     source = network.source
     z = (np.array(source.r_ohm[0]) + 1j * np.array(source.x_ohm[0])) / (base_kv[0] ** 2 * _PER_SIEMENS)
     ends = np.array([c.ends for c in couplers], np.intp).reshape(-1, 4)
     fed = _fed(elements, couplers, n)
+    alone = np.array([feed is None for feed in fed] + [False])
+    carrying = chosen(legs, alone[legs.node] | alone[legs.other])
+    if alone.any():
+        elements += [leg_element("leg", k, carrying, k) for k in range(len(carrying.row))]
+        fed = _fed(elements, couplers, n)
     lost = [(bus, letter) for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not fed[node]]
     if lost:
         there = elements_at(network, {bus for bus, _ in lost})
@@ -134,6 +141,7 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64],
         coupler_z=np.array([c.z for c in couplers], np.complex128),
         coupler_regulator=np.array([c.regulator for c in couplers], np.intp),
         coupler_mutual=_mutual(couplers),
+        carrying=carrying,
         **_feeds(elements, couplers, fed, n),
     )
 

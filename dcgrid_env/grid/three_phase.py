@@ -13,11 +13,12 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.capacitor_meters import Meter, meter_of
+from dcgrid_env.grid.formats.import_stamp import warn_of_stamp
 from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.nodal_matrices import NodalMatrices, nodal_matrices
 from dcgrid_env.grid.three_phase_checks import check_three_phase
-from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, carrying_legs, core_legs, joined, load_legs
+from dcgrid_env.grid.three_phase_legs import Legs, capacitor_legs, core_legs, joined, load_legs
 from dcgrid_env.grid.three_phase_matrices import Branches, branches_of
 from dcgrid_env.grid.three_phase_nodes import FloatArray, IntArray, PhaseNodes, read_only
 from dcgrid_env.grid.three_phase_ratings import ratings_a
@@ -79,6 +80,7 @@ class ThreePhaseFeeder(PhaseNodes):
             feeder = cls.from_network(read_folder(Path(folder)))
         except FeederError as error:
             raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
+        warn_of_stamp(Path(folder))
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 
@@ -115,7 +117,8 @@ class ThreePhaseFeeder(PhaseNodes):
     @cached_property
     def nodal(self) -> NodalMatrices:
         """The nodal admittances of a feeder that is not radial, per unit."""
-        return nodal_matrices(self.network, self._nodes_by_phase, self.base_kv_ln[self.node_bus], self._carrying_legs)
+        legs = joined((self.load_legs, self.capacitor_legs))
+        return nodal_matrices(self.network, self._nodes_by_phase, self.base_kv_ln[self.node_bus], legs)
 
     @cached_property
     def n_unknown(self) -> int:
@@ -197,14 +200,12 @@ class ThreePhaseFeeder(PhaseNodes):
 
     @cached_property
     def core_legs(self) -> Legs:
-        """The legs of the transformers' cores, which draw their no-load losses, and the opposite of ``carrying_legs``."""
+        """The legs of the transformers' cores, which draw their no-load losses, and the negative ``nodal.carrying``."""
         cores = core_legs(self.network, self._nodes_by_phase, self._bases)
-        carrying = self._carrying_legs
-        return _frozen(joined((cores, carrying._replace(p_kw=-carrying.p_kw, q_kvar=-carrying.q_kvar))))
-
-    @cached_property
-    def _carrying_legs(self) -> Legs:
-        return carrying_legs(self.network, self._nodes_by_phase, (self.load_legs, self.capacitor_legs))
+        if not self.is_radial:
+            carrying = self.nodal.carrying
+            cores = joined((cores, carrying._replace(p_kw=-carrying.p_kw, q_kvar=-carrying.q_kvar)))
+        return _frozen(cores)
 
     @cached_property
     def first_device_leg(self) -> int:

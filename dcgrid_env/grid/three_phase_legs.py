@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.grid.network import Network
-from dcgrid_env.grid.three_phase_checks import legs_of, node_names
+from dcgrid_env.grid.three_phase_checks import legs_of
 
 SHARES = {
     "PQ": (0.0, 0.0, 1.0, 0.0, 0.0, 1.0),
@@ -99,30 +99,10 @@ def core_legs(network: Network, first_node: dict[str, dict[str, int]], bases: di
     return _legs(table, rows, [SHARES["Z"]] * len(rows), [(0.5, 0.9, 1.1)] * len(rows), first_node, bases)
 
 
-def carrying_legs(network: Network, nodes: dict[str, dict[str, int]], legs: Sequence[Legs]) -> Legs:
-    """The legs at nodes that no table of branches connects, such as the floating neutral of a star.
-
-    Each has the law of an impedance, at its rated power. Nodal equations contain these impedances; their cores draw the
-    opposite, so that the legs alone count.
-    """
-    connected = {nodes[network.source.bus[0]][phase] for phase in "abc"}
-    for table in (network.phase_line, network.switch, network.transformer):
-        states = getattr(table, "state", ("closed",) * len(table))
-        for i, j, phases, state in zip(table.from_bus, table.to_bus, table.phases, states, strict=True):
-            connected |= {nodes[bus][phase] for bus in (i, j) for phase in phases if state == "closed"}
-    regulator = network.regulator
-    for row in range(len(regulator)):
-        for letters in regulator.windings(row):
-            for bus, there in zip((regulator.from_bus[row], regulator.to_bus[row]), letters, strict=True):
-                connected |= {nodes[bus][letter] for letter in there}
-    for named in network.admittance.nodes:
-        connected |= {nodes[bus][letter] for bus, letter in node_names(named)}
-    alone = np.array([node not in connected for node in range(sum(map(len, nodes.values())))] + [False])
-    both = joined(legs)
-    there = alone[both.node] | alone[both.other]
-    columns: Any = (column[..., there] for column in both)
-    found = Legs(*columns)
-    return found._replace(p_kw=np.abs(found.p_kw))
+def chosen(legs: Legs, which: NDArray[np.bool_]) -> Legs:
+    """Some of the legs."""
+    columns: Any = (column[..., which] for column in legs)
+    return Legs(*columns)
 
 
 def joined(legs: Sequence[Legs]) -> Legs:

@@ -1,6 +1,7 @@
 """A balanced feeder as a folder, read and written: feeder.toml, buses.csv, branches.csv and, if known, ratings.csv.
 
 ``feeder.toml``: name, base_kv (line to line), substation (bus), v0_pu, and about, source, licence as texts for readers.
+That of an unverified import has a table ``import`` in addition: see ``import_stamp``.
 ``buses.csv``: bus, p_kw, q_kvar and, if known, capacitor_kvar, x, y, shunt_kw, shunt_kvar, voltage_ratio, base_kv.
 ``branches.csv``: from_bus, to_bus, r_ohm, x_ohm and, if known, rating_a. ``ratings.csv``: see ``ratings_file``.
 
@@ -19,6 +20,7 @@ from typing import Any
 
 from dcgrid_env.grid.formats.feeder_folder import write_files
 from dcgrid_env.grid.formats.feeder_tables import cell_number, head_of, table_rows, table_text
+from dcgrid_env.grid.formats.import_stamp import without_stamp
 from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.network import LineTable, Network, NodeTable, balanced_network, summed_at_nodes
 from dcgrid_env.grid.network_checks import check_balanced
@@ -39,7 +41,7 @@ def read_csv(folder: Path) -> Network:
     FeederError
         For a missing or unknown file, key or column, or a cell that is not a number, naming the file and the line.
     """
-    head = head_of(folder / "feeder.toml")
+    head = without_stamp(folder / "feeder.toml", head_of(folder / "feeder.toml"))
     for key in head:
         if key not in (*_KEYS, *_TEXTS):
             there = ", ".join((*_KEYS, *_TEXTS))

@@ -7,6 +7,7 @@ of ``grid.three_phase_tables``, whose units they have; matrices as r_aa_ohm, r_a
 kw_1, kvar_1, .. or kvar_a, .. . Matrices of admittances.csv are one cell, figures separated by blanks. All files but
 buses.csv and feeder.toml may be missing; the last three are written where there are such rows. ``ratings.csv``, also
 optional, is described in ``ratings_file``.
+``feeder.toml`` of an unverified import has a table ``import`` in addition: see ``import_stamp``.
 Unused keys and columns are refused by name. The exceptions are the results of a reference solution in published
 folders (``RESULTS``).
 """
@@ -21,6 +22,7 @@ from typing import Any
 
 from dcgrid_env.grid.formats.feeder_folder import write_files
 from dcgrid_env.grid.formats.feeder_tables import cell_number, head_of, table_rows, table_text
+from dcgrid_env.grid.formats.import_stamp import without_stamp
 from dcgrid_env.grid.formats.ratings_file import RATINGS_FILE, ratings_text, read_ratings
 from dcgrid_env.grid.formats.three_phase_columns import FILES, Column, File, says_nothing
 from dcgrid_env.grid.network import Network, NodeTable, SourceTable
@@ -93,7 +95,7 @@ def _toml(pairs: Iterable[tuple[str, Any]]) -> list[str]:
 
 
 def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    head = head_of(path)
+    head = without_stamp(path, head_of(path))
     source = head.get("source")
     if not isinstance(source, dict):
         raise FeederError(f"{path}: the table [source] is missing")

@@ -181,7 +181,10 @@ def high_voltage_solution(feeder: ThreePhaseFeeder, inputs: tuple[Any, ...]) -> 
     """
     equations = Equations(feeder, *inputs)
     with np.errstate(all="ignore"):
-        x, factors = equations.without_load()
+        try:
+            x, factors = equations.without_load()
+        except RuntimeError:  # singular without load, as at the neutral of a star that only loads connect
+            return None
         sign, carried, step = _sign(factors), 0.0, 1.0
         while carried < 1.0:
             step = min(step, 1.0 - carried)

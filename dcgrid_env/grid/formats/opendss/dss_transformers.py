@@ -116,7 +116,8 @@ def _unit(circuit: DssCircuit, ratings: ScriptRatings, name: str) -> Unit | str:
         name, "".join("abc"[node - 1] for node in sorted(nodes[0])), nodes[0], (windings[0], windings[1]),
         circuit.figures("kvas")[0], rating_kva, rounded(resistance), rounded(circuit.figure("xhl") * higher),
         circuit.text("leadlag").lower() in ("lag", "ansi"),
-        circuit.figure("ppm_antifloat"), circuit.figure("%noloadloss"), circuit.figure("%imag"), circuit.text("bank"),
+        circuit.figure("ppm_antifloat"), circuit.figure("%noloadloss"), circuit.figure("%imag") / higher,
+        circuit.text("bank"),
     )  # fmt: skip
 
 

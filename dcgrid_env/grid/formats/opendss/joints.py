@@ -84,8 +84,8 @@ class Supply:
 def supply_of(source: str, joints: Sequence[Joint], legs: Sequence[Sequence[Node]] = ()) -> Supply:
     """Follow the closed joints from the source bus.
 
-    ``legs`` are the nodes of each element that draws. A node that no joint reaches has supply if such an element
-    connects it with one that has: the neutral of a star that nothing else grounds.
+    ``legs`` are the nodes of each leg that draws. A conductor other than a phase, or a node that no joint reaches, has
+    supply if a leg connects it with one that has: the neutral of a star, whether grounded or not.
     """
     groups_of_node: dict[Node, list[Sequence[Node]]] = {}
     reached: set[Node] = set()
@@ -97,7 +97,7 @@ def supply_of(source: str, joints: Sequence[Joint], legs: Sequence[Sequence[Node
     depth: dict[Node, int] = {(source, phase): 0 for phase in "abc"}
     reached.update(depth)
     for nodes in legs:
-        carried = [node for node in nodes if node not in reached]
+        carried = [node for node in nodes if node not in reached or node[1] > "c"]
         for node in nodes if carried else ():
             groups_of_node.setdefault(node, []).append(carried)
     used: set[int] = set()
