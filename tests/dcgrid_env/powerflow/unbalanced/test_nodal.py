@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from dcgrid_env import FeederError, ThreePhaseFeeder, load_feeder
+from dcgrid_env.grid import nodal_matrices
 from dcgrid_env.grid.network import AdmittanceTable
 from dcgrid_env.powerflow import PowerFlowError, branch_flows, solve_unbalanced
 from dcgrid_env.powerflow.unbalanced import adjoint_batch, array_form
@@ -15,10 +16,13 @@ from dcgrid_env.powerflow.unbalanced.nodal import nodal_of
 from helpers.nodal import as_nodal
 
 
-@pytest.fixture(params=["ieee13-3ph", "ieee34-3ph"])
-def both(request):
+@pytest.fixture(params=["ieee13-3ph", "ieee34-3ph", "ieee13-3ph, lines as couplers"])
+def both(request, monkeypatch):
     """A radial feeder, and the same one with nodal equations."""
-    radial = load_feeder(request.param)
+    name, _, couplers = request.param.partition(", ")
+    if couplers:
+        monkeypatch.setattr(nodal_matrices, "NEAR_ZERO", 1e9)
+    radial = load_feeder(name)
     return radial, as_nodal(radial)
 
 
@@ -101,6 +105,29 @@ def test_devices_may_draw_anywhere(both, solved, random_inputs):
         assert two.loss_kw == pytest.approx(one.loss_kw, abs=1e-3)
     everywhere = np.ones(nodal.n_node, bool)
     assert nodal_of(nodal) is nodal_of(nodal, everywhere)
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-12, 1e-7])
+def test_lines_of_nearly_no_impedance_are_solved_as_the_sweep_does(share, solved, random_inputs):
+    feeder = load_feeder("ieee13-3ph")
+    line = feeder.network.phase_line
+    small = line.name.index("632670")
+
+    def scaled(matrices):
+        return tuple(
+            tuple(tuple(share * value for value in row) for row in matrix) if k == small else matrix
+            for k, matrix in enumerate(matrices)
+        )
+
+    changed = replace(line, r_ohm=scaled(line.r_ohm), x_ohm=scaled(line.x_ohm))
+    radial = ThreePhaseFeeder.from_network(replace(feeder.network, phase_line=changed))
+    nodal = as_nodal(radial)
+    assert (nodal.nodal.coupler_regulator < 0).sum() == 6  # the line and the switch
+    inputs = random_inputs(radial, 4, 5)
+    one, two = (solved(feeder, inputs, tolerance_pu=1e-11) for feeder in (radial, nodal))
+    for field in ("v_re_pu", "v_im_pu"):
+        np.testing.assert_allclose(getattr(two, field), getattr(one, field), atol=2e-9)
+    np.testing.assert_allclose(two.loss_kw, one.loss_kw, atol=1e-4)
 
 
 def test_a_loop_is_solved_and_conserves_power():
