@@ -190,6 +190,14 @@ def line_impedances(network: Network) -> list[float]:
     ]
 
 
+def switch_impedances(network: Network) -> list[float]:
+    """Impedance of each switch, p.u."""
+    switch, bases = network.switch, _base_ohms(network)
+    return [
+        abs(complex(r, x)) / bases[bus] for r, x, bus in zip(switch.r_ohm, switch.x_ohm, switch.to_bus, strict=True)
+    ]
+
+
 def median_impedance(network: Network) -> float:
     """Median impedance of the lines and transformers, p.u.; 0 where there are none."""
     transformer, bases = network.transformer, _base_ohms(network)

@@ -16,7 +16,15 @@ from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_at_nodes
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit
 from dcgrid_env.grid.formats.opendss.joints import Letters, Node
 from dcgrid_env.grid.network import Network
-from dcgrid_env.grid.nodal_matrices import GROUND, Coupler, Element, elements_of, leg_element, line_impedances
+from dcgrid_env.grid.nodal_matrices import (
+    GROUND,
+    Coupler,
+    Element,
+    elements_of,
+    leg_element,
+    line_impedances,
+    switch_impedances,
+)
 from dcgrid_env.grid.three_phase_legs import capacitor_legs, core_legs
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.grid.three_phase_tables import LETTERS
@@ -24,7 +32,7 @@ from dcgrid_env.grid.three_phase_tables import LETTERS
 CLOSE = 1e-7
 """Largest difference of an entry, as a share of the mean of the entries on the diagonal in its row and column."""
 SOLVABLE_PU = 1e-9
-"""Least impedance of a line, p.u., with which OpenDSS is compared. Of 1e-11 its voltages are some 1e-7 p.u. off."""
+"""Least impedance of a branch, p.u., with which OpenDSS is compared. Of 1e-11 its voltages are some 1e-7 p.u. off."""
 _LEAST_S = 2e-9
 """Admittance that no voltage depends on, S, such as the charging of a switch."""
 
@@ -62,16 +70,18 @@ def unlike_elements(
     return found
 
 
-def lines_to_raise(network: Network, members: Sequence[tuple[str, ...]]) -> dict[str, float]:
-    """Lines whose impedance is so small that rounding moves OpenDSS's voltages, and factors that raise it enough.
+def impedances_to_raise(network: Network, members: Mapping[str, Sequence[tuple[str, ...]]]) -> dict[str, float]:
+    """Elements, as class.name, of so little impedance that rounding moves OpenDSS's voltages, and factors to raise it.
 
-    ``members`` are the elements of each row of the lines' table.
+    ``members`` are the elements of each row, by table and row.
     """
+    sizes = {"phase_line": line_impedances(network), "switch": switch_impedances(network)}
     return {
-        name: SOLVABLE_PU / z_pu
-        for z_pu, of_row in zip(line_impedances(network), members, strict=True)
-        for kind, _, name in (full.partition(".") for full in of_row)
-        if kind == "line" and 0.0 < z_pu < SOLVABLE_PU
+        full: SOLVABLE_PU / z_pu
+        for kind, of_table in sizes.items()
+        for z_pu, of_row in zip(of_table, members[kind], strict=True)
+        for full in of_row
+        if 0.0 < z_pu < SOLVABLE_PU
     }
 
 

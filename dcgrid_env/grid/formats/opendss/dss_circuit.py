@@ -227,9 +227,16 @@ class DssCircuit:
                 yield
 
     def raise_impedances(self, factors: Mapping[str, float]) -> None:
-        """Multiply the series impedances of lines by factors; their charging stays."""
-        lines = self.engine.Lines
-        for name, factor in factors.items():
+        """Multiply the series impedances of lines and reactors, as class.name, by factors; their charging stays."""
+        lines, reactors = self.engine.Lines, self.engine.Reactors
+        for full, factor in factors.items():
+            kind, _, name = full.partition(".")
+            if kind == "reactor":
+                reactors.Name(name)
+                r_ohm, x_ohm = float(reactors.R()), float(reactors.X())
+                reactors.R(factor * r_ohm)
+                reactors.X(factor * x_ohm)
+                continue
             lines.Name(name)
             r, x = ([factor * float(one) for one in matrix()] for matrix in (lines.RMatrix, lines.XMatrix))
             lines.RMatrix(r)

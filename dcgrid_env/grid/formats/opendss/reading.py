@@ -20,7 +20,7 @@ from dcgrid_env.grid.formats.opendss.dss_capacitors import (
     capacitor_steps,
     read_capacitors,
 )
-from dcgrid_env.grid.formats.opendss.dss_check import SOLVABLE_PU, lines_to_raise, unlike_elements
+from dcgrid_env.grid.formats.opendss.dss_check import SOLVABLE_PU, impedances_to_raise, unlike_elements
 from dcgrid_env.grid.formats.opendss.dss_circuit import DssCircuit, loaded_circuit
 from dcgrid_env.grid.formats.opendss.dss_further_ratings import with_further_ratings
 from dcgrid_env.grid.formats.opendss.dss_generation import KINDS as GENERATION
@@ -127,14 +127,15 @@ def read_circuit(
             "leave the element out, or give its values in another form"
         )
     report, profiles = reading.report, reading.profiles
-    raised = lines_to_raise(network, reading.members["phase_line"]) if before else {}
+    raised = impedances_to_raise(network, reading.members) if before else {}
     if raised:
         circuit.raise_impedances(raised)
         before = solved(circuit)
         text = (
             f"its impedance is near 0, where OpenDSS's voltages are inexact: compared with {SOLVABLE_PU:g} p.u. instead"
         )
-        report.add_all("nothing lost", "line", raised, text)
+        for kind, _, name in (full.partition(".") for full in raised):
+            report.add("nothing lost", kind, name, text)
     names = _names_of_nodes(circuit, network)
     effects, after = effects_of_losses(circuit, report.findings, before, names) if before else ((), None)
     return Imported(

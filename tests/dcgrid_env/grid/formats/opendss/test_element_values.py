@@ -182,6 +182,21 @@ New Load.z1 bus1=z.1 phases=1 kv=7.2 kw=200
 """
 
 
+JUMPERS = {
+    "line": "New Line.tie bus1=n bus2=z r1={0} x1={0} r0={0} x0={0} c1=0 c0=0",
+    "switch": "New Line.tie bus1=n bus2=z switch=yes length=1 r1={0} x1={0} r0={0} x0={0} c1=0 c0=0",
+    "reactor": "New Reactor.tie bus1=n bus2=z r={0} x={0}",
+}
+
+
+@pytest.mark.parametrize("kind", JUMPERS)
+def test_jumpers_of_every_kind_are_compared_where_opendss_is_exact(kind, master):
+    rest = "\n".join(TIE.splitlines()[1:])
+    found = read_circuit(master(f"{JUMPERS[kind].format(1e-12)}\n{rest}"))
+    assert apart_pu(found) < 1e-7
+    assert any(row.names == ("tie",) and "its impedance is near 0" in row.text for row in found.findings)
+
+
 @pytest.mark.parametrize("r_ohm", [1e-5, 1e-8, 1e-10, 1e-13])
 def test_lines_of_nearly_no_impedance_are_exact(r_ohm, master):
     """OpenDSS itself is 9e-4 p.u. off at 1e-12 ohm; the right value is that of an impedance with which it is exact."""
