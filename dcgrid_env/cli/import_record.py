@@ -145,7 +145,7 @@ class ImportRecord:
     def unverified(self) -> str:
         """Why the power flow of the source's program does not verify the tables; empty if it does.
 
-        Where elements are omitted, the circuit without them is the one that counts, if it is compared.
+        If elements are omitted, the comparison with the circuit without them counts.
         """
         last = self.comparisons[-1]
         if last.is_close or (last.largest and self.has_losses and len(self.comparisons) == 1):

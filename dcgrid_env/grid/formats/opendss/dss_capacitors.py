@@ -76,7 +76,7 @@ def _is_open(circuit: DssCircuit, name: str) -> bool:
 
 
 def _legs(circuit: DssCircuit, letters: Letters, name: str) -> Legs | None:
-    """The legs of the bank with the steps that are on; None if they are no susceptances at one bus."""
+    """The legs of the bank with the steps that are on; None unless they are susceptances at one bus."""
     circuit.activate("capacitor", name)
     made = admittance_at_nodes(circuit, letters)
     if made is None:

@@ -84,8 +84,8 @@ class Supply:
 def supply_of(source: str, joints: Sequence[Joint], legs: Sequence[Sequence[Node]] = ()) -> Supply:
     """Follow the closed joints from the source bus.
 
-    ``legs`` are the nodes of each leg that draws. A conductor other than a phase, or a node that no joint reaches, has
-    supply if a leg connects it with one that has: the neutral of a star, whether grounded or not.
+    ``legs`` are the nodes of each leg that draws. A leg with supply at one node supplies the other, if this is no phase
+    or no joint reaches it. The neutral of a star is such a node.
     """
     groups_of_node: dict[Node, list[Sequence[Node]]] = {}
     reached: set[Node] = set()

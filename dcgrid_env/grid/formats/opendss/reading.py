@@ -181,7 +181,7 @@ def digests(files: Iterable[Path], folder: str | Path) -> tuple[tuple[str, str],
 class _Reading:
     """One reading of a solved circuit into tables, with its report.
 
-    ``derived`` is what ``derive_bases`` returns. ``generic`` are elements, as class.name, that become rows of the
+    ``derived`` is the result of ``derive_bases``. ``generic`` are elements, as class.name, that become rows of the
     admittances.
     """
 

@@ -85,7 +85,7 @@ def test_a_transformer_of_another_frequency_keeps_its_row(master):
 
 
 def test_an_element_whose_row_differs_becomes_an_admittance(master, monkeypatch):
-    """A reader that misses the leakage reactance stands for any property that it does not know."""
+    """The reader is made to misread the reactance, as it would misread a property that it does not know."""
     right = dss_transformers.transformer_joint
 
     def wrong(*arguments):
