@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.three_phase_checks import node_names
@@ -55,7 +56,7 @@ class NodalMatrices(NamedTuple):
     coupler_mutual: csr_matrix
     """Impedances between the couplers of a line, (n_coupler, n_coupler), symmetric, nothing on its diagonal."""
     carrying: Legs
-    """Legs that alone connect a node with the source. Their impedances at rated power are in ``y``; cores draw the
+    """Legs that alone connect a node with the source, or a neutral with it more than with ground. Their impedances at rated power are in ``y``; cores draw the
     opposite, so that the legs themselves count."""
     feed: csr_matrix
     """The current brought to each node by what feeds it, from the voltages of all nodes, (n_node, n_node)."""
@@ -122,8 +123,9 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64],
     ends = np.array([c.ends for c in couplers], np.intp).reshape(-1, 4)
     fed = _fed(elements, couplers, n)
     alone = np.array([feed is None for feed in fed] + [False])
+    alone[_weakly_grounded(elements, nodes, legs, n)] = True
     carrying = chosen(legs, alone[legs.node] | alone[legs.other])
-    if alone.any():
+    if len(carrying.row):
         elements += [leg_element("leg", k, carrying, k) for k in range(len(carrying.row))]
         fed = _fed(elements, couplers, n)
     lost = [(bus, letter) for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not fed[node]]
@@ -144,6 +146,20 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64],
         carrying=carrying,
         **_feeds(elements, couplers, fed, n),
     )
+
+
+def _weakly_grounded(elements: Sequence[Element], nodes: Nodes, legs: Legs, n: int) -> NDArray[np.intp]:
+    """Conductors other than phases that the elements connect with ground by less than the legs there would."""
+    others = [node for of_bus in nodes.values() for letter, node in of_bus.items() if letter > "c"]
+    if not others:
+        return np.zeros(0, np.intp)
+    y = _sum([(e.nodes, e.y) for e in elements], n)[others][:, others]
+    of_legs = _sum([(e.nodes, e.y) for k in range(len(legs.row)) for e in (leg_element("leg", k, legs, k),)], n)
+    number, part = connected_components(abs(y), directed=False)
+    to_ground, by_legs = np.zeros(number, np.complex128), np.zeros(number)
+    np.add.at(to_ground, part, np.asarray(y.sum(axis=1)).ravel())
+    np.add.at(by_legs, part, np.abs(of_legs.diagonal()[others]))
+    return np.array(others)[(np.abs(to_ground) < by_legs)[part]]
 
 
 def elements_of(

@@ -130,6 +130,10 @@ STARS = {
     "New Capacitor.c bus1=n bus2=n.4.4.4 kv=12.47 kvar=200",
     "generator": "New Generator.s bus1=n.1.2.3.4 kv=12.47 kw=300 kvar=90 model=2",
     "neutral reactor": "New Load.s bus1=n.1.2.3.4 kv=12.47 kw=300 kvar=90\nNew Reactor.g bus1=n.4 phases=1 r=20 x=1",
+    "neutral conductor without ground": "New Line.four phases=4 bus1=n.1.2.3.4 bus2=y.1.2.3.4 length=0.2 units=km\n"
+    "~ rmatrix=(0.4 | 0.1 0.4 | 0.1 0.1 0.4 | 0.1 0.1 0.1 0.6)\n"
+    "~ xmatrix=(0.9 | 0.4 0.9 | 0.4 0.4 0.9 | 0.4 0.4 0.4 1.0)\n"
+    "New Load.s bus1=y.1.2.3.4 kv=12.47 kw=300 kvar=90 model=2\nNew Load.t bus1=n.1.4 phases=1 kv=7.2 kw=90 model=2",
     "beyond a regulator": "New Transformer.r phases=3 buses=[n r] kvs=[12.47 12.47] kvas=[900 900] xhl=1\n"
     "New RegControl.r transformer=r winding=2 vreg=120 band=2 ptratio=60\n"
     "New Load.s bus1=r.1.2.3.4 kv=12.47 kw=300 kvar=90",
