@@ -56,8 +56,10 @@ class NodalMatrices(NamedTuple):
     coupler_mutual: csr_matrix
     """Impedances between the couplers of a line, (n_coupler, n_coupler), symmetric, nothing on its diagonal."""
     carrying: Legs
-    """Legs that alone connect a node with the source, or a neutral with it more than with ground. Their impedances at rated power are in ``y``; cores draw the
-    opposite, so that the legs themselves count."""
+    """Legs that alone connect a node with the source, or a neutral with it more than with ground.
+
+    Their impedances at rated power are in ``y``. Cores draw the opposite, so the legs themselves count.
+    """
     feed: csr_matrix
     """The current brought to each node by what feeds it, from the voltages of all nodes, (n_node, n_node)."""
     feed_coupler: NDArray[np.intp]

@@ -31,7 +31,7 @@ Legs = Mapping[str, float]
 def capacitor_steps(circuit: DssCircuit, letters: Letters, generic: Iterable[str]) -> dict[str, list[Legs] | None]:
     """The legs of each step of each bank; None for a bank that is to be a row of the admittances, or is in ``generic``.
 
-    Each step is read alone. The circuit is as before afterwards.
+    Each step is read alone. Afterwards the circuit is as before, with its voltages.
     """
     names = circuit.names("capacitor")
     states = {name: _states(circuit, name) for name in names}
@@ -43,7 +43,7 @@ def capacitor_steps(circuit: DssCircuit, letters: Letters, generic: Iterable[str
     for k in range(max(map(len, states.values()), default=0)):
         for name, before in states.items():
             _set_states(circuit, name, [int(step == k) for step in range(len(before))])
-        circuit.engine.Solution.BuildYMatrix(1, 1)
+        circuit.build_admittances()
         for name, before in states.items():
             steps = found[name]
             if steps is not None and k < len(before):
@@ -55,7 +55,7 @@ def capacitor_steps(circuit: DssCircuit, letters: Letters, generic: Iterable[str
         circuit.activate("capacitor", name)
         circuit.engine.CktElement.Open(1, 0)
     if names:
-        circuit.engine.Solution.BuildYMatrix(1, 1)
+        circuit.build_admittances()
     return found
 
 

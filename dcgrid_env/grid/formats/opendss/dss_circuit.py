@@ -141,12 +141,17 @@ class DssCircuit:
         for end, phase in where:
             element.Close(end, phase)
         if where:
-            self.engine.Solution.BuildYMatrix(1, 1)
+            self.build_admittances()
         yield
         for end, phase in where:
             element.Open(end, phase)
         if where:
-            self.engine.Solution.BuildYMatrix(1, 1)
+            self.build_admittances()
+
+    def build_admittances(self) -> None:
+        """Update the admittance matrices of all elements and of the system after a change; voltages stay."""
+        whole_matrix, new_voltages = 2, 0
+        self.engine.Solution.BuildYMatrix(whole_matrix, new_voltages)
 
     def solve(self) -> bool:
         """Solve the present circuit with controls off and return whether OpenDSS converged."""

@@ -72,6 +72,19 @@ def test_reading_the_steps_leaves_the_circuit_as_it_was(master):
     assert closed.network.capacitor.state == ("off", "on", "off")
 
 
+def test_reading_the_steps_keeps_the_voltages_that_generation_depends_on(master):
+    found = read_circuit(master("New Capacitor.c bus1=n kv=12.47 cuf=9\nNew Generator.g bus1=n kv=12.47 kw=90 kvar=30"))
+    [row] = [k for k, name in enumerate(found.network.phase_load.name) if name == "generator.g"]
+    assert found.network.phase_load.p_kw[row] == pytest.approx((-30.0,) * 3)
+    assert apart_pu(found) < 1e-8
+
+
+def test_reading_the_steps_leaves_the_power_flow_without_lost_elements_right(master):
+    lost = "New Capacitor.c bus1=n kv=12.47 cuf=9\nNew ISource.i bus1=n amps=1"
+    found = read_circuit(master(lost), allow=["isource"])
+    assert apart_pu(dataclasses.replace(found, v_pu=found.v_pu_without)) < 1e-8
+
+
 @pytest.mark.parametrize("case", FREQUENCIES)
 def test_elements_of_another_frequency_have_the_voltages_of_opendss(case, master):
     found = read_circuit(master(FREQUENCIES[case]))
