@@ -109,9 +109,9 @@ RANGES: list[tuple[Any, dict[str, Any], dict[str, tuple[float | None, float, flo
         {
             "count": (None, 0, 10_000),
             "idle_share": (0.23, 0.0, 0.99),
-            "f_max_mhz": (1410.0, 1e-9, math.inf),
+            "f_max_mhz": (1410.0, 1e-9, 1e6),
             "f_min_mhz": (210.0, 1e-9, 1410.0),
-            "s_rated_share": (None, 1.0, math.inf),
+            "s_rated_share": (None, 1.0, 1e6),
             "q_max_share": (None, 0.0, 1.5),
             "boost_share": (1.0, 1.0, 2.0),
         },
