@@ -38,5 +38,5 @@ def wrong_magnitude(field: str, value: float) -> str | None:
     if abs(value) > largest:
         return f"no feeder has more than {largest:g}; check the unit"
     if 0 < abs(value) < SMALLEST:
-        return f"give 0, or at least {SMALLEST:g} in size"
+        return f"give at least {SMALLEST:g} in size, or 0 if the field may be 0"
     return None

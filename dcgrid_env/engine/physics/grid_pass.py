@@ -24,7 +24,7 @@ from dcgrid_env.engine.physics.state import GridStep, LoadsToDraw, VoltageFigure
 from dcgrid_env.engine.physics.step_kernels import net_loads
 from dcgrid_env.engine.physics.voltage_figures import fill_figures
 from dcgrid_env.grid import Feeder
-from dcgrid_env.grid.known_fields import BALANCED
+from dcgrid_env.grid.covered_fields import BALANCED
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.powerflow.balanced.batch import constants, rows
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks

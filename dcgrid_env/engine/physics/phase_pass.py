@@ -25,7 +25,7 @@ from dcgrid_env.engine.physics.node_figures import PhaseFigures, as_figures, con
 from dcgrid_env.engine.physics.state import Equipment, Exogenous, State
 from dcgrid_env.engine.physics.step_kernels import leg_loads, net_loads, phase_figures
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.grid.known_fields import THREE_PHASE
+from dcgrid_env.grid.covered_fields import THREE_PHASE
 from dcgrid_env.powerflow.inputs import substation_voltage
 from dcgrid_env.powerflow.unbalanced.sweep import solve_checked
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution

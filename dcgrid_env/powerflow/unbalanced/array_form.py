@@ -16,7 +16,7 @@ from dcgrid_env.core.arrays import Array, namespace, requires_grad
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.grid.known_fields import THREE_PHASE
+from dcgrid_env.grid.covered_fields import THREE_PHASE
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA, Branches
 from dcgrid_env.powerflow.solution import V_SQ_CEILING, V_SQ_FLOOR, PowerFlowError
 from dcgrid_env.powerflow.unbalanced.plan import Plan, plan_of

@@ -66,11 +66,11 @@ def test_times_of_load_profiles_are_dates_of_the_split():
 
 def test_ratings_that_are_all_known_leave_nothing_unchecked():
     bare, rated = load_feeder("ieee33"), dataclasses.replace(load_feeder("ieee33"), rating_a=np.full(32, 400.0))
-    assert "Ratings are known for 0 of 32 elements; the others were not checked." in confidence(job(bare))
-    assert "Ratings are known for 32 of 32 elements. Faults" in confidence(job(rated))
+    assert "Ratings are known for 0 of 32 elements; the others were not checked." in confidence(job(bare), None)
+    assert "Ratings are known for 32 of 32 elements. Faults" in confidence(job(rated), None)
     subjects = [[row[0] for row in other_means(job(feeder).study.coverage).rows] for feeder in (bare, rated)]
     assert set(subjects[0]) - set(subjects[1]) == {"elements without a rating"}
-    assert "windows" not in confidence(job(leave_out=("capacity",)))
+    assert "windows" not in confidence(job(leave_out=("capacity",)), None)
 
 
 def test_a_capacity_of_0_names_limits_that_are_broken_without_a_site():

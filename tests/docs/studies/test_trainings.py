@@ -79,7 +79,7 @@ def test_generalise_leaves_each_out(here):
         (("pareto", "--delays", "1,-2"), "delays is '1,-2'; give figures above 0, separated by commas"),
         (("pareto", "--delays", "nan"), "delays is 'nan'; give figures above 0"),
         (("pareto", "--updates", "0"), "updates is 0; give at least 1"),
-        (("ablate", "--seeds", "0"), "seeds is 0; give at least 1"),
+        (("ablate", "--seeds", "0"), "seeds: must be at least 1, got 0"),
         (("ablate", "--episodes", "1"), "episodes is 1; give 2 to 100"),
         (("ablate", "--transfer", "mars"), "no scenario 'mars'"),
         (("ablate", "--policies", "none-such"), "no policy 'none-such'; "),
