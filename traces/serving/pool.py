@@ -129,7 +129,7 @@ def _reached_s(goal: FloatArray, at_v: FloatArray) -> FloatArray:
     """When V, known at the edges of the steps (n_steps + 1,), first reaches each `goal` (n,), s from the first edge."""
     k = np.searchsorted(at_v, goal).clip(1)
     width = at_v[k] - at_v[k - 1]
-    part = np.divide(goal - at_v[k - 1], width, out=np.ones_like(width), where=width > 0)
+    part = np.divide(goal - at_v[k - 1], width, out=np.zeros_like(width), where=width > 0)
     return (k - 1 + part.clip(0.0, 1.0)) * GRID_S
 
 

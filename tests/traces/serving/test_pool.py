@@ -304,6 +304,16 @@ def test_many_pieces_give_the_same_as_one(made, n_replicas):
     )
 
 
+def test_answers_of_one_token_end_when_read_in_pieces_too():
+    # Nothing is decoded, so no token tells the time within a piece. Each answer of one token ends with its reading.
+    n = 6
+    made = np.zeros(n), np.full(n, 1000), np.ones(n, dtype=int), [1, 2, 3, 40]
+    for cuts in (made[3], made[3][-1:]):
+        _, done, pool = advanced(UNIT, 1, made, cuts)
+        assert pool.waiting == 0
+        np.testing.assert_allclose(done[3], done[2], atol=1e-9)
+
+
 @settings(max_examples=60, deadline=None)
 @given(made=arriving(), n_replicas=st.integers(1, 5))
 def test_time_of_reading_is_the_tokens_read(made, n_replicas):
