@@ -22,6 +22,8 @@ USUAL_QUANTILE = 0.995
 PEAK_TIMES = 2.0
 """An unknown rating is doubtful if the peak is this many times the power that is exceeded only for the rest of
 USUAL_QUANTILE of the time."""
+SLOWER = 1.1
+"""Samples that are this many steps apart miss ramps; loggers wait their interval after each sample, so it is longer."""
 COUNTER_SAMPLES = 20
 """Samples from which on a power that never falls is reported."""
 RAMP_QUANTILES = (0.5, 0.95, 0.99, 1.0)
@@ -155,7 +157,7 @@ class RecordingReport:
             found.append(
                 f"few independent windows in {', '.join(few)}; results there depend on a few stretches of time"
             )
-        if self.interval_s > self.dt_s * (1 + 1e-9):
+        if self.interval_s > self.dt_s * SLOWER:
             found.append(
                 f"samples are {self.interval_s:g} s apart, the environment's step is {self.dt_s:g} s; ramps faster "
                 "than the sampling are missing, and each change falls into one step"

@@ -52,8 +52,8 @@ class CheckRecording(Command):
     gaps: Literal["error", "hold", "linear"] | None = None
     """Treatment of gaps longer than --max-gap-s: an error, hold the last sample, or a straight line. Default: error."""
     max_gap_s: float | None = None
-    """Longest interval between samples that is not a gap, s. Default: any in a CSV with numeric times, 15 s in a log of
-    nvidia-smi, five usual intervals but at least 15 s in other files."""
+    """Longest interval between samples that is not a gap, s. Default: any in a CSV with numeric times, five usual
+    intervals but at least 15 s in other files."""
     limit_kw: float | None = None
     """Highest accepted reading of one meter or cell, kW. Default: 2 kW for a GPU or processor, 1 GW for others, whose
     outliers are refused too."""

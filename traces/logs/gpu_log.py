@@ -14,7 +14,7 @@ from dcgrid_env.traces.logs.meters import Total, held_total
 from dcgrid_env.traces.logs.timestamps import nanoseconds
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.recording_clock import BEGAN
-from dcgrid_env.traces.text.gaps import GapRule
+from dcgrid_env.traces.text.gaps import LEAST_GAP_S, GapRule, meter_rule
 from dcgrid_env.traces.text.power_limits import DEVICE_KW, above_limit
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
 from dcgrid_env.traces.text.table_file import open_table
@@ -24,6 +24,9 @@ from dcgrid_env.traces.trace import PowerTrace
 EARLY_READINGS = 1000
 """Readings at the beginning of a log in which rounds of several GPUs are looked for."""
 
+LEAST_DISTANCES = 10
+"""Distances between readings that show such rounds."""
+
 
 def read_gpu_log(
     path: str | os.PathLike[str],
@@ -31,7 +34,7 @@ def read_gpu_log(
     columns: str | Sequence[str] | None = None,
     unit: str | None = None,
     gpus: int | None = None,
-    max_gap_s: float | None = 15.0,
+    max_gap_s: float | None = None,
     gaps: str = "error",
     limit_kw: float | None = None,
     name: str | None = None,
@@ -44,7 +47,7 @@ def read_gpu_log(
     skipped, so the gap between the GPU's readings is longer. A column uuid, index, pci.bus_id or serial identifies the
     GPU. Of several power columns power.draw.instant is preferred. The header may be repeated where the logger was
     restarted. An unreadable last line without a line end was cut short and is dropped, and so is one of a GPU that no
-    other line names. Memory use is 16 bytes for each reading, and about 100 while they are summed.
+    other line names. Memory use is 24 bytes for each reading, and about 100 while they are summed.
 
     Parameters
     ----------
@@ -55,8 +58,9 @@ def read_gpu_log(
     gpus : number of GPUs; needed if no column identifies them. The lines of a round must then be complete and in the
         same order.
     max_gap_s, gaps : rule for readings of a GPU that are more than max_gap_s apart, see `GapRule` of
-        `dcgrid_env.traces.text.gaps`. The limit also applies before a GPU's first reading and after its last. If gaps
-        are filled, the log begins when all have reported, and a last reading applies to the end.
+        `dcgrid_env.traces.text.gaps`. None for `max_gap_s` is five times the median distance of the GPU's readings, at
+        least 15 s. The limit also applies before a GPU's first reading and after its last. If gaps are filled, the log
+        begins when all have reported, and a last reading applies to the end.
     limit_kw : highest accepted reading, kW; 2 kW by default.
     name : name of the trace; by default the file's name without suffix.
 
@@ -67,7 +71,7 @@ def read_gpu_log(
         contradicts another, or there is a gap. If the times of a GPU repeat or go back, a GPU never reports, or
         several GPUs cannot be distinguished. The message contains the file and the line.
     """
-    rule = GapRule(max_gap_s, gaps)
+    GapRule(LEAST_GAP_S if max_gap_s is None else max_gap_s, gaps)  # checks both
     if limit_kw is not None:
         require_positive(limit_kw, "limit_kw", "give the highest reading of a GPU in kW")
     if gpus is not None and gpus < 1:
@@ -75,7 +79,7 @@ def read_gpu_log(
     with open_table(path) as file:
         require_unit(file.name, unit)
         layout, read = find_columns(file, columns, unit)
-        log = _Log(file.name, layout, rule, DEVICE_KW if limit_kw is None else limit_kw, gpus)
+        log = _Log(file.name, layout, max_gap_s, gaps, DEVICE_KW if limit_kw is None else limit_kw, gpus)
         for block in chain(read, file.blocks()):
             log.add(block)
         sha256 = file.sha256()
@@ -92,17 +96,18 @@ class _Series:
     first_line: int
     time_s: array = field(default_factory=lambda: array("d"))
     power_kw: array = field(default_factory=lambda: array("d"))
-    early: list[tuple[int, float]] = field(default_factory=list)
-    """Line and time of the first EARLY_READINGS readings."""
-    last_line: int = 0
+    line: array = field(default_factory=lambda: array("q"))
 
 
 class _Log:
     """Readings of the blocks so far."""
 
-    def __init__(self, name: str, columns: GpuColumns, rule: GapRule, limit_kw: float, gpus: int | None) -> None:
+    def __init__(
+        self, name: str, columns: GpuColumns, max_gap_s: float | None, gaps: str, limit_kw: float, gpus: int | None
+    ) -> None:
         self.series: dict[str, _Series] = {}
-        self._name, self._columns, self._rule, self._limit_kw, self._gpus = name, columns, rule, limit_kw, gpus
+        self._name, self._columns, self._limit_kw, self._gpus = name, columns, limit_kw, gpus
+        self._max_gap_s, self._gaps = max_gap_s, gaps
         self._origin_ns: int | None = None
         self._match = columns.pattern().fullmatch
         self._in_order = gpus if columns.gpu is None else None
@@ -155,16 +160,8 @@ class _Log:
             for s in series:
                 if not self._columns.identifies(s.gpu):
                     self._require_one_gpu(s)
-        end_s = max(s.time_s[-1] for s in series)
-        log_begin_s = min(s.time_s[0] for s in series)
-        for s in series:
-            if self._rule.refuses(s.time_s[0] - log_begin_s):
-                raise self._edge(s.early[0][0], s.gpu, "first", s.time_s[0] - log_begin_s, "after the first GPU")
-            if self._rule.refuses(end_s - s.time_s[-1]):
-                raise self._edge(s.last_line, s.gpu, "last", end_s - s.time_s[-1], "before the end")
-        found = held_total(
-            {f"GPU {s.gpu}".strip(): (np.frombuffer(s.time_s), np.frombuffer(s.power_kw)) for s in series}
-        )
+        ends_s = min(s.time_s[0] for s in series), max(s.time_s[-1] for s in series)
+        found = held_total({f"GPU {s.gpu}".strip(): self._filled(s, *ends_s) for s in series})
         if len(found.time_s) < 2:
             raise TraceError(
                 f"{self._name}: {len(found.time_s)} readings from when all {len(series)} GPUs have reported; give at "
@@ -175,20 +172,30 @@ class _Log:
 
     def _append(self, series: _Series, time_s: FloatArray, power_kw: FloatArray, lines: list[int]) -> None:
         known = 1 if series.time_s else 0
-        if known:
-            time_s = np.append(series.time_s[-1], time_s)
-            power_kw = np.append(series.power_kw[-1], power_kw)
-        back = np.flatnonzero(np.diff(time_s) <= 0)
+        joined_s = np.append(series.time_s[-1], time_s) if known else time_s
+        back = np.flatnonzero(np.diff(joined_s) <= 0)
         if back.size:
-            raise self._out_of_order(lines[int(back[0]) + 1 - known], series.gpu, time_s[back[0] : back[0] + 2])
-        early = slice(EARLY_READINGS - len(series.early))
-        series.early += zip(lines[early], time_s[known:][early].tolist(), strict=True)
-        series.last_line = lines[-1]
-        time_s, power_kw = self._rule.apply(
-            time_s, power_kw, lambda i: f"{self._name}, line {lines[i - known]}{self._of(series.gpu)}"
+            raise self._out_of_order(lines[int(back[0]) + 1 - known], series.gpu, joined_s[back[0] : back[0] + 2])
+        series.line.extend(lines)
+        series.time_s.frombytes(time_s.tobytes())
+        series.power_kw.frombytes(power_kw.tobytes())
+
+    def _filled(self, s: _Series, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
+        """Readings of a GPU with its gaps treated; the log lasts from `begin_s` to `end_s`."""
+        time_s = np.frombuffer(s.time_s)
+        rule = meter_rule(self._max_gap_s, self._gaps, np.diff(time_s))
+        for edge, distance_s, text in (
+            (0, time_s[0] - begin_s, "first reading comes {:g} s after the first GPU"),
+            (-1, end_s - time_s[-1], "last reading comes {:g} s before the end"),
+        ):
+            if rule.refuses(distance_s):
+                raise TraceError(
+                    f"{self._name}, line {s.line[edge]}{self._of(s.gpu)}: its {text.format(distance_s)}, more than "
+                    f"max_gap_s = {rule.max_gap_s:g}; raise max_gap_s, cut the file there, or pass gaps='hold'"
+                )
+        return rule.apply(
+            time_s, np.frombuffer(s.power_kw), lambda i: f"{self._name}, line {s.line[i]}{self._of(s.gpu)}"
         )
-        series.time_s.frombytes(time_s[known:].tobytes())
-        series.power_kw.frombytes(power_kw[known:].tobytes())
 
     def _in_kw(self, number: int, value: str, unit: str | None) -> float:
         if unit not in self._kw:
@@ -256,20 +263,14 @@ class _Log:
 
     def _require_one_gpu(self, s: _Series) -> None:
         """Refuse rounds of several GPUs: many readings follow the one before at once, and then comes a pause."""
-        distance_s = np.diff([time_s for _, time_s in s.early])
-        if len(distance_s) < 3:
+        distance_s = np.diff(s.time_s[:EARLY_READINGS])
+        if len(distance_s) < LEAST_DISTANCES:
             return
         at_once = distance_s < 0.1 * np.quantile(distance_s, 0.95)
         if np.mean(at_once) > 0.3:
             i = int(np.argmax(at_once))
             raise TraceError(
-                f"{self._name}, line {s.early[i + 1][0]}{self._of(s.gpu)}: comes {distance_s[i]:g} s after the reading "
+                f"{self._name}, line {s.line[i + 1]}{self._of(s.gpu)}: comes {distance_s[i]:g} s after the reading "
                 f"before, as if several GPUs reported together; log with `{QUERY}` so that a column tells them apart, "
                 "or pass gpus= (1 if it is one GPU)"
             )
-
-    def _edge(self, number: int, gpu: str, which: str, distance_s: float, than: str) -> TraceError:
-        return TraceError(
-            f"{self._name}, line {number}{self._of(gpu)}: its {which} reading comes {distance_s:g} s {than}, more than "
-            f"max_gap_s = {self._rule.max_gap_s:g}; raise max_gap_s, cut the file there, or pass gaps='hold'"
-        )

@@ -13,14 +13,11 @@ import numpy as np
 from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.sampling import GAP_INTERVALS, Sampling, sampling_of
-from dcgrid_env.traces.text.gaps import GAP_RULES, GapRule
+from dcgrid_env.traces.text.gaps import GAP_RULES, meter_rule
 from dcgrid_env.traces.text.power_limits import above_limit, limit_of, outlier, outlier_text
 from dcgrid_env.traces.text.power_unit import KW_PER_UNIT, require_unit
 from dcgrid_env.traces.trace import PowerTrace
 
-USUAL_DISTANCES = 5.0
-LEAST_GAP_S = 15.0
-"""By default, readings are a gap apart from this time on, and from USUAL_DISTANCES times their usual distance on, s."""
 ROUND_SHARE = 0.4
 """Longest duration of a round in which each meter reports once, as a share of the usual distance of the readings."""
 COMPLETE_ROUNDS = 0.75
@@ -143,8 +140,7 @@ class Meters:
                 f"{self._placed(meter.name, meter.place[highest])}: {self._field} is "
                 f"{outlier_text(power_kw[highest], float(np.median(power_kw)))}"
             )
-        usual_s = float(np.median(distance_s)) if len(distance_s) else 0.0
-        rule = GapRule(self._max_gap_s or max(LEAST_GAP_S, USUAL_DISTANCES * usual_s), self._gaps)
+        rule = meter_rule(self._max_gap_s, self._gaps, distance_s)
         for edge, which, distance in ((0, "first", time_s[0] - first_s), (-1, "last", last_s - time_s[-1])):
             if rule.refuses(distance):
                 raise TraceError(

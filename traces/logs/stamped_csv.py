@@ -28,6 +28,7 @@ from dcgrid_env.traces.text.power_unit import (
     last_word,
     other_quantity,
     require_power,
+    require_summable,
     require_unit,
     unit_of_word,
 )
@@ -217,6 +218,9 @@ def _power(
         if not any(is_number(first[c]) for c in candidates):
             for c in () if found else others:
                 require_power(where, header[c], "give a column of power, or rename it if it is power")
+                other = other_quantity(header[c])
+                if other is not None and _names_power(header[c]):
+                    raise TraceError(f"{where}: {header[c]!r} names {other!r}; pass power_columns= if it is power")
     lacking = next((c for c, stated in found.items() if stated is None and not _unit_in(first[c])), None)
     if lacking is not None or not found:
         fault = ", ".join(header) if lacking is None else repr(header[lacking])
@@ -224,6 +228,8 @@ def _power(
         raise TraceError(
             f"{where}: {fault} names no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}){remedy}"
         )
+    if power_columns is None:
+        require_summable(where, [header[c] for c in sorted(found)])
     return dict(sorted(found.items()))
 
 

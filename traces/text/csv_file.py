@@ -24,6 +24,7 @@ from dcgrid_env.traces.text.power_unit import (
     last_word,
     other_quantity,
     require_power,
+    require_summable,
     require_unit,
 )
 from dcgrid_env.traces.text.table_file import TableFile, open_table
@@ -345,6 +346,8 @@ def _layout(file: TableFile, row: list[str], has_header: bool, time_column, powe
                 f"{where}: {column!r} names no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}), write it "
                 "into the name like 'site [kW]' or 'site_kw', or leave the column out with power_columns="
             )
+        if power_columns is None:
+            require_summable(where, [names[c] for c in columns[1:]])
     if SHARE in units and len(units) > 1:
         raise TraceError(
             f"{name}, line {file.line}: has {len(units)} columns of power, and shares of a rating are not summed; "

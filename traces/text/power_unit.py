@@ -1,6 +1,7 @@
 """Units of power in the headers of files."""
 
 import re
+from collections.abc import Sequence
 
 from dcgrid_env.traces.checks import TraceError
 
@@ -17,6 +18,12 @@ _OTHER_WORDS = (
     "duration", "count", "percent", "pct", "emission", "co2", "cost", "price", "speed", "throughput",
 )  # fmt: skip
 """Begins of words that name another quantity than power."""
+_LIMITS = frozenset(
+    "limit limits cap max maximum min minimum rated rating tdp budget threshold nominal target setpoint forecast".split()
+)
+"""Words of columns that contain no readings of the power, although their unit is one of power."""
+_SUMS = frozenset("total sum overall combined aggregate".split())
+_STATISTICS = frozenset("average avg mean instant instantaneous current".split())
 _SEPARATORS = re.compile(r"[\s_.,:/-]+")
 
 
@@ -47,13 +54,16 @@ def unit_of_word(word: str) -> str | None:
 def other_quantity(header: str) -> str | None:
     """Return the quantity that a column or metric names if it is not power: "energy" or a word such as `temperature`.
 
-    `energy_j`, `E [kWh]` and `joules_total` are energy. A name that also contains power or its unit is power.
+    `energy_j`, `E [kWh]` and `joules_total` are energy. A limit, rating or extreme such as `power_limit_w` is none. Other
+    names that contain power or its unit are power.
     """
     inside, last = bracketed(header)[0], last_word(header)
     if {inside.casefold(), last.casefold()} & _ENERGY_UNITS:
         return "energy"
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", header)
-    words = re.split(r"[\s_.,:/()\[\]-]+", spaced.casefold())
+    words = _words(header)
+    limit = next((word for word in words if word in _LIMITS), None)
+    if limit is not None:
+        return limit
     if any(map(unit_of_word, (inside, last))):
         return None
     if any(map(_ENERGY_WORD.fullmatch, words)):
@@ -61,6 +71,30 @@ def other_quantity(header: str) -> str | None:
     if any(word.startswith(_POWER_WORDS) for word in words):
         return None
     return next((word for word in words if word.startswith(_OTHER_WORDS)), None)
+
+
+def _words(header: str) -> list[str]:
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", header)
+    return re.split(r"[\s_.,:/()\[\]-]+", spaced.casefold())
+
+
+def require_summable(where: str, headers: Sequence[str]) -> None:
+    """Raise TraceError if the sum of the columns would count power twice, as that of `gpu0_w`, `gpu1_w` and `total_w`.
+
+    Two statistics of a power, such as `power_average_w` and `power_instant_w`, are counted twice too.
+    """
+    sums = [header for header in headers if _SUMS.intersection(_words(header))]
+    plain: dict[tuple[str, ...], str] = {}
+    fault = None
+    if sums and len(sums) < len(headers):
+        fault = f"{sums[0]!r} names a sum, and there are other columns of power"
+    for header in headers:
+        words = _words(header)
+        first = plain.setdefault(tuple(word for word in words if word not in _STATISTICS), header)
+        if first != header:
+            fault = f"{first!r} and {header!r} are two figures of one power"
+    if fault:
+        raise TraceError(f"{where}: {fault}; name the columns to sum with power_columns=")
 
 
 def require_power(where: str, header: str, remedy: str) -> None:

@@ -134,12 +134,26 @@ def test_a_missing_reading_is_a_gap_of_its_gpu(write, missing):
     )
     path = write(TWO + lines)
     with pytest.raises(TraceError, match=r"gpu.log, line 6: GPU 0: comes 20 s after the sample before, .* = 15"):
-        read_gpu_log(path)
+        read_gpu_log(path, max_gap_s=15.0)
     held = read_gpu_log(path, gaps="hold")
     np.testing.assert_allclose(held.power_kw, [0.11, 0.12, 0.23])
     np.testing.assert_allclose(read_gpu_log(path, max_gap_s=20.0).power_kw, held.power_kw)
     np.testing.assert_allclose(read_gpu_log(path, max_gap_s=None).power_kw, held.power_kw)
-    np.testing.assert_allclose(read_gpu_log(path, gaps="linear").power_kw, [0.11, 0.17, 0.23])
+    np.testing.assert_allclose(read_gpu_log(path, max_gap_s=15.0, gaps="linear").power_kw, [0.11, 0.17, 0.23])
+
+
+def test_a_log_with_long_intervals_has_no_gaps(write):
+    # nvidia-smi -l 60 waits for 60 s after each round, and the GPUs report one after the other.
+    def at(minute, text):
+        return f"2023/11/16 18:{minute:02d}:{text}\n"
+
+    lines = "".join(at(k, f"{4 * k + 3 * g:06.3f}, {g}, {100 + g} W") for k in range(10) for g in range(4))
+    trace = read_gpu_log(write(TWO + lines))
+    np.testing.assert_allclose(trace.time_s, 64.0 * np.arange(10))
+    np.testing.assert_allclose(trace.power_kw, 0.406)
+    late = "".join(at(k if k < 5 else k + 5, "00.000, 0, 100 W") for k in range(10))
+    with pytest.raises(TraceError, match=r"line 7: GPU 0: comes 360 s after the sample before, more than max_gap_s = 3"):
+        read_gpu_log(write(TWO + late))
 
 
 def test_one_gpu_with_a_gap_that_a_column_tells_apart(write):
@@ -154,13 +168,13 @@ def test_a_gpu_that_comes_late_or_leaves_early(write):
     late = rows(*((s, "0, 100 W") for s in range(0, 40, 10)), (30, "1, 10 W"), (40, "0, 100 W"), (40, "1, 20 W"))
     path = write(TWO + late)
     with pytest.raises(TraceError, match=r"line 6: GPU 1: its first reading comes 30 s after the first GPU, more than"):
-        read_gpu_log(path)
+        read_gpu_log(path, max_gap_s=15.0)
     trace = read_gpu_log(path, gaps="hold")
     assert trace.time_s.tolist() == [0.0, 10.0]
     np.testing.assert_allclose(trace.power_kw, [0.11, 0.12])
     path = write(TWO + rows((0, "0, 100 W"), (0, "1, 10 W"), *((s, "0, 90 W") for s in (10, 20, 30))))
     with pytest.raises(TraceError, match=r"line 3: GPU 1: its last reading comes 30 s before the end, more than"):
-        read_gpu_log(path)
+        read_gpu_log(path, max_gap_s=15.0)
     np.testing.assert_allclose(read_gpu_log(path, gaps="linear").power_kw, [0.11, 0.1, 0.1, 0.1])
 
 

@@ -232,6 +232,20 @@ def test_columns_of_other_quantities_identify_no_meter(write):
     assert trace.provenance.parameters["left_out"] == ["", "temp", "pstate", "energy_j"]
 
 
+def test_limits_of_a_gpu_are_no_readings(write):
+    # Two GPUs draw 300 W and 301 W; each has a limit of 750 W.
+    text = "timestamp,gpu,power_usage,max_power,hotspot\n" + "".join(
+        f"{1772366400 + k},{g},{300 + g} W,750 W,55 C\n" for k in range(20) for g in (0, 1)
+    )
+    trace = read_stamped_csv(write(text, "amd-smi.csv"))
+    np.testing.assert_allclose(trace.power_kw, 0.601)
+    assert trace.provenance.parameters["left_out"] == ["max_power", "hotspot"]
+    only = write("Time,Power Max (W)\n2026-01-02 03:04:00,2\n2026-01-02 03:04:01,3\n")
+    with pytest.raises(TraceError, match=r"'Power Max \(W\)' names 'max'; pass power_columns= if it is power"):
+        read_stamped_csv(only)
+    assert read_stamped_csv(only, power_columns=["Power Max (W)"]).duration_s == 1.0
+
+
 def test_numbers_without_a_unit_are_power_where_the_caller_says_so(write):
     text = "timestamp,gpu,power_usage,hotspot_temperature\n" + "".join(
         f"{1772366400 + k},{g},{'N/A' if k == 0 else 300 + g},40\n" for k in range(20) for g in (0, 1)

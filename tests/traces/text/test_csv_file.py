@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcgrid_env.traces import PowerTrace, TraceError
+from dcgrid_env.traces.recording_file import read_file
 from dcgrid_env.traces.text import text_file
 
 
@@ -226,6 +227,34 @@ def test_other_quantities_are_not_summed_as_power(write, name):
     with pytest.raises(TraceError, match="which is no power; name the columns of power with power_columns="):
         PowerTrace.from_csv(path, unit="W")
     assert PowerTrace.from_csv(path, unit="W", power_columns=["power"]).power_kw.tolist() == [0.3, 0.3]
+
+
+@pytest.mark.parametrize("name", ["power_limit_w", "max_power [W]", "site rated kW", "powerCap_w", "Power Min (W)"])
+def test_limits_and_extremes_are_not_summed_as_power(write, name):
+    path = write(f"t,power_w,{name}\n0,300,700\n1,300,700\n")
+    with pytest.raises(TraceError, match="which is no power; name the columns of power with power_columns="):
+        PowerTrace.from_csv(path)
+    assert PowerTrace.from_csv(path, power_columns=["power_w"]).power_kw.tolist() == [0.3, 0.3]
+    assert PowerTrace.from_csv(path, power_columns=[name]).duration_s == 1.0
+
+
+@pytest.mark.parametrize(
+    "names", [("gpu0_w", "gpu1_w", "total_w"), ("Sum [W]", "A [W]"), ("power_average_w", "power_instant_w")]
+)
+@pytest.mark.parametrize("time", ["{}", "2026-03-01 12:00:0{}"])
+def test_power_that_two_columns_contain_is_not_counted_twice(write, names, time):
+    # 300 W each; a total of 600 W, and the mean of a power, are no further consumers.
+    rows = "".join(f"{time.format(k)}{',300' * len(names)}\n" for k in range(3))
+    path = write(f"t,{','.join(names)}\n{rows}")
+    with pytest.raises(TraceError, match="; name the columns to sum with power_columns="):
+        read_file(path)
+    assert read_file(path, power_columns=names[:1]).power_kw.tolist() == [0.3] * 3
+
+
+@pytest.mark.parametrize("names", [("rack 1 total_w", "rack 2 total_w"), ("gpu0_avg_w", "gpu1_avg_w")])
+def test_sums_and_means_of_different_meters_are_summed(write, names):
+    path = write(f"t,{','.join(names)}\n0,300,300\n1,300,300\n")
+    assert PowerTrace.from_csv(path).power_kw.tolist() == [0.6, 0.6]
 
 
 def test_the_column_of_times_is_found_by_its_name(write):
