@@ -66,6 +66,12 @@ def test_warnings_name_the_remedy(options, warning):
     assert any(warning in line for line in check(**options).warnings())
 
 
+def test_a_logger_that_waits_its_interval_after_each_sample_misses_no_ramp():
+    # nvidia-smi -l 1 samples every 1.005 s.
+    assert not [line for line in check(time_s=1.005 * np.arange(len(SAW))).warnings() if "apart" in line]
+    assert [line for line in check(time_s=1.5 * np.arange(len(SAW))).warnings() if "apart" in line]
+
+
 def test_shares_are_printed_without_kilowatts_and_all_findings_are_json():
     report = check(power_kw=SAW / 200.0, rated_kw=1.0)
     text = "\n".join(report.lines())
