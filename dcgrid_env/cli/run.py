@@ -12,7 +12,7 @@ from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder, voltage_line
 from dcgrid_env.cli.progress import progress_bar
 from dcgrid_env.cli.runs import Runs
-from dcgrid_env.cli.settings import Overrides, tuned_from, with_horizon
+from dcgrid_env.cli.settings import Overrides, check_folder, tuned_from, with_horizon
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
@@ -97,6 +97,7 @@ class Run(Command):
         from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
 
         _check_options(self)
+        check_folder(self.out)
         require_tuned(self.tuned)
         scenario = scenario_of(self)
         names = controller_names(self, scenario)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from dcgrid_env.core.files import new_folder, require_folder
+from dcgrid_env.core.files import new_folder, require_folder, require_replaceable
 from dcgrid_env.core.lock import locked
 
 if TYPE_CHECKING:
@@ -55,6 +55,10 @@ def check_file(field: str, path: Path) -> None:
     """Raise ValueError if an output file cannot be written; call it before the work starts."""
     if path.is_dir():
         raise ValueError(f"{field}: must be a file, got the folder {str(path)!r}")
+    try:
+        require_replaceable(path)
+    except OSError as error:
+        raise ValueError(f"{field}: {error}") from None
     try:
         require_folder(path.parent)
     except OSError as error:

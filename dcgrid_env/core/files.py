@@ -64,6 +64,12 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
+def require_replaceable(path: Path) -> None:
+    """Raise FileExistsError if there is a pipe, a device or a socket, or a link to one, which a file would replace."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise FileExistsError(f"{path} is a device or a pipe; give the path of a file")
+
+
 def require_space(folder: Path, n_bytes: int, behind: int = 0) -> None:
     """Raise OSError unless that many bytes can be added to a file there that has ``behind`` already."""
     part = folder / f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}"
@@ -84,6 +90,7 @@ def whole(path: Path) -> Iterator[IO[bytes]]:
     It is written under a unique name in the same folder, so two simultaneous writers do not collide. Missing folders
     are made. OSError if it cannot be written.
     """
+    require_replaceable(path)
     with naming(path), new_folder(path.parent):
         part = path.with_name(f"{_PREFIX}{secrets.token_hex(8)}{_SUFFIX}")
         try:

@@ -49,8 +49,7 @@ _METERS = frozenset(
 _STATES = re.compile(r"state|status|reason|mode|type|version|driver|unit|comment|note|message|job|run_id|project")
 """Words in the names of text columns that describe a reading and identify no meter."""
 _QUANTITY = re.compile(r"(?P<number>[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-z%\u00b0/]+)?")
-
-
+_OF_DAY = re.compile(r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?")
 _SHOWING_LINES = 20
 """Lines below the header whose cells show what a column contains."""
 
@@ -182,6 +181,12 @@ def _columns(
     if time is None:
         raise TraceError(f"{where}: no cell is a date and time; give times like 2026-01-02T03:04:05Z")
     others = [c for c in range(len(header)) if c != time]
+    clock = next((c for c in others if _OF_DAY.fullmatch(first[c].strip())), None)
+    if clock is not None and ":" not in first[time]:
+        raise TraceError(
+            f"{where}: {header[time]!r} contains dates and {header[clock]!r} times; write both into one column, like "
+            "2026-01-02 03:04:05"
+        )
     meters = [c for c in others if _plain(header[c]) in _METERS]
     power = _power(f"{name}, header", header, first, [c for c in others if c not in meters], power_columns, unit)
     texts = [c for c in others if c not in meters and c not in power and _is_label(header[c], first[c])]

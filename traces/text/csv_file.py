@@ -13,6 +13,7 @@ import numpy as np
 
 from dcgrid_env.core.user_files import parse_json
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive
+from dcgrid_env.traces.logs.clock import FORMS
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number
 from dcgrid_env.traces.text.gaps import GapRule
@@ -290,6 +291,10 @@ def _careful_numbers(name: str, block: Block, layout: _Layout, drops: bool) -> F
                     cells.append(float("nan"))
                     continue
                 fault = not_a_number(row[c])
+                if c == layout.columns[0] and is_time_name(layout.time_name):
+                    fault = (
+                        f"is {row[c].strip()[:40]!r}, not a number; write times in s, or like {FORMS}, in one column"
+                    )
                 if number == layout.first_line:
                     fault += "; if the line has the names of the columns, give each one that is not a number"
                 elif missing:

@@ -13,7 +13,7 @@ SITE_KW = 1e6
 """Highest accepted reading of another meter, such as that of a node, a rack or a site, kW."""
 SPIKE_TIMES = 20.0
 SPIKE_SHARE = 0.01
-SPIKE_READINGS = 40
+SPIKE_READINGS = 10
 """A reading above DEVICE_KW is an outlier if it is SPIKE_TIMES as high as all but a share of SPIKE_SHARE of the meter's
 readings, of which there are at least SPIKE_READINGS."""
 

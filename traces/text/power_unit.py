@@ -19,11 +19,28 @@ _OTHER_WORDS = (
 )  # fmt: skip
 """Begins of words that name another quantity than power."""
 _LIMITS = frozenset(
-    "limit limits cap max maximum min minimum rated rating tdp budget threshold nominal target setpoint forecast".split()
+    [
+        "limit",
+        "limits",
+        "cap",
+        "max",
+        "maximum",
+        "min",
+        "minimum",
+        "rated",
+        "rating",
+        "tdp",
+        "budget",
+        "threshold",
+        "nominal",
+        "target",
+        "setpoint",
+        "forecast",
+    ]
 )
 """Words of columns that contain no readings of the power, although their unit is one of power."""
-_SUMS = frozenset("total sum overall combined aggregate".split())
-_STATISTICS = frozenset("average avg mean instant instantaneous current".split())
+_SUMS = frozenset(["total", "sum", "overall", "combined", "aggregate"])
+_STATISTICS = frozenset(["average", "avg", "mean", "instant", "instantaneous", "current"])
 _SEPARATORS = re.compile(r"[\s_.,:/-]+")
 
 

@@ -98,8 +98,8 @@ class _Column:
     point: tuple[int, str] | None = None
     certain: bool = False
     """Whether a sign cannot be a thousands separator, as other than three digits follow it."""
-    whole: bool = False
-    """Whether there are whole numbers below 1000."""
+    whole: int = -1
+    """Largest whole number below 1000; -1 if there is none."""
 
 
 class _Dialect:
@@ -161,7 +161,7 @@ class _Dialect:
             if match is not None:
                 column, sign, digits = self._columns[index], match["sign"], match["digits"]
                 if sign is None:
-                    column.whole = column.whole or len(digits) <= 3
+                    column.whole = max(column.whole, int(digits) if len(digits) <= 3 else -1)
                 else:
                     if not column.certain:
                         column.certain = len(match["decimals"]) != 3 or len(digits) > 3 or digits.startswith("0")
@@ -180,10 +180,13 @@ class _Dialect:
 
     def require_decimals(self) -> None:
         """Raise TraceError if the signs in the numbers of a column may separate thousands."""
+        if not self._has_commas and any(_THOUSANDS.search(cell) for _, cells in self._earlier for cell in cells):
+            for number, cells in self._earlier:
+                self._decimals(cells, number)
         has_commas = any(column.comma for column in self._columns.values())
         for column in self._columns.values():
-            shown = column.comma if column.whole else None
-            if has_commas and column.point:
+            shown = column.comma if column.whole >= 0 else None
+            if column.point and (has_commas or column.whole > 0):
                 shown = column.point
             if shown and not column.certain:
                 number, text = shown

@@ -137,6 +137,16 @@ def test_bad_input_is_one_line_and_writes_nothing(arguments, message, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+def test_an_output_folder_that_cannot_be_made_is_found_before_anything_runs(tmp_path, capsys):
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "out", "--scenario", "toy6")
+    assert stopped.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith("dcgrid: out: must be a folder that can be created, got ")
+    assert printed.out == ""
+
+
 @pytest.mark.parametrize("where", ["__init__(self)", "reset(self, env_info)", "act(self, observations)"])
 def test_a_controller_that_ends_the_program_does_not_end_it_as_if_all_were_well(where, tmp_path, capsys):
     own = tmp_path / "own.py"

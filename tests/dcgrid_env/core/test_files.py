@@ -14,6 +14,7 @@ from dcgrid_env.core.files import (
     require_space,
     whole,
     whole_folder,
+    write_bytes,
     write_figure,
     write_json,
     write_text,
@@ -72,6 +73,19 @@ def test_files_that_differ_in_their_suffix_do_not_meet(tmp_path):
         one.write(b"json")
         other.write(b"md")
     assert ((tmp_path / "results.json").read_bytes(), (tmp_path / "results.md").read_bytes()) == (b"json", b"md")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+def test_pipes_devices_and_links_to_them_are_not_replaced(tmp_path):
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(os.devnull)
+    for path in (pipe, link):
+        with pytest.raises(FileExistsError, match=f"{path} is a device or a pipe; give the path of a file"):
+            write_bytes(path, b"1")
+    assert pipe.is_fifo()
+    assert link.is_symlink()
+    assert sorted(tmp_path.iterdir()) == [link, pipe]
 
 
 def test_two_who_write_the_same_file_at_once_leave_the_whole_of_one(tmp_path):

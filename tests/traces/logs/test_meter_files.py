@@ -232,6 +232,12 @@ def test_columns_of_other_quantities_identify_no_meter(write):
     assert trace.provenance.parameters["left_out"] == ["", "temp", "pstate", "energy_j"]
 
 
+def test_a_date_and_a_time_in_two_columns_are_named(write):
+    text = "Date,Time,kW\n" + "".join(f"2026-01-02,03:04:0{k},300\n" for k in range(3))
+    with pytest.raises(TraceError, match="'Date' contains dates and 'Time' times; write both into one column, like 20"):
+        read_stamped_csv(write(text))
+
+
 def test_limits_of_a_gpu_are_no_readings(write):
     # Two GPUs draw 300 W and 301 W; each has a limit of 750 W.
     text = "timestamp,gpu,power_usage,max_power,hotspot\n" + "".join(

@@ -132,6 +132,11 @@ def test_bad_files_are_named(write, text, options, message):
         PowerTrace.from_csv(write(text), **options)
 
 
+def test_dates_in_other_forms_are_named(write):
+    with pytest.raises(TraceError, match=r"line 2: column 0 \('Time'\) is '03/01/2026 12:00', .* like 2026-01-02T03"):
+        PowerTrace.from_csv(write("Time,site kW\n03/01/2026 12:00,300\n03/01/2026 12:01,300\n"))
+
+
 def test_a_file_that_is_not_text_is_named(tmp_path):
     path = tmp_path / "site.npy"
     np.save(path, np.full((3, 2), 0.1))

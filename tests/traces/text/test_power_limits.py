@@ -62,6 +62,13 @@ def test_one_wrong_reading_does_not_become_the_rating(tmp_path, kind):
     assert read_file(path, limit_kw=632.0).power_kw.max() > 631.0
 
 
+def test_one_wrong_reading_of_a_short_recording(tmp_path):
+    path = tmp_path / "power.csv"
+    path.write_text("time_s,site_w\n" + "".join(f"{k},{631_245 if k == 4 else 300}\n" for k in range(10)))
+    with pytest.raises(TraceError, match="line 6: .* is an outlier: 631.245 kW"):
+        recorded_trace(str(path))
+
+
 def test_recordings_of_sites_that_idle_are_no_outliers():
     idle = np.full(1000, 20.0)
     for busy in (5, 200):  # an idle site of 20 kW that draws 500 kW for 5 or 200 samples

@@ -75,6 +75,8 @@ def test_logs_of_nvidia_smi_and_load_profiles_in_every_dialect(tmp_path, delimit
         ("t_s;kw\n0;1,5\n1;2.5\n", r"line 3: the column has '2.5' in line 3 and '1,5' in line 2; write all numbers"),
         ("t_s;kw\n0;999\n1;1,250\n", r"line 3: the sign in '1,250' may be a decimal sign or separate thousands"),
         ("t_s;kw\n0;1,5\n1.000;2,5\n", r"line 3: the sign in '1.000' may be a decimal sign or separate thousands"),
+        ("t_s;w\n0;950\n1;1.050\n2;980\n", r"line 3: the sign in '1.050' may be a decimal sign or separate thousands"),
+        ("t_s;w\n" + "".join(f"{k};950\n" for k in range(90)) + "90;1.050\n", r"line 92: the sign in '1.050' may be"),
         ("t_s;kw\n0;1.234,5\n1;1.235,5\n", r"line 2: .*is '1.234,5', not a number; write numbers with a decimal point"),
         ('t_s,kw\n0,"1,250"\n1,"1,260"\n', r"line 2: .*is '1,250', not a number; write numbers with a decimal point"),
     ],
@@ -92,6 +94,8 @@ def test_doubtful_numbers_are_refused(tmp_path, text, message):
         ("t_s;kw\n0;1,250\n1;0,750\n", [1.25, 0.75]),  # no thousands begin with 0
         ("t_s;kw\n0;999\n1;1,25\n", [999.0, 1.25]),
         ("0;1,5\n1;2,5\n", [1.5, 2.5]),
+        ("t_s;kw\n0;0\n1;1.050\n2;0.750\n", [0.0, 1.05, 0.75]),
+        ("t_s;kw\n0;950\n1;1.050\n2;980.5\n", [950.0, 1.05, 980.5]),
         ("0.5\t1\n1.5\t2\n", [0.001, 0.002]),
     ],
 )
