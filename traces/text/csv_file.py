@@ -292,9 +292,7 @@ def _careful_numbers(name: str, block: Block, layout: _Layout, drops: bool) -> F
                     continue
                 fault = not_a_number(row[c])
                 if c == layout.columns[0] and is_time_name(layout.time_name):
-                    fault = (
-                        f"is {row[c].strip()[:40]!r}, not a number; write times in s, or like {FORMS}, in one column"
-                    )
+                    fault = f"is {row[c].strip()[:40]!r}, not a number; write times in s, or in one column like {FORMS}"
                 if number == layout.first_line:
                     fault += "; if the line has the names of the columns, give each one that is not a number"
                 elif missing:

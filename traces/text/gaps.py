@@ -12,14 +12,14 @@ from dcgrid_env.traces.checks import FloatArray, TraceError, require_positive
 GAP_RULES = ("error", "hold", "linear")
 USUAL_DISTANCES = 5.0
 LEAST_GAP_S = 15.0
-"""By default, readings of a meter are a gap apart from LEAST_GAP_S on, and from USUAL_DISTANCES times their usual distance
-on."""
+"""By default, readings of a meter have a gap between them if they are further apart than LEAST_GAP_S and than
+USUAL_DISTANCES times their usual distance."""
 FILL_LIMIT = 1_000_000
 """Samples that may be put into one gap; more mean a wrong clock rather than a gap."""
 
 
 def meter_rule(max_gap_s: float | None, gaps: str, distance_s: FloatArray) -> GapRule:
-    """Return the rule for the readings of a meter that are `distance_s` apart; the default limit if `max_gap_s` is None."""
+    """Return the rule for readings of a meter `distance_s` apart; None for `max_gap_s` is the default limit."""
     usual_s = float(np.median(distance_s)) if len(distance_s) else 0.0
     return GapRule(max(LEAST_GAP_S, USUAL_DISTANCES * usual_s) if max_gap_s is None else max_gap_s, gaps)
 

@@ -18,26 +18,10 @@ _OTHER_WORDS = (
     "duration", "count", "percent", "pct", "emission", "co2", "cost", "price", "speed", "throughput",
 )  # fmt: skip
 """Begins of words that name another quantity than power."""
-_LIMITS = frozenset(
-    [
-        "limit",
-        "limits",
-        "cap",
-        "max",
-        "maximum",
-        "min",
-        "minimum",
-        "rated",
-        "rating",
-        "tdp",
-        "budget",
-        "threshold",
-        "nominal",
-        "target",
-        "setpoint",
-        "forecast",
-    ]
-)
+_LIMITS = (
+    "limit", "limits", "cap", "max", "maximum", "min", "minimum", "rated", "rating", "tdp", "budget", "threshold",
+    "nominal", "target", "setpoint", "forecast",
+)  # fmt: skip
 """Words of columns that contain no readings of the power, although their unit is one of power."""
 _SUMS = frozenset(["total", "sum", "overall", "combined", "aggregate"])
 _STATISTICS = frozenset(["average", "avg", "mean", "instant", "instantaneous", "current"])
@@ -71,7 +55,7 @@ def unit_of_word(word: str) -> str | None:
 def other_quantity(header: str) -> str | None:
     """Return the quantity that a column or metric names if it is not power: "energy" or a word such as `temperature`.
 
-    `energy_j`, `E [kWh]` and `joules_total` are energy. A limit, rating or extreme such as `power_limit_w` is none. Other
+    `energy_j`, `E [kWh]` and `joules_total` are energy. A limit or extreme such as `power_limit_w` is no power. Other
     names that contain power or its unit are power.
     """
     inside, last = bracketed(header)[0], last_word(header)

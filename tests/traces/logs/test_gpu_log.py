@@ -152,9 +152,7 @@ def test_a_log_with_long_intervals_has_no_gaps(write):
     np.testing.assert_allclose(trace.time_s, 64.0 * np.arange(10))
     np.testing.assert_allclose(trace.power_kw, 0.406)
     late = "".join(at(k if k < 5 else k + 5, "00.000, 0, 100 W") for k in range(10))
-    with pytest.raises(
-        TraceError, match=r"line 7: GPU 0: comes 360 s after the sample before, more than max_gap_s = 3"
-    ):
+    with pytest.raises(TraceError, match=r"line 7: GPU 0: comes 360 s after the sample before, more than .* = 3"):
         read_gpu_log(write(TWO + late))
 
 

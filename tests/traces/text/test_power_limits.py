@@ -65,7 +65,7 @@ def test_one_wrong_reading_does_not_become_the_rating(tmp_path, kind):
 def test_one_wrong_reading_of_a_short_recording(tmp_path):
     path = tmp_path / "power.csv"
     path.write_text("time_s,site_w\n" + "".join(f"{k},{631_245 if k == 4 else 300}\n" for k in range(10)))
-    with pytest.raises(TraceError, match="line 6: .* is an outlier: 631.245 kW"):
+    with pytest.raises(TraceError, match=r"line 6: .* is an outlier: 631\.245 kW"):
         recorded_trace(str(path))
 
 
