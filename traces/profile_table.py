@@ -10,6 +10,7 @@ from datetime import date, timedelta
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dcgrid_env.core.magnitudes import LARGEST, wrong_magnitude
 from dcgrid_env.traces.checks import FloatArray, TraceError
 
 LEAST_STEP_S, MOST_STEP_S = 1.0, 3600.0
@@ -156,7 +157,8 @@ def checked_table(
     Raises
     ------
     TraceError
-        For a gap, times that repeat or go back, another step than 1 s to 1 h, or a value that is not finite.
+        For a gap, times that repeat or go back, another step than 1 s to 1 h, or a value that is not finite or
+        larger than any load.
     """
     times = np.asarray(times_s, np.float64)
     if len(times) < 2:
@@ -184,6 +186,13 @@ def checked_table(
         raise TraceError(
             f"{file}, {where(int(row))}, column {names[column]!r}: the value is {said(int(row), int(column))!r}; give "
             "a finite number"
+        )
+    sizes = np.abs(values)
+    if sizes.max(initial=0.0) > LARGEST["kw"]:
+        row, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        raise TraceError(
+            f"{file}, {where(int(row))}, column {names[column]!r}: the value is {said(int(row), int(column))!r}; "
+            f"{wrong_magnitude('kw', float(values[row, column]))}"
         )
     begin_h = float(times[0] % 86400.0) / 3600.0
     return ProfileTable(begin_h, step_s, tuple(names), values, day)

@@ -61,6 +61,10 @@ def test_parquet(tmp_path, monkeypatch):
         (WIDE.replace("3,4", "3,x"), "line 3, column 'b': the value is 'x'; give a finite number"),
         (WIDE.replace("3,4", "nan,4"), "line 3, column 'a': the value is 'nan'; give a finite number"),
         (WIDE.replace("3,4", ",4"), "line 3, column 'a': the value is ''; give a finite number"),
+        (
+            WIDE.replace("3,4", "3,-1e300"),
+            "line 3, column 'b': the value is '-1e300'; no feeder has more than 1e.08; check",
+        ),
         (WIDE.replace("06:15", "06:00"), "line 3, column 'time': it repeats the time before it; sort the samples"),
         (WIDE.replace("06:15", "05:45"), "line 3, column 'time': it is before the time of the sample before it; sort"),
         (WIDE + "2025-01-01T07:00,1,1,1\n", "line 5, column 'time': 1800 s after the sample before it, and the others"),
