@@ -189,9 +189,9 @@ def checked_table(
         )
     sizes = np.abs(values)
     if sizes.max(initial=0.0) > LARGEST["kw"]:
-        row, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+        row, column = divmod(int(np.argmax(sizes)), sizes.shape[1])
         raise TraceError(
-            f"{file}, {where(int(row))}, column {names[column]!r}: the value is {said(int(row), int(column))!r}; "
+            f"{file}, {where(row)}, column {names[column]!r}: the value is {said(row, column)!r}; "
             f"{wrong_magnitude('kw', float(values[row, column]))}"
         )
     begin_h = float(times[0] % 86400.0) / 3600.0

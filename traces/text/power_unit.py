@@ -62,7 +62,8 @@ def other_quantity(header: str) -> str | None:
     if {inside.casefold(), last.casefold()} & _ENERGY_UNITS:
         return "energy"
     words = _words(header)
-    limit = next((word for word in words if word in _LIMITS), None)
+    pairs = zip(["", *words], words, strict=False)
+    limit = next((word for before, word in pairs if word in _LIMITS and not (word == "min" and before.isdigit())), None)
     if limit is not None:
         return limit
     if any(map(unit_of_word, (inside, last))):

@@ -220,7 +220,7 @@ def test_names_of_energy(write, name):
         PowerTrace.from_csv(write(f"t,{name}\n0,1\n1,2\n"), unit="kW")
 
 
-@pytest.mark.parametrize("name", ["energy_rate_w", "memory_power", "joule street [kW]"])
+@pytest.mark.parametrize("name", ["energy_rate_w", "memory_power", "joule street [kW]", "power 15 min mean (W)"])
 def test_names_of_power_that_mention_other_quantities(write, name):
     unit = "W" if name == "memory_power" else None
     assert PowerTrace.from_csv(write(f"t,{name}\n0,1\n1,2\n"), unit=unit).duration_s == 1.0
