@@ -26,6 +26,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from dcgrid_env import Feeder, LoadProfiles, RandomFeeders, RatingCoverage, Scenario, rating_coverage
+from dcgrid_env.core.seeds import MOST_SAMPLES
 from dcgrid_env.grid import RatingKind, with_ratings
 from dcgrid_env.traces.day_course import LOAD_PERCENT
 
@@ -115,7 +116,8 @@ class Study:
         if self.rating == "emergency" or self.season:
             rated = with_ratings(feeder, self.rating, self.season)
             object.__setattr__(self, "scenario", self.scenario.replace(feeder=rated.feeder))
-        self._require("samples", isinstance(self.samples, int) and self.samples >= 1, "give a whole number >= 1")
+        fits = isinstance(self.samples, int) and 1 <= self.samples <= MOST_SAMPLES
+        self._require("samples", fits, f"give a whole number from 1 to {MOST_SAMPLES:,}")
         self._require("load", self.load in get_args(Load), f"choose one of {', '.join(get_args(Load))}")
         least_s = 2.0 * self.scenario.dt_s
         self._require("window_s", _finite(self.window_s) and self.window_s >= least_s, f"give at least {least_s:g} s")

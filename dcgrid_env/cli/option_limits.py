@@ -10,10 +10,9 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from dcgrid_env.core.seeds import MOST_EPISODES
+from dcgrid_env.core.seeds import MOST_EPISODES, MOST_SAMPLES
 
 MOST_WORKERS = 4096
-MOST_SAMPLES = 10_000
 _A_YEAR_S = 366.0 * 86_400.0
 _ANY_SEED = (0, 2**63 - 1)
 LIMITS: Mapping[str, tuple[float, float]] = {

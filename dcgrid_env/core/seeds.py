@@ -6,6 +6,8 @@ import numpy as np
 
 MOST_EPISODES = 100_000
 """Most episodes of one command."""
+MOST_SAMPLES = 10_000
+"""Most windows that a capacity is computed from."""
 MOST_ENVS = 2_000_000
 """Most environments in a batch."""
 

@@ -336,8 +336,9 @@ def test_a_tuned_law_without_gains_has_its_defaults_and_says_so():
 @pytest.mark.parametrize(
     ("field", "value", "said"),
     [
-        ("samples", 0, "give a whole number >= 1"),
-        ("samples", 2.5, "give a whole number >= 1"),
+        ("samples", 0, "give a whole number from 1 to 10,000"),
+        ("samples", 1_000_000, "give a whole number from 1 to 10,000"),
+        ("samples", 2.5, "give a whole number from 1"),
         ("load", "night", "choose one of day, peak"),
         ("window_s", 1.0, "give at least 2 s"),
         ("window_s", math.nan, "give at least 2 s"),
