@@ -1,7 +1,6 @@
 """Settings of devices and equipment: their defaults and ranges, and the refusal of values beyond the ranges."""
 
 import dataclasses
-import math
 import re
 from typing import Any
 
