@@ -102,7 +102,8 @@ def source_origin(scenario: Scenario, asked: object = None, name: str | None = N
         file = f"{feeder.folder.name}/feeder.toml"
     has = f"{file} has {feeder.v0_pu:.6g} p.u."
     if asked == CENTRED and acting_relays(scenario) is not None:
-        return f"from {file}, not {CENTRED} as {place} asks, because regulators act"
+        kept = source_origin(scenario, None, name, place)
+        return f"{kept}, not {CENTRED} as {place} asks, because regulators act"
     if asked == CENTRED:
         return f"{CENTRED} as {place} asks; {has}"
     if asked is not None:

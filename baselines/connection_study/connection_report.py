@@ -269,7 +269,7 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
         ("scenario hash", scenario_hash(scenario)),
         ("source voltage", job.source.removeprefix("source at ")),
         ("limits", f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u., {study.loading_max_pct:g} % of known ratings"),
-        ("windows", f"{study.samples} of {study.window_s:g} s, {study.load} load, and those at the worst hours"),
+        ("windows", f"{study.samples} of {study.window_s:g} s, {study.load_words}, and those at the worst hours"),
         ("load profiles", "none" if profiles is None else str(profile_coverage(scenario))),
         ("other loads", f"noise of {100.0 * scenario.background.load_sigma:g} %"),
         (

@@ -14,12 +14,10 @@ from dcgrid_env.baselines.hosting_capacity.load_hours import Windows
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_at, limit_of
 from dcgrid_env.baselines.hosting_capacity.trial import COLLAPSED, LIMITS, OVERLOAD, UNLIMITED, Trial
 
-NOMINAL_LOAD = "nominal load"
-
 
 def time_of(study: Study, windows: Windows, window: int) -> str:
     """The time of the loads of a window, as text: with load profiles their date or day, and the time of day."""
-    return NOMINAL_LOAD if windows.hours is None else time_text(study.scenario, float(windows.hours[window]))
+    return study.load_words if windows.hours is None else time_text(study.scenario, float(windows.hours[window]))
 
 
 def limit_values(study: Study, kind: int, margin: float) -> tuple[str, str]:
@@ -31,7 +29,7 @@ def limit_values(study: Study, kind: int, margin: float) -> tuple[str, str]:
         return f"{study.v_max_pu - margin * half:.4f} p.u.", f"{study.v_max_pu:g} p.u."
     limit, unit = {
         "overload": (study.loading_max_pct, "% of the rating"),
-        "voltage step": (study.voltage_step_max_pct, "% in a second"),
+        "voltage step": (study.voltage_step_max_pct, f"% in {study.scenario.dt_s:g} s"),
         "taps": (study.taps_max_per_hour, "per hour"),
         "loss": (study.loss_max_kw, "kW"),
     }[LIMITS[kind]]

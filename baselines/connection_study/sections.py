@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from dcgrid_env import Feeder, LoadProfiles, Scenario, UpsRideThrough, acting_relays, metrics_in, recording_lines
 from dcgrid_env.baselines.benchmark.benchmark_tables import Table
-from dcgrid_env.baselines.connection_study.limit_distances import NOMINAL_LOAD, limits_table, nearest, time_of
+from dcgrid_env.baselines.connection_study.limit_distances import limits_table, nearest, time_of
 from dcgrid_env.baselines.connection_study.section import Section, figure_of, rise_or_fall, sentences, under
 from dcgrid_env.baselines.connection_study.several_sites import several_sites
 from dcgrid_env.baselines.connection_study.study_job import Job
@@ -111,7 +111,7 @@ def worst_window(job: Job) -> Section:
             f"the nearest limit is {nearest(study, windows, trial)}"
         )
     time = time_of(study, windows, worst)
-    begins = time if time == NOMINAL_LOAD else f"begins at {time}"
+    begins = time if windows.hours is None else f"begins at {time}"
     scenario = job.scenario(job.request.mw, **study.window_fields | _begin(study, windows, worst))
     series = {name: rollout(scenario, law, [worst], name=name).series(0) for name, law in controllers}
     text = (

@@ -28,7 +28,7 @@ class FluctuationLimits:
     ramp_window_s: float = number(0.1, 600.0, default=1.0)
     """Window over which a ramp is averaged, s."""
     voltage_step_pct: float = number(0.1, 100.0, default=3.0)
-    """Largest voltage change in a second, % of nominal voltage."""
+    """Largest voltage change in a step of 0.1 s, % of nominal voltage."""
     pst: float = number(0.01, 100.0, default=1.0)
     """Largest short-term flicker."""
     source: str = NOT_STATED

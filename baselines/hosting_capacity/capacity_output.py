@@ -69,7 +69,8 @@ def read_capacity_csv(text: str) -> list[BusCapacity]:
 def capacity_table(found: Capacities) -> Table:
     """Make a table with a row for each bus: capacity in a snapshot and under each controller, and the delay."""
     study = found.study
-    window = f"{len(found.windows)} windows of {study.window_s:g} s, {study.load} load"
+    number = len(found.windows)
+    window = f"{number} window{'s' * (number != 1)} of {study.window_s:g} s, {study.load_words}"
     limits = f"{study.v_min_pu:g} to {study.v_max_pu:g} p.u."
     title = f"{study.scenario.feeder.name}: largest data centre at a bus, MW, within {limits} ({window})"
     header = ["bus", SNAPSHOT]

@@ -201,6 +201,13 @@ class Study:
         return begin * self.scenario.dt_s, (begin + steps) * self.scenario.dt_s
 
     @property
+    def load_words(self) -> str:
+        """Level of the other loads, for people."""
+        if self.load == "peak":
+            return "nominal load"
+        return "day load" if self.scenario.load_profiles.file is None else "load profiles"
+
+    @property
     def window_fields(self) -> dict[str, Any]:
         """Fields of a scenario whose episodes are the windows."""
         by_day = self.load == "day" and self.scenario.load_profiles.file is None

@@ -31,8 +31,8 @@ def with_outage(scenario: Scenario, outage: str) -> Scenario:
     scenario
         The scenario.
     outage
-        ``capacitor NAME`` (off), ``regulator BANK`` (at its neutral taps, without control), ``open NAME`` or ``close
-        NAME`` of a switch; several at once joined by ``+``.
+        ``capacitor NAME`` (off, without control), ``regulator BANK`` (at its neutral taps, without control), ``open
+        NAME`` or ``close NAME`` of a switch; several at once joined by ``+``.
 
     Raises
     ------
@@ -42,17 +42,19 @@ def with_outage(scenario: Scenario, outage: str) -> Scenario:
     network: Any = getattr(scenario.feeder, "network", None)
     if not isinstance(scenario.feeder, ThreePhaseFeeder):
         raise ValueError(f"outages: the balanced feeder {scenario.feeder.name!r} has no elements for {outage!r}")
-    modes: Any = scenario.grid_control.regulators
+    modes: dict[str, Any] = {name: getattr(scenario.grid_control, name) for name in ("regulators", "capacitors")}
     for part in outage.split("+"):
         word, _, name = part.strip().partition(" ")
         network = _changed(network, word, name.strip(), outage)
-        if word == "regulator" and isinstance(modes, tuple):
-            modes = tuple((bank, mode) for bank, mode in modes if bank != name.strip())
-    if not isinstance(modes, tuple) and not any(network.regulator.max_taps_per_move):
-        modes = "controlled"  # which moves no fixed tap
+        if isinstance(by_bank := modes.get(f"{word}s"), tuple):
+            modes[f"{word}s"] = tuple((bank, mode) for bank, mode in by_bank if bank != name.strip())
+    if not isinstance(modes["regulators"], tuple) and not any(network.regulator.max_taps_per_move):
+        modes["regulators"] = "controlled"  # which moves no fixed tap
+    if not isinstance(modes["capacitors"], tuple) and all(network.capacitor.is_fixed or (0,)):
+        modes["capacitors"] = "fixed"
     try:
         feeder = ThreePhaseFeeder.from_network(network)
-        return scenario.replace(feeder=feeder, grid_control={"regulators": modes})
+        return scenario.replace(feeder=feeder, grid_control=modes)
     except FeederError as error:
         raise ValueError(f"outages: {outage!r} leaves a feeder that cannot be solved: {error}") from None
 
@@ -76,7 +78,7 @@ def _named(scenario: Scenario, asked: Sequence[str]) -> Iterator[str]:
 
 def _changed(network: Any, word: str, name: str, outage: str) -> Any:
     if word == "capacitor":
-        return _put(network, "capacitor", "name", name, outage, state="off")
+        return _put(network, "capacitor", "name", name, outage, state="off", is_fixed=1)
     if word == "regulator":
         table = network.regulator
         rows = {"tap": table.tap_neutral, "max_taps_per_move": (0,) * len(table)}
@@ -96,6 +98,7 @@ def _put(network: Any, kind: str, key: str, name: str, outage: str, **columns: A
     changed = {}
     for column, value in columns.items():
         values = value if isinstance(value, tuple) else (value,) * len(there)
-        pairs = zip(there, getattr(table, column), values, strict=True)
+        before = getattr(table, column) or (0,) * len(there)
+        pairs = zip(there, before, values, strict=True)
         changed[column] = tuple(new if of == name else old for of, old, new in pairs)
     return dataclasses.replace(network, **{kind: dataclasses.replace(table, **changed)})

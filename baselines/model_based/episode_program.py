@@ -30,7 +30,7 @@ from dcgrid_env import Forecast, Scenario, acting_relays, voltage_targets
 from dcgrid_env.baselines.model_based.request_rows import RequestRows
 from dcgrid_env.baselines.model_based.storage_rows import StorageRows
 from dcgrid_env.baselines.model_based.tap_trajectory import Demands, TapTrajectory
-from dcgrid_env.baselines.model_based.trajectory import Trajectory
+from dcgrid_env.baselines.model_based.trajectory import HindsightError, Trajectory
 from dcgrid_env.baselines.model_based.voltage_rows import voltage_rows
 
 Sparse = Any  # scipy's sparse matrices and arrays of every layout
@@ -88,7 +88,7 @@ class EpisodeProgram(Trajectory):
         limits += self.same
         result = self._optimum(limits, prices, ranges)
         if result.status != 0:
-            raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
+            raise HindsightError(f"hindsight of scenario {s.name!r} has no solution: {self._unmet(limits, result)}")
         d, q = (self._part(result.x, name).reshape(s.horizon, -1) for name in "dq")
         received, sent = (self._part(result.x, name) for name in "yo")
         moved = (received - sent).reshape(s.horizon, -1) if len(received) else self.moved_kw

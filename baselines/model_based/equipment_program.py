@@ -28,7 +28,7 @@ from dcgrid_env.baselines.equipment_agents import action_of, at_rest
 from dcgrid_env.baselines.model_based.episode_program import TANGENTS
 from dcgrid_env.baselines.model_based.interior_point import TOLERANCE, Rows, minimise
 from dcgrid_env.baselines.model_based.set_point_plan import bank_set_points, relay_set_points
-from dcgrid_env.baselines.model_based.trajectory import Trajectory
+from dcgrid_env.baselines.model_based.trajectory import HindsightError, Trajectory
 
 _SPAN = 0.1  # of a tap or a bank, by which the power flow is tried to find its slopes
 _NARROWEST = 1e-3  # kvar, kW s: no range is so narrow that it has no inside
@@ -115,7 +115,7 @@ class EquipmentProgram(Trajectory):
             found = minimise(c, rows, h, limits, start, constant, tolerance)
         except ArithmeticError as error:
             band = "; keep_band may ask for what cannot be" if self.keep_band else ""
-            raise ValueError(f"hindsight of scenario {s.name!r} has no solution: {error}{band}") from None
+            raise HindsightError(f"hindsight of scenario {s.name!r} has no solution: {error}{band}") from None
         x = found.x.reshape(steps, k)
         self.served_kw = (quantities @ found.x).reshape(steps, k)[:, :n_dc] + self.arrived_kw
         self.q_kvar = x[:, n_dc : n_dc + self.n]

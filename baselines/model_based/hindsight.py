@@ -40,6 +40,7 @@ from dcgrid_env.baselines.model_based.storage_rows import storages_of
 from dcgrid_env.baselines.model_based.tap_bound import tap_bound
 from dcgrid_env.baselines.model_based.tap_search import TapSearch
 from dcgrid_env.baselines.model_based.tap_trajectory import TapTrajectory
+from dcgrid_env.baselines.model_based.trajectory import HindsightError
 from dcgrid_env.baselines.rollout import ControllerError, rollout
 from dcgrid_env.devices import may_leave
 
@@ -305,42 +306,45 @@ def _has_equipment_agents(scenario: Scenario) -> bool:
 
 def _check(scenario: Scenario) -> None:
     planned = _has_equipment_agents(scenario)
-    if not planned:
-        require_known_devices("hindsight", scenario, further=("storage",))
-    require_draws_of_work("hindsight", scenario)
+    try:
+        if not planned:
+            require_known_devices("hindsight", scenario, further=("storage",))
+        require_draws_of_work("hindsight", scenario)
+    except ValueError as error:
+        raise HindsightError(str(error)) from None
     if any(map(may_leave, scenario.devices)):
-        raise ValueError(
+        raise HindsightError(
             f"hindsight plans no trips, which no linear program has; scenario {scenario.name!r} has ride_through: "
             "compare with the best that is known, or leave ride_through out"
         )
     if scenario.grid_control.regulator_settings.has_schedules:
-        raise ValueError(
+        raise HindsightError(
             f"hindsight plans taps under constant set points; scenario {scenario.name!r} has a schedule in "
             "grid_control.regulator_settings.offset_v: give it numbers"
         )
     sites = scenario.datacenters
     if sites.batching is not None:
-        raise ValueError(
+        raise HindsightError(
             f"hindsight plans no batch sizes, whose energy is no linear function; scenario {scenario.name!r} has "
             "batching: leave it out, or compare with the best that is known"
         )
     if planned and (sites.routing is not None or sites.service is not None):
-        raise ValueError("hindsight plans routing and service levels beside fixed or controlled equipment alone")
+        raise HindsightError("hindsight plans routing and service levels beside fixed or controlled equipment alone")
     if sites.routing is not None and sites.boost_share > 1.0:
-        raise ValueError(
+        raise HindsightError(
             "hindsight plans routing for sites that stay within their rating; set datacenters.boost_share to 1"
         )
     if any(getattr(device, "storage", None) is not None for device in scenario.devices):
-        raise ValueError(
+        raise HindsightError(
             f"hindsight plans storages that are agents; scenario {scenario.name!r} has them behind its data centres: "
             "give Storages at their buses instead, or leave datacenters.storage out"
         )
     if not isinstance(scenario.datacenters.clock_law, LinearDvfs):
-        raise ValueError(
+        raise HindsightError(
             f"hindsight knows the linear clock law only, not {type(scenario.datacenters.clock_law).__name__}"
         )
     if scenario.cost.voltage != "l1":
-        raise ValueError(f"hindsight minimises the l1 voltage cost only, not {scenario.cost.voltage!r}")
+        raise HindsightError(f"hindsight minimises the l1 voltage cost only, not {scenario.cost.voltage!r}")
     weights, searches = scenario.cost.weights, searches_taps(scenario)
     others = _has_controlled_banks(scenario) or (planned and _has_controlled_regulators(scenario))
     priced = [name for name in weights.unmodelled if name != "switching" or others or not (planned or searches)]
@@ -348,16 +352,16 @@ def _check(scenario: Scenario) -> None:
         priced.remove("grid_request")
     if priced == ["switching"] and (planned or searches):
         what = "taps of built-in controls" if searches else "moves of agents"
-        raise ValueError(
+        raise HindsightError(
             f"hindsight prices the {what} alone; make all other equipment fixed, or set the weight of switching to 0"
         )
     if planned and (slow := _slow_regulators(scenario)):
-        raise ValueError(
+        raise HindsightError(
             f"hindsight plans set points for steps in which a control finishes; in scenario {scenario.name!r} dt_s is "
             f"{scenario.dt_s:g} and the delay of {slow[0]} longer: give a longer dt_s"
         )
     if priced:
-        raise ValueError(f"hindsight does not price {priced[0]}; set its weight to 0, {CostWeights()!r}")
+        raise HindsightError(f"hindsight does not price {priced[0]}; set its weight to 0, {CostWeights()!r}")
 
 
 def _has_controlled_regulators(scenario: Scenario) -> bool:

@@ -14,6 +14,10 @@ from dcgrid_env.baselines.model_based.work_rows import WorkRows
 _SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
 
 
+class HindsightError(ValueError):
+    """A scenario that hindsight does not plan, or an episode for which it has no solution."""
+
+
 class Trajectory:
     """What is done in every step of an episode, and the grid linearised around it: work served, draws, reactive power.
 
@@ -97,7 +101,7 @@ class Trajectory:
         solution = solver_for(s.feeder, s.power_flow)(s.feeder, *loads, s.source_voltage_pu, self._control(len(by_p)))
         unsolved = np.flatnonzero(~solution.converged.reshape(-1, s.horizon).all(axis=0))
         if unsolved.size:
-            raise ValueError(
+            raise HindsightError(
                 f"hindsight of scenario {s.name!r}: the power flow around the trajectory has no solution at step "
                 f"{unsolved[0] + 1}; give the feeder less load"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from dcgrid_env.baselines.laws import stability
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.model_based.hindsight import hindsight
+from dcgrid_env.baselines.model_based.trajectory import HindsightError
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.baselines.sanity.batch_search import fitted
 from dcgrid_env.baselines.sanity.verdicts import (
@@ -128,13 +130,14 @@ def check_scenario(
     try:
         reached[HINDSIGHT] = _hindsight(scenario, seeds, began_s + _OF_HINDSIGHT * seconds, place)
         seeds = seeds[: reached[HINDSIGHT].n]
-    except ValueError as error:
+    except HindsightError as error:
         refused = str(error)
     has_clock, until_s = scenario.datacenters.count > 0, began_s + _OF_PINNED * seconds
     if HINDSIGHT in reached and has_clock and time.monotonic() < until_s:
         on_stage(PINNED)
         pinned = scenario.replace(datacenters={"f_min_mhz": scenario.datacenters.f_max_mhz})
-        reached[PINNED] = _hindsight(pinned, seeds[:_PINNED], until_s, place)
+        with contextlib.suppress(HindsightError):  # at full clocks there may be no solution
+            reached[PINNED] = _hindsight(pinned, seeds[:_PINNED], until_s, place)
     on_stage(NONE)
     recorder = rollout(scenario, NoControl(), seeds, name=NONE)
     reached[NONE], lowest_bus = Reached.of(recorder.metrics()), _lowest_bus(recorder, len(seeds))

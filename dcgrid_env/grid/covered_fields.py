@@ -53,7 +53,7 @@ _TABLES: dict[type, str] = {
         antifloat_ppm rating_kva_per_phase connection sensed_bus z_ldc_v
     """,
     PhaseLoadTable: "name bus connection model leg_kv p_kw q_kvar vmin_pu vmax_pu vlow_pu zip exponents",
-    CapacitorTable: "name bus connection leg_kv kvar state",
+    CapacitorTable: "name bus connection leg_kv kvar state is_fixed",
     CapacitorControlTable: """
         name capacitor measures bus legs legs_of from_bus to_bus phases phases_of on_at off_at pt_ratio ct_ratio
         delay_on_s delay_off_s dead_time_s low_v high_v least_kvar after

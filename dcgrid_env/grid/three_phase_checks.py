@@ -339,6 +339,10 @@ def _check_loads(network: Network, buses: dict[str, tuple[str, float]]) -> None:
 def _check_capacitors(network: Network, buses: dict[str, tuple[str, float]]) -> None:
     _numbers(network, "capacitor", ["leg_kv"], positive=True)
     _check_legs(network, "capacitor", ["kvar"], buses)
+    for one, is_fixed in zip(network.capacitor.name, network.capacitor.is_fixed, strict=False):
+        if is_fixed not in (0, 1):
+            remedy = "give 1 if it stays in its state, or 0"
+            raise _refuse(network, f"capacitor {one}", "is_fixed", is_fixed, remedy)
 
 
 def _check_capacitor_controls(network: Network, buses: dict[str, tuple[str, float]]) -> None:

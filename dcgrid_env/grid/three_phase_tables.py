@@ -220,6 +220,8 @@ class CapacitorTable(Table):
     """Injection at ``leg_kv``."""
     state: Sequence[str] = ()
     """``on`` or ``off`` in the base case."""
+    is_fixed: Sequence[int] = optional_column()
+    """1 for a bank that stays in this state, because its control in the file does not act; 0 for the others."""
 
 
 @dataclass(frozen=True)

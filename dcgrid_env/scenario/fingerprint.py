@@ -33,6 +33,7 @@ from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder, bus_numbers
 from dcgrid_env.grid.network import (
+    CapacitorTable,
     LineTable,
     Network,
     NodeTable,
@@ -141,6 +142,7 @@ SCHEMA_1: dict[type[Any], Kind] = {
     TransformerTable: Kind("TransformerTable", tuple(_TRANSFORMER.split())),
     RegulatorTable: Kind("RegulatorTable", tuple(_REGULATOR.split())),
     PhaseLoadTable: Kind("PhaseLoadTable", tuple(_PHASE_LOAD.split())),
+    CapacitorTable: Kind("CapacitorTable", ("name", "bus", "connection", "leg_kv", "kvar", "state")),
     RegulatorControl: Kind("RegulatorControl", ("timer", "offset_v", "hold_s")),
     LoadTarget: Kind("LoadTarget", tuple(_LOAD_TARGET.split())),
     PrefillDecodeDvfs: Kind("PhaseDvfs", tuple(_PREFILL_DECODE.split())),

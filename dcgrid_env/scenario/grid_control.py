@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal, get_args
@@ -26,13 +26,19 @@ ByBank = tuple[tuple[str, Decider], ...]
 DECIDERS: tuple[Decider, ...] = get_args(Decider)
 REGULATORS: Decider = "controlled"
 CAPACITORS: Decider = "fixed"
+_FIXED = {
+    "regulators": ("the taps of", "a max_taps_per_move of at least 1 in its regulators.csv"),
+    "capacitors": ("the states of", "is_fixed = 0 in its capacitors.csv"),
+}
+"""What of fixed equipment is fixed, and the column that makes it movable."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GridControl:
     """Control of regulators and capacitor banks: one mode for all, or a mapping from banks to modes.
 
-    Regulators with a fixed tap (``max_taps_per_move`` 0 in the table) stay there in every mode.
+    Regulators with a fixed tap (``max_taps_per_move`` 0 in the table) and capacitor banks with ``is_fixed`` 1 do not
+    move in any mode.
     A bank of regulators is identified by the column ``bank`` of its table, a capacitor bank by its name. In a bank of
     regulators in mode ``"agent"``, each tap is a separate agent; in mode ``"setpoint"`` the bank is one. A balanced
     feeder has neither and accepts only the defaults.
@@ -72,14 +78,27 @@ class GridControl:
 
 def regulator_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
     """Return the mode of each regulator, in the order of its table; a fixed tap stays ``fixed`` in every mode."""
-    table = feeder.network.regulator
-    modes = _by_row(control.regulators, table.bank, REGULATORS)
-    return tuple(mode if most else "fixed" for mode, most in zip(modes, table.max_taps_per_move, strict=True))
+    return _deciders(control.regulators, REGULATORS, *_equipment(feeder)["regulators"])
 
 
 def capacitor_deciders(control: GridControl, feeder: ThreePhaseFeeder) -> tuple[Decider, ...]:
-    """Return the mode of each capacitor bank, in the order of its table."""
-    return _by_row(control.capacitors, feeder.network.capacitor.name, CAPACITORS)
+    """Return the mode of each capacitor bank, in the order of its table; one with ``is_fixed`` stays ``fixed``."""
+    return _deciders(control.capacitors, CAPACITORS, *_equipment(feeder)["capacitors"])
+
+
+def _equipment(feeder: ThreePhaseFeeder) -> dict[str, tuple[Sequence[str], tuple[bool, ...]]]:
+    """Names by which modes are given, and whether an element can move, for each row of regulators and capacitors."""
+    regulator, capacitor = feeder.network.regulator, feeder.network.capacitor
+    is_fixed = capacitor.is_fixed or (0,) * len(capacitor)
+    return {
+        "regulators": (regulator.bank, tuple(most != 0 for most in regulator.max_taps_per_move)),
+        "capacitors": (capacitor.name, tuple(fixed == 0 for fixed in is_fixed)),
+    }
+
+
+def _deciders(value: Any, default: Decider, names: Sequence[str], moves: tuple[bool, ...]) -> tuple[Decider, ...]:
+    modes = _by_row(value, names, default)
+    return tuple(mode if can_move else "fixed" for mode, can_move in zip(modes, moves, strict=True))
 
 
 def with_equipment(devices: tuple[Any, ...], control: GridControl, feeder: AnyFeeder) -> tuple[Any, ...]:
@@ -119,8 +138,8 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Back
             continue
         if not isinstance(feeder, ThreePhaseFeeder):
             raise refuse(control, name, f"the balanced feeder {feeder.name!r} has none that acts; leave it out")
-        table = feeder.network
-        there = dict.fromkeys(table.regulator.bank if name == "regulators" else table.capacitor.name)
+        banks, moves = _equipment(feeder)[name]
+        there = dict.fromkeys(banks)
         asked = [bank for bank, _ in value] if isinstance(value, tuple) else list(there)
         for bank in asked:
             if bank not in there:
@@ -129,21 +148,15 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Back
                 )
         if not there:
             raise refuse(control, name, f"feeder {feeder.name!r} has none; leave it out")
-        if name == "regulators" and value != "fixed":
-            _check_fixed_taps(control, feeder)
+        movable = {bank for bank, can_move in zip(banks, moves, strict=True) if can_move}
+        moved = [bank for bank, mode in value if mode != "fixed"] if isinstance(value, tuple) else list(there)
+        fixed = [bank for bank in moved if bank not in movable]
+        if value != "fixed" and fixed and (isinstance(value, tuple) or not movable):
+            what, column = _FIXED[name]
+            remedy = f"are fixed in feeder {feeder.name!r}; leave it out, or give {column}"
+            raise refuse(control, name, f"{what} {', '.join(fixed)} {remedy}")
         if name == "capacitors" and not background.capacitors:
             raise refuse(control, name, "the background has its capacitors disconnected; connect them or leave it out")
-
-
-def _check_fixed_taps(control: GridControl, feeder: ThreePhaseFeeder) -> None:
-    """Raise FieldError for a mode that no regulator of the feeder, or of a named bank, can have at a fixed tap."""
-    table, value = feeder.network.regulator, control.regulators
-    movable = {bank for bank, most in zip(table.bank, table.max_taps_per_move, strict=True) if most}
-    asked = [bank for bank, mode in value if mode != "fixed"] if isinstance(value, tuple) else table.bank
-    fixed = [bank for bank in dict.fromkeys(asked) if bank not in movable]
-    if fixed and (isinstance(value, tuple) or not movable):
-        remedy = f"the taps of {', '.join(fixed)} are fixed in feeder {feeder.name!r}; leave it out, or give a "
-        raise refuse(control, "regulators", f"{remedy}max_taps_per_move of at least 1 in its regulators.csv")
 
 
 def _check_offsets(control: GridControl, feeder: AnyFeeder, background: Background) -> None:

@@ -73,6 +73,10 @@ def test_the_origin_of_a_voltage_is_said(tmp_path):
         source_origin(
             held, CENTRED
         ): "from the bundled feeder ieee13-3ph, not centred as --set asks, because regulators act",
+        source_origin(
+            held.replace(source_voltage_pu=1.02), CENTRED, "s.toml"
+        ): "from scenario s.toml; the bundled feeder ieee13-3ph has 1.0001 p.u., not centred as --set asks, because "
+        "regulators act",
         source_origin(make_scenario("zero-shot"), None, "zero-shot"): "from scenario zero-shot",
     }
     for found, expected in said.items():

@@ -27,7 +27,7 @@ _TEXTS += ("connection_to", "model", "sensed_phase", "kind", "nodes", "capacitor
 _TEXTS += ("phases_of", "after", "sensed_bus")
 _MAY_BE_NAN = ("low_v", "high_v", "least_kvar")
 _UNKNOWN = ("length_m", *_MAY_BE_NAN, *FALLBACKS)
-_WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move")
+_WHOLE = ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move", "is_fixed")
 
 
 def says_nothing(column: str, columns: Mapping[str, Sequence[Any]]) -> bool:
@@ -37,7 +37,7 @@ def says_nothing(column: str, columns: Mapping[str, Sequence[Any]]) -> bool:
     """
     if column == "connection" and "pt_ratio" in columns:
         return all(value == "wye" for value in columns[column])
-    if column in ("exponents", "after", "sensed_bus", "z_ldc_v"):
+    if column in ("exponents", "after", "sensed_bus", "z_ldc_v", "is_fixed"):
         return not any(columns[column])
     if column in _MAY_BE_NAN:
         return all(map(math.isnan, columns[column]))
@@ -124,6 +124,7 @@ _SPECIAL = {
     ("core", "p_kw"): Column("p_kw", ("kw_1", "kw_2", "kw_3"), "legs"),
     ("core", "q_kvar"): Column("q_kvar", ("kvar_1", "kvar_2", "kvar_3"), "legs"),
     ("capacitor", "kvar"): Column("kvar", ("kvar_a", "kvar_b", "kvar_c"), "legs"),
+    ("capacitor", "is_fixed"): Column("is_fixed", ("is_fixed",), if_missing="0"),
     ("regulator", "connection"): Column("connection", ("connection",), if_missing="wye"),
     ("regulator", "sensed_bus"): Column("sensed_bus", ("sensed_bus",), if_missing=""),
     ("regulator", "z_ldc_v"): Column("z_ldc_v", ("z_ldc_v",), if_missing="0"),

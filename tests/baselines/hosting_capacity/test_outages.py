@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from dcgrid_env import make_scenario
+from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 from dcgrid_env.baselines.hosting_capacity.outages import outage_names, outages_asked, with_outage
@@ -107,3 +108,17 @@ def test_an_outage_of_a_bank_with_scheduled_set_points_is_possible(scenario):
     )
     table = with_outage(day, "regulator reg4").feeder.network.regulator
     assert {most for bank, most in zip(table.bank, table.max_taps_per_move, strict=True) if bank == "reg4"} == {0}
+
+
+@pytest.mark.parametrize("modes", ["controlled", "agent", "setpoint", {"c83": "controlled", "c90b": "agent"}])
+def test_nothing_switches_a_bank_on_that_is_out_of_service(scenario, modes):
+    """With thresholds that keep all banks on."""
+    settings = {"on_below_pu": 1.4, "off_above_pu": 1.5, "delay_s": 2.0}
+    before = scenario.replace(grid_control={"capacitors": modes, "capacitor_settings": settings}, horizon=10)
+    after = with_outage(before, "capacitor c83")
+    row = scenario.feeder.network.capacitor.name.index("c83")
+    on = rollout(after, NoControl(), [0]).series(0).three_phase.equipment.banks.on[:, row]
+    assert set(on.tolist()) == {0.0}
+    assert not [device for device in after.devices if "c83" in getattr(device, "names", ())]
+    everything = " + ".join(f"capacitor {name}" for name in scenario.feeder.network.capacitor.name)
+    assert with_outage(before, everything).grid_control.capacitors in ("fixed", ())

@@ -74,6 +74,15 @@ def test_a_scenario_that_hindsight_refuses_is_judged_without_it():
     assert np.isfinite(check.figures.largest_k_q)
 
 
+def test_only_what_hindsight_refuses_is_reported_as_not_known(monkeypatch):
+    def broken(*_args, **_more):
+        raise ValueError("cannot reshape array of size 0 into shape (0)")
+
+    monkeypatch.setattr("dcgrid_env.baselines.sanity.scenario_check.hindsight", broken)
+    with pytest.raises(ValueError, match="cannot reshape"):
+        check_scenario(make_scenario("toy6", **SHORT), episodes=1, seconds=1e-6)
+
+
 @pytest.mark.parametrize(("given", "message"), [({"episodes": 0}, "episodes is 0"), ({"seconds": 0.0}, "seconds 0")])
 def test_settings_that_cannot_be_are_refused(given, message):
     with pytest.raises(ValueError, match=message):

@@ -26,7 +26,9 @@ def feeder(folder, **changed):
 def test_a_feeder_refuses_what_no_feeder_has(field, tmp_path):
     assert feeder(tmp_path).n_bus == 2
     for value in ("1e300", "1e13", "1e-300", "1e-320"):
-        with pytest.raises(FeederError, match=rf"{field}.* is {re.escape(str(float(value)))}; .*(unit|at least 1e-100)"):
+        with pytest.raises(
+            FeederError, match=rf"{field}.* is {re.escape(str(float(value)))}; .*(unit|at least 1e-100)"
+        ):
             feeder(tmp_path, **{field: value})
 
 

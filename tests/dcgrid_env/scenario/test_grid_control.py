@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from dcgrid_env import ScenarioError, ThreePhaseFeeder, acting_relays, make_scenario, scenario_hash
+from dcgrid_env import FeederError, ScenarioError, ThreePhaseFeeder, acting_relays, make_scenario, scenario_hash
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.scenario.grid_control import GridControl, capacitor_deciders, regulator_deciders
 from helpers.three_phase import ieee13, ieee123
@@ -213,3 +213,21 @@ def test_a_mode_that_a_fixed_tap_cannot_have_is_refused_by_name():
     with pytest.raises(ScenarioError, match="the taps of reg1a, reg2, reg3, reg4 are fixed"):
         ieee123().replace(feeder=rigid, **{"grid_control.regulators": "setpoint"})
     assert acting_relays(ieee123().replace(feeder=rigid)) is None
+
+
+@pytest.mark.parametrize("mode", ["controlled", "agent", "setpoint"])
+def test_a_fixed_capacitor_bank_stays_fixed_in_every_mode(mode):
+    feeder = ieee123().feeder
+    table = feeder.network.capacitor
+    first = tuple(int(name == "c83") for name in table.name)
+    made = ThreePhaseFeeder.from_network(replace(feeder.network, capacitor=replace(table, is_fixed=first)))
+    scenario = ieee123().replace(feeder=made, **{"grid_control.capacitors": mode})
+    modes = dict(zip(table.name, capacitor_deciders(scenario.grid_control, made), strict=True))
+    assert modes == {name: "fixed" if name == "c83" else mode for name in table.name}
+    with pytest.raises(ScenarioError, match=r"the states of c83 are fixed in feeder .* or give is_fixed = 0 in its"):
+        ieee123().replace(feeder=made, **{"grid_control.capacitors": {"c83": mode}})
+    with pytest.raises(FeederError, match=r"is_fixed is 2.*give 1 if it stays in its state, or 0"):
+        ThreePhaseFeeder.from_network(replace(feeder.network, capacitor=replace(table, is_fixed=(2, 0, 0, 0))))
+    every = ThreePhaseFeeder.from_network(replace(feeder.network, capacitor=replace(table, is_fixed=(0,) * 4)))
+    assert scenario_hash(ieee123().replace(feeder=feeder)) != scenario_hash(ieee123().replace(feeder=made))
+    assert set(capacitor_deciders(scenario.grid_control, every)) == {mode}

@@ -1,4 +1,7 @@
-"""CapControls as rows of the table of capacitor controls."""
+"""CapControls as rows of the table of capacitor controls.
+
+A control that does not act (disabled, or all with ``ControlMode=off``) leaves its capacitor in its state.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,25 @@ _MEASURES = {"current": "current", "voltage": "voltage", "kvar": "kvar", "powerf
 _STATISTICS = {"avg": "mean", "max": "max", "min": "min"}
 
 
+def fixed_capacitors(circuit: DssCircuit, report: Report) -> set[str]:
+    """Names of the capacitors with controls none of which acts, in lower case."""
+    disabled = circuit.disabled("capcontrol")
+    acting: set[str] = set()
+    idle: dict[str, str] = {}
+    for name in [*circuit.names("capcontrol"), *disabled]:
+        circuit.activate("capcontrol", name)
+        bank = circuit.text("capacitor").lower().removeprefix("capacitor.")
+        if name in disabled or circuit.has_controls_off:
+            idle[name] = bank
+        else:
+            acting.add(bank)
+    for name, bank in idle.items():
+        why = "disabled" if name in disabled else "ControlMode=off"
+        what = "it is not in the circuit" if bank in acting else "its capacitor stays in its state"
+        report.add("nothing lost", "capcontrol", name, f"{why}: {what}")
+    return set(idle.values()) - acting
+
+
 def read_capacitor_controls(
     circuit: DssCircuit,
     report: Report,
@@ -29,7 +51,7 @@ def read_capacitor_controls(
     """
     rows: list[Row] = []
     controlled: set[str] = set()
-    for name in circuit.names("capcontrol"):
+    for name in circuit.names("capcontrol") if not circuit.has_controls_off else ():
         circuit.activate("capcontrol", name)
         bank = circuit.text("capacitor").lower()
         if bank in controlled:

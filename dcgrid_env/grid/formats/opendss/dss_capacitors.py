@@ -7,7 +7,7 @@ in steps, of which each has the first ``kvar`` in OpenDSS. The matrix of each st
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -114,9 +114,16 @@ def capacitor_admittances(
 
 
 def read_capacitors(
-    circuit: DssCircuit, report: Report, supply: Supply, steps: Mapping[str, list[Legs] | None]
+    circuit: DssCircuit,
+    report: Report,
+    supply: Supply,
+    steps: Mapping[str, list[Legs] | None],
+    fixed: Collection[str],
 ) -> tuple[list[Row], dict[str, list[list[str]]]]:
-    """Rows of the capacitors that have supply, one for each step of a bank, and their names by bank and step."""
+    """Rows of the capacitors that have supply, one for each step of a bank, and their names by bank and step.
+
+    ``fixed`` are the names of those that stay in their state, in lower case.
+    """
     rows: list[Row] = []
     names: dict[str, list[list[str]]] = {}
     for name, of_steps in steps.items():
@@ -127,7 +134,7 @@ def read_capacitors(
         if not supply.has(nodes_of_steps(bus, of_steps)):
             report.add("lost", "isolated", f"capacitor {name}", "without supply: it is left out")
             continue
-        rows_of_steps = _rows(circuit, name, bus, of_steps)
+        rows_of_steps = _rows(circuit, name, bus, of_steps, int(name.lower() in fixed))
         names[name.lower()] = [[row["name"] for row in of_step] for of_step in rows_of_steps]
         rows += [row for of_step in rows_of_steps for row in of_step]
         report.add("taken", "capacitor", name, "in capacitors.csv")
@@ -135,7 +142,7 @@ def read_capacitors(
     return rows, names
 
 
-def _rows(circuit: DssCircuit, name: str, bus: str, of_steps: list[Legs]) -> list[list[Row]]:
+def _rows(circuit: DssCircuit, name: str, bus: str, of_steps: list[Legs], is_fixed: int) -> list[list[Row]]:
     size, delta = circuit.engine.CktElement.NumPhases(), circuit.text("conn").lower() in ("delta", "ll")
     kv = circuit.figure("kv") / (math.sqrt(3.0) if size > 1 and not delta else 1.0)
     base_kv = circuit.base_kv_ln(bus)
@@ -149,6 +156,7 @@ def _rows(circuit: DssCircuit, name: str, bus: str, of_steps: list[Legs]) -> lis
             "bus": bus,
             "leg_kv": rounded(kv),
             "state": "on" if states[k] == 1 else "off",
+            "is_fixed": is_fixed,
             "members": (f"capacitor.{name}",),
         }
         kvar = by_connection({leg: rounded(1000.0 * kv**2 * b) for leg, b in legs.items()})

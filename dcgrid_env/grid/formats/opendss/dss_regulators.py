@@ -6,8 +6,9 @@ transformer at the neutral tap and an ideal regulator behind it. A separate bus 
 of the transformer, V_2 = t (V_1 / n) - t^2 z I_2, which is equivalent. If the transformer is a row of the
 admittances, the matrix at its neutral tap takes that place. A tap on the side that is fed from is fixed.
 
-A control that does not act (disabled, ``MaxTapChange=0``, or all with ``ControlMode=off``) leaves a fixed tap. The row
-of a regulator proper then has a ``max_taps_per_move`` of 0. Any other transformer is taken as one without a control.
+A control that does not act (disabled, ``MaxTapChange=0``, a winding of one tap, or ``ControlMode=off``) leaves a fixed
+tap. The row of a regulator proper then has a ``max_taps_per_move`` of 0. Any other transformer is taken as one without
+a control.
 """
 
 from __future__ import annotations
@@ -52,29 +53,37 @@ def read_regulations(circuit: DssCircuit, report: Report, supply: Supply, letter
     """The control of each transformer that has one, by the transformer's name."""
     found: dict[str, Regulation] = {}
     disabled, transformers = circuit.disabled("regcontrol"), {name.lower() for name in circuit.names("transformer")}
+    units_out = {name.lower() for name in circuit.disabled("transformer")}
     for name in [*circuit.names("regcontrol"), *disabled]:
         circuit.activate("regcontrol", name)
         unit = circuit.text("transformer").lower().removeprefix("transformer.")
-        if name in disabled and (unit in found or unit not in transformers):
-            report.add("nothing lost", "regcontrol", name, "disabled: it is not in the circuit")
+        if unit in units_out or (name in disabled and (unit in found or unit not in transformers)):
+            what = f"its transformer {unit} is disabled" if unit in units_out else "disabled: it is not in the circuit"
+            report.add("nothing lost", "regcontrol", name, what)
             continue
         if unit in found:
             report.add("lost", "regcontrol", name, "a second control of one transformer is left out")
             continue
-        why = "disabled" if name in disabled else _why_fixed(circuit)
+        why = "disabled" if name in disabled else _why_fixed(circuit, unit)
         if why:
             report.add("nothing lost", "regcontrol", name, f"{why}: its tap is fixed")
+        circuit.activate("regcontrol", name)
         found[unit] = _regulation(circuit, Report() if why else report, supply, letters, name, unit)
         if why:
             found[unit].values["max_taps_per_move"] = 0
     return found
 
 
-def _why_fixed(circuit: DssCircuit) -> str:
+def _why_fixed(circuit: DssCircuit, unit: str) -> str:
     """Why the active control, which is enabled, moves no tap; empty if it acts."""
     if circuit.has_controls_off:
         return "ControlMode=off"
-    return "" if circuit.figure("maxtapchange") >= 1.0 else "MaxTapChange=0"
+    if circuit.figure("maxtapchange") < 1.0:
+        return "MaxTapChange=0"
+    winding, taps = int(circuit.figure("tapwinding") or circuit.figure("winding")), circuit.engine.Transformers
+    taps.Name(unit)
+    taps.Wdg(winding)
+    return "" if taps.NumTaps() and taps.MinTap() < taps.MaxTap() else f"{unit} has one tap"
 
 
 def _regulation(

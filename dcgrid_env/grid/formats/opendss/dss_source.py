@@ -79,7 +79,7 @@ def read_source(circuit: DssCircuit, report: Report) -> tuple[SourceTable, str]:
 def report_the_rest(circuit: DssCircuit, report: Report) -> None:
     """Note the elements that are of no table here, and those that are disabled."""
     for kind in circuit.kinds():
-        for name in circuit.disabled(kind) if kind != "regcontrol" else ():
+        for name in circuit.disabled(kind) if kind not in ("regcontrol", "capcontrol") else ():
             report.add("nothing lost", kind, name, "disabled: it is not in the circuit")
         for name in circuit.names(kind) if kind not in _READ else ():
             if kind in SWITCHING:

@@ -13,7 +13,7 @@ from dcgrid_env.core.files import sha256_of
 from dcgrid_env.grid.formats.import_report import Finding, Report, shown_names
 from dcgrid_env.grid.formats.opendss.dss_admittances import admittance_joint, part_with_supply
 from dcgrid_env.grid.formats.opendss.dss_bases import check_frequency, derive_bases
-from dcgrid_env.grid.formats.opendss.dss_capacitor_controls import read_capacitor_controls
+from dcgrid_env.grid.formats.opendss.dss_capacitor_controls import fixed_capacitors, read_capacitor_controls
 from dcgrid_env.grid.formats.opendss.dss_capacitors import (
     Legs,
     capacitor_admittances,
@@ -231,7 +231,7 @@ class _Reading:
         generation = read_generation(circuit, report, supply, letters)
         loads = [*read_loads(circuit, report, supply, letters, self._shapes), *generation]
         self.profiles = self._shapes.profiles()
-        capacitors, rows_of_steps = read_capacitors(circuit, report, supply, steps)
+        capacitors, rows_of_steps = read_capacitors(circuit, report, supply, steps, fixed_capacitors(circuit, report))
         capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, rows_of_steps)
         transformers = merged(tables.transformers, report)
         report_the_rest(circuit, report)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import ThreePhaseFeeder, scenario_on
+from dcgrid_env import ScenarioError, ThreePhaseFeeder, read_feeder, scenario_on
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.grid.formats.opendss.reading import read_circuit
 from helpers.opendss_imports import apart_pu, fates
@@ -90,3 +90,57 @@ def test_the_control_that_acts_is_taken_where_another_of_its_transformer_is_disa
     table = found.network.regulator
     assert dict(zip(table.name, table.vreg_v, strict=True)) == {"ca": 123.0, "cb": 127.0}
     assert np.all(np.array(table.max_taps_per_move) > 0)
+
+
+BANK = """
+New Capacitor.k bus1=b2 kv=12.47 kvar=900
+New CapControl.kc capacitor=k element=line.lb terminal=2 type=voltage onsetting=130 offsetting=131 ptratio=60 delay=15
+Edit Capacitor.k states=[0]
+"""
+IDLE = {
+    "disabled": "Disable CapControl.kc",
+    "by its property": "CapControl.kc.enabled=no",
+    "all controls off": "Set ControlMode=off",
+}
+
+
+@pytest.mark.parametrize("how", IDLE)
+def test_a_bank_whose_control_does_not_act_stays_in_its_state(master, tmp_path, how):
+    path = master(f"{BANK}{IDLE[how]}\n", CIRCUIT, "Set VoltageBases=[12.47]\nCalcVoltageBases\n")
+    found = read_circuit(path)
+    assert apart_pu(found) < 1e-6
+    assert not len(found.network.capacitor_control)
+    assert ("capcontrol", "kc", "nothing lost") in fates(found)
+    ThreePhaseFeeder.from_network(found.network).to_csv(tmp_path / "folder")
+    feeder = read_feeder(tmp_path / "folder")
+    with pytest.raises(ScenarioError, match=r"the states of k are fixed in feeder 'two'; leave it out, or give is_f"):
+        scenario_on(feeder, "1 x 1 kW at a2", "none").replace(grid_control={"capacitors": "controlled"})
+    assert bank_on(feeder) == {0.0}
+
+
+def test_a_bank_with_a_control_that_acts_switches_on_where_it_is_controlled(master):
+    found = read_circuit(master(BANK, CIRCUIT, "Set VoltageBases=[12.47]\nCalcVoltageBases\n"))
+    assert bank_on(ThreePhaseFeeder.from_network(found.network), "controlled") == {0.0, 1.0}
+
+
+def bank_on(feeder, mode="fixed"):
+    scenario = scenario_on(feeder, "1 x 1 kW at a2", "none").replace(
+        horizon=60, background={"load_sigma": 0.0}, grid_control={"capacitors": mode}
+    )
+    return set(rollout(scenario, NoControl(), [0]).series(0).three_phase.equipment.banks.on.ravel().tolist())
+
+
+@pytest.mark.parametrize("taps", ["numtaps=0", "mintap=1 maxtap=1"])
+def test_a_winding_of_one_tap_is_a_transformer(master, taps):
+    more = f"Edit Transformer.rb wdg=2 tap=1.0 {taps}\n"
+    found = read_circuit(master(more, CIRCUIT, "Set VoltageBases=[12.47]\nCalcVoltageBases\n"))
+    assert apart_pu(found) < 1e-6
+    assert found.network.regulator.name == ("ca",)
+    assert ("regcontrol", "cb", "nothing lost") in fates(found)
+
+
+def test_the_control_of_a_disabled_transformer_is_no_loss(master):
+    more = "Disable Transformer.rb\nNew Line.by bus1=s bus2=b length=0.01 units=km r1=0.1 x1=0.1 r0=0.1 x0=0.1\n"
+    found = read_circuit(master(more, CIRCUIT, "Set VoltageBases=[12.47]\nCalcVoltageBases\n"))
+    assert apart_pu(found) < 1e-6
+    assert ("regcontrol", "cb", "nothing lost") in fates(found)
