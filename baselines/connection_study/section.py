@@ -40,5 +40,5 @@ def under(controller: str) -> str:
 
 
 def sentences(parts: Sequence[str]) -> str:
-    """Parts as sentences, each with a capital letter and a full stop."""
-    return " ".join(f"{part[0].upper()}{part[1:]}." for part in parts)
+    """Parts as sentences, each with a capital letter and one full stop."""
+    return " ".join(f"{part[0].upper()}{part[1:].removesuffix('.')}." for part in parts)

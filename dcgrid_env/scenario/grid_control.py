@@ -150,11 +150,11 @@ def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Back
             raise refuse(control, name, f"feeder {feeder.name!r} has none; leave it out")
         movable = {bank for bank, can_move in zip(banks, moves, strict=True) if can_move}
         moved = [bank for bank, mode in value if mode != "fixed"] if isinstance(value, tuple) else list(there)
-        fixed = [bank for bank in moved if bank not in movable]
-        if value != "fixed" and fixed and (isinstance(value, tuple) or not movable):
+        rigid = [bank for bank in moved if bank not in movable]
+        if value != "fixed" and rigid and (isinstance(value, tuple) or not movable):
             what, column = _FIXED[name]
             remedy = f"are fixed in feeder {feeder.name!r}; leave it out, or give {column}"
-            raise refuse(control, name, f"{what} {', '.join(fixed)} {remedy}")
+            raise refuse(control, name, f"{what} {', '.join(rigid)} {remedy}")
         if name == "capacitors" and not background.capacitors:
             raise refuse(control, name, "the background has its capacitors disconnected; connect them or leave it out")
 

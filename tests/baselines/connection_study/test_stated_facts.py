@@ -9,12 +9,13 @@ from dcgrid_env import load_feeder, scenario_on
 from dcgrid_env.baselines.connection_study import sections
 from dcgrid_env.baselines.connection_study.checklists import checklists, other_means
 from dcgrid_env.baselines.connection_study.connection_report import answers, confidence
-from dcgrid_env.baselines.connection_study.limit_distances import time_of
-from dcgrid_env.baselines.connection_study.section import rise_or_fall
+from dcgrid_env.baselines.connection_study.limit_distances import limit_values, time_of
+from dcgrid_env.baselines.connection_study.section import rise_or_fall, sentences
 from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+from dcgrid_env.baselines.hosting_capacity.trial import LIMITS
 from dcgrid_env.powerflow import distflow
 from dcgrid_env.traces import ProfileTable
 
@@ -100,3 +101,13 @@ def test_checklists_do_not_refer_to_a_section_that_was_left_out():
 
 def test_losses_rise_or_fall():
     assert (rise_or_fall(2.0, 1.0), rise_or_fall(1.0, 2.0)) == ("fall", "rise")
+
+
+def test_levels_of_loads_and_lengths_of_steps_are_named():
+    profiles = {"profiles": {"file": table()}}
+    nominal, half_s = {"load": "peak"}, {"scenario": {"dt_s": 0.5}, "study": {"voltage_step_max_pct": 3.0}}
+    words = [job(**each).study.load_words for each in ({"study": nominal}, {}, profiles)]
+    assert words == ["nominal load", "day load", "load profiles"]
+    assert job(study=nominal, **profiles).study.load_words == "nominal load"
+    assert limit_values(job(**half_s).study, LIMITS.index("voltage step"), 0.5) == ("1.5 % in 0.5 s", "3 % in 0.5 s")
+    assert sentences(("source at 1.03 p.u.", "from the file")) == "Source at 1.03 p.u. From the file."
