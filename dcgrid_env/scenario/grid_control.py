@@ -37,8 +37,9 @@ _FIXED = {
 class GridControl:
     """Control of regulators and capacitor banks: one mode for all, or a mapping from banks to modes.
 
-    Regulators with a fixed tap (``max_taps_per_move`` 0 in the table) and capacitor banks with ``is_fixed`` 1 do not
-    move in any mode.
+    Regulators with a fixed tap (``max_taps_per_move`` 0 in the table) do not move in any mode. The same holds for
+    capacitor banks with ``is_fixed`` 1.
+
     A bank of regulators is identified by the column ``bank`` of its table, a capacitor bank by its name. In a bank of
     regulators in mode ``"agent"``, each tap is a separate agent; in mode ``"setpoint"`` the bank is one. A balanced
     feeder has neither and accepts only the defaults.

@@ -110,6 +110,7 @@ def test_an_outage_of_a_bank_with_scheduled_set_points_is_possible(scenario):
     assert {most for bank, most in zip(table.bank, table.max_taps_per_move, strict=True) if bank == "reg4"} == {0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("modes", ["controlled", "agent", "setpoint", {"c83": "controlled", "c90b": "agent"}])
 def test_nothing_switches_a_bank_on_that_is_out_of_service(scenario, modes):
     """With thresholds that keep all banks on."""

@@ -104,6 +104,7 @@ IDLE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", IDLE)
 def test_a_bank_whose_control_does_not_act_stays_in_its_state(master, tmp_path, how):
     path = master(f"{BANK}{IDLE[how]}\n", CIRCUIT, "Set VoltageBases=[12.47]\nCalcVoltageBases\n")
@@ -118,6 +119,7 @@ def test_a_bank_whose_control_does_not_act_stays_in_its_state(master, tmp_path, 
     assert bank_on(feeder) == {0.0}
 
 
+@pytest.mark.slow
 def test_a_bank_with_a_control_that_acts_switches_on_where_it_is_controlled(master):
     found = read_circuit(master(BANK, CIRCUIT, "Set VoltageBases=[12.47]\nCalcVoltageBases\n"))
     assert bank_on(ThreePhaseFeeder.from_network(found.network), "controlled") == {0.0, 1.0}
