@@ -140,13 +140,16 @@ def make_job(request: StudyRequest, path: Path) -> Job:
 def _scenario(request: StudyRequest, path: Path) -> Scenario:
     from dcgrid_env.baselines.engineering import engineering_scenario
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+    from dcgrid_env.grid import FEEDER_REGISTRY
+    from dcgrid_env.scenario.toml import folder_text
 
     given = [(name, _from_folder(path.parent, name, value)) for name, value in _flat(request.set)]
     overrides = tuple(f"{name}={json.dumps(value)}" for name, value in given)
     if request.feeder is None:
         return engineering_scenario(ScenarioSpec(str(request.scenario), overrides).make)
-    folder = path.parent / request.feeder
-    asked = Asked(str(folder) if folder.is_dir() else request.feeder, request.scenario, None, None)
+    folder, is_name = path.parent / request.feeder, request.feeder in FEEDER_REGISTRY
+    feeder = folder_text(folder) if folder.is_dir() and not is_name else request.feeder
+    asked = Asked(feeder, request.scenario, None, None)
     return engineering_scenario(lambda split: scenario_on_feeder(asked, overrides, split, {}))
 
 

@@ -164,7 +164,12 @@ def _from_there(folder: Path, feeder: Any) -> Plain:
     if not there.is_relative_to(folder):
         return feeder
     below = there.relative_to(folder).as_posix()
-    return f"./{below}" if below in FEEDER_REGISTRY else below  # a folder that bears a shipped feeder's name
+    return folder_text(below)
+
+
+def folder_text(folder: str | Path) -> str:
+    """Return a feeder's folder as a text that is not the name of a bundled feeder."""
+    return f"./{folder}" if str(folder) in FEEDER_REGISTRY else str(folder)
 
 
 def _from_here(folder: Path, name: str, value: object) -> Plain:
@@ -178,7 +183,7 @@ def _from_here(folder: Path, name: str, value: object) -> Plain:
         return value
     if isinstance(value, str) and name in ("feeder", "trace", "injection", "file", "classes"):
         there = folder / value
-        return str(there) if there.exists() else value
+        return (folder_text(there) if name == "feeder" else str(there)) if there.exists() else value
     return value
 
 
