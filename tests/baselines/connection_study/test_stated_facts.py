@@ -1,6 +1,7 @@
 """Sentences of a report about load level, dates, ratings and equipment hold in every situation."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,8 +105,9 @@ def test_losses_rise_or_fall():
 
 
 def test_levels_of_loads_and_lengths_of_steps_are_named():
-    profiles = {"profiles": {"file": table()}}
-    nominal, half_s = {"load": "peak"}, {"scenario": {"dt_s": 0.5}, "study": {"voltage_step_max_pct": 3.0}}
+    profiles: Any = {"profiles": {"file": table()}}
+    nominal: Any = {"load": "peak"}
+    half_s: Any = {"scenario": {"dt_s": 0.5}, "study": {"voltage_step_max_pct": 3.0}}
     words = [job(**each).study.load_words for each in ({"study": nominal}, {}, profiles)]
     assert words == ["nominal load", "day load", "load profiles"]
     assert job(study=nominal, **profiles).study.load_words == "nominal load"
