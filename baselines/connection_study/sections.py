@@ -21,8 +21,8 @@ from dcgrid_env.baselines.connection_study.year_section import year
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.element_names import branch_to, time_text
-from dcgrid_env.baselines.hosting_capacity.hosting import snapshot_capacity, study_windows
 from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, load_hours, windows_text, with_same_hours
+from dcgrid_env.baselines.hosting_capacity.snapshot import snapshot_capacity, study_windows
 from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, run_trial
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
@@ -92,7 +92,7 @@ def worst_window(job: Job) -> Section:
     """Distances to all limits with the requested size, and the window that comes nearest to one without control."""
     study, bus = job.study, job.request.bus
     at = study.scenario.feeder.index(bus)
-    windows = study_windows(study, np.array([at]))
+    windows = study_windows(study, at, job.sized)
     site = AddedSite(study, windows)
     site.exempt = overloaded_nodes(site)
     samples = np.arange(len(windows))

@@ -62,9 +62,11 @@ class AddedSite:
 
     def _buses_of_samples(self, scenario: Scenario) -> np.ndarray:
         """Position of each agent's bus in each sample, (sample, n_agent): as fixed in the study's scenario or drawn."""
-        env = DcgridVectorEnv(len(self.windows), scenario, info="none")
+        n = len(self.windows)
+        drawn = any(device.buses is None and device.count for device in scenario.devices)
+        env = DcgridVectorEnv(n if drawn else 1, scenario, info="none")
         env.reset(seed=0)
         index = scenario.feeder.index
         placed = np.array([[index(bus) for bus in bus_ids] for bus_ids in env.buses()])
         env.close()
-        return placed
+        return np.broadcast_to(placed, (n, placed.shape[1]))

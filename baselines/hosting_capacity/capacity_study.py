@@ -92,8 +92,8 @@ class Study:
     loss_max_kw: float | None = None
     """Limit of the mean loss of a window, kW; None for no limit."""
     allowed_pct: float = 0.0
-    """Allowed share of the sampled seconds with some bus or branch outside its limits, %. Above 0, no windows are added
-    at the worst hours, since a size may then break limits in them."""
+    """Allowed share of the seconds of all windows, those at the worst hours included, with some bus or branch outside
+    its limits, %."""
     tolerance_mw: float | None = None
     """Distance between sizes, MW; a capacity is a multiple of it. None: a round number near 1/1000 of the largest."""
     max_mw: float | None = None
@@ -220,10 +220,9 @@ class Study:
             "workload.full_load_s": self.full_load_s,
         }
 
-    @property
-    def allowed_seconds(self) -> int:
-        """Allowed number of steps with broken limits, over all samples."""
-        return math.floor(self.allowed_pct / 100.0 * self.samples * (self.horizon - self.settled) + 1e-9)
+    def allowed_seconds(self, n: int) -> int:
+        """Return the allowed number of steps with broken limits in ``n`` windows."""
+        return math.floor(self.allowed_pct / 100.0 * n * (self.horizon - self.settled) + 1e-9)
 
     def candidates(self) -> np.ndarray:
         """Return the positions in ``bus_ids`` of the candidate buses; raise ValueError for an unsuitable bus."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +15,9 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.load_hours import (
-    Windows,
-    load_hours,
-    window_begins,
-    with_same_hours,
-    with_worst_hours,
-)
-from dcgrid_env.baselines.hosting_capacity.site_scenario import still_fields
-from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses, searched
+from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, with_worst_hours
+from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
+from dcgrid_env.baselines.hosting_capacity.snapshot import SNAPSHOT, exempt, reasons, snapshots
 from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, trials
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.registry import TUNED, find_controller
@@ -61,8 +54,6 @@ def study_controller(spec: str, scenario: Scenario, tuned: Path | None) -> tuple
 
 UNCONTROLLED = "none"
 """Name of the controller that does nothing."""
-SNAPSHOT = "snapshot"
-"""Name of the capacity of one power flow in place of a controller's name."""
 _SLOW = ("mpc",)
 """Prefixes of the names of controllers whose tasks are started first."""
 _PARTS = 2
@@ -82,7 +73,7 @@ class Capacities:
     by_controller: dict[str, tuple[BusCapacity, ...]]
     """Capacities by controller, in the order of the buses."""
     snapshot: tuple[BusCapacity, ...]
-    """Capacities in one power flow at the worst hour, with the site at its rating and without control."""
+    """Capacities in one power flow of every hour, with the site at its rating and without control."""
     windows: Windows
     """Windows that were simulated."""
     overloaded: tuple[str, ...]
@@ -154,22 +145,25 @@ def hosting_capacity(
         raise ValueError("controllers is empty; name at least one")
     notes = tuple(note for name in names if (note := study_controller(name, study.scenario, tuned)[1]))
     buses = study.candidates()
-    snapshot, limiting = _snapshots(study, buses)
-    windows = with_worst_hours(study, limiting)
+    values = {_STUDY: study, _EXEMPT: exempt(study)}
+    parts = _shared_out(len(buses), _PARTS * place.workers if place.workers > 1 else 1)
+    bus_ids = study.scenario.feeder.bus_ids
+    shots = [Unit(f"snapshots at buses {_span(bus_ids, buses[part])}", _snapshots, buses[part]) for part in parts]
+    shot = {unit.key: result for unit, result in place.results(shots, values, how_to_go_on="")}
+    snapshot, worst = zip(*(result for unit in shots for result in shot[unit.key]), strict=True)
+    windows = with_worst_hours(study, reasons([str(bus_ids[bus]) for bus in buses], worst))
     guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
     site = AddedSite(study, windows)
     site.exempt = overloaded_nodes(site)
     critical = critical_samples(site, buses, guesses)
-    parts = _shared_out(len(buses), _PARTS * place.workers if place.workers > 1 else 1)
     tasks = [
         _Task(name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i], snapshot[i]) for i in part))
         for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
         for part in parts
     ]
     found: dict[tuple[str, str], BusCapacity] = {}
-    bus_ids = study.scenario.feeder.bus_ids
     units = [
-        Unit(f"{task.controller} at buses {bus_ids[task.asked[0].bus]} to {bus_ids[task.asked[-1].bus]}", _work, task)
+        Unit(f"{task.controller} at buses {_span(bus_ids, [asked.bus for asked in task.asked])}", _work, task)
         for task in tasks
     ]
     values = {_STUDY: study, _WINDOWS: windows, _EXEMPT: site.exempt} | carried(place, (), names, tuned)
@@ -184,44 +178,6 @@ def hosting_capacity(
     fed = np.unique(np.asarray(feeder.node_bus)[site.exempt[: feeder.n_node]])
     overloaded = tuple(feeder.branch_names[bus - 1] for bus in fed)
     return Capacities(study, ids, names, by_controller, tuple(snapshot), windows, overloaded, notes)
-
-
-def snapshot_capacity(study: Study, buses: np.ndarray) -> list[BusCapacity]:
-    """What buses (positions in ``bus_ids``, (n,)) carry in one power flow of every hour, and in the worst of them.
-
-    Data centres draw their rating at a power factor of one. Other loads and PV are those of the hour, without noise.
-    Nothing is controlled except equipment of the feeder, which has settled. With ``load = "peak"``, there is one
-    power flow at nominal load, in which inverters give what they do at noon.
-    """
-    return _snapshots(study, buses)[0]
-
-
-def study_windows(study: Study, buses: np.ndarray) -> Windows:
-    """Return the windows of a study: the sampled ones, and those at the hours that are worst or limit one of buses."""
-    return with_worst_hours(study, _snapshots(study, buses)[1])
-
-
-def _snapshots(study: Study, buses: np.ndarray) -> tuple[list[BusCapacity], dict[int, str]]:
-    """Return capacities in power flows, and the reasons of the hours that limit them, by position in ``load_hours``."""
-    found = load_hours(study)
-    moment = with_same_hours(
-        study, scenario=study.scenario.replace(**still_fields(study)), samples=1, window_s=2.0 * study.scenario.dt_s,
-        settle_s=0.0, allowed_pct=0.0,
-    )  # fmt: skip
-    n = len(found.hours)
-    begin_h = None if study.load == "peak" else window_begins(moment, found.hours)
-    windows = Windows(begin_h, found.hours, ("a power flow",) * n, found.considered)
-    site = AddedSite(moment, windows)
-    site.exempt = overloaded_nodes(site)
-    guesses, first = np.full(len(buses), max(1, math.isqrt(study.top))), np.arange(max(1, len(found.named())))
-    results = searched(site, NoControl(), SNAPSHOT, buses, guesses, [first] * len(buses))
-    ids = study.scenario.feeder.bus_ids
-    limits: dict[int, list[str]] = {}
-    for bus, (_, limiting) in zip(buses.tolist(), results, strict=True):
-        if limiting is not None:
-            limits.setdefault(limiting, []).append(str(ids[bus]))
-    reasons = {i: f"limits the site at {len(at)} buses, such as {at[0]}" for i, at in limits.items()}
-    return [capacity for capacity, _ in results], reasons
 
 
 def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -> list[tuple[int, ...]]:
@@ -242,6 +198,14 @@ def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -
 
 def _shared_out(n: int, parts: int) -> list[np.ndarray]:
     return [part for part in np.array_split(np.arange(n), min(parts, n)) if len(part)]
+
+
+def _span(bus_ids: Sequence[str], buses: Sequence[int] | np.ndarray) -> str:
+    return f"{bus_ids[buses[0]]} to {bus_ids[buses[-1]]}"
+
+
+def _snapshots(buses: np.ndarray) -> list[tuple[BusCapacity, list[float]]]:
+    return snapshots(shared(_STUDY), buses, shared(_EXEMPT))
 
 
 def _work(task: _Task) -> list[BusCapacity]:

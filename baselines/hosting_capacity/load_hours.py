@@ -1,14 +1,15 @@
 """The worst hours of a study's loads by a power flow of every hour, and the windows that a study simulates.
 
 Hours are the samples of the load profiles, or the quarters of an hour of a standard day. A site lowers the voltage of a
-node by nearly the same amount in every hour, and raises the current of a branch likewise. The hours that can limit a
-site are therefore known without it: those of the lowest voltages of each node and of the highest currents of each
-branch. The search for the capacity in one power flow goes through all of them, at each bus.
+node by nearly the same amount in every hour, and raises the current of a branch likewise. The hours that limit a site
+are therefore probably those of the lowest voltages of each node and of the highest currents of each branch without it.
+The search for the capacity in one power flow begins with them; ``snapshot`` then goes through every hour with the site.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ _VALUES = 2_000_000
 _RANKS = 5
 """Number of worst hours of each node and branch."""
 MOST_HOURS = 256
-"""Largest number of hours that the search for the capacity in one power flow goes through."""
+"""Largest number of hours with which the search for the capacity in one power flow begins."""
 _SHOWN = 6
 """Maximum number of worst hours that a sentence names."""
 _DIGITS = 7
@@ -39,16 +40,16 @@ _CACHE = "_load_hours"
 
 @dataclass(frozen=True)
 class LoadHours:
-    """Hours that can limit a site, the worst ones of the feeder first."""
+    """Hours that probably limit a site, the worst ones of the feeder first."""
 
     hours: np.ndarray
     """Time of each, h: since the midnight before the first sample of the load profiles, or of the day, (hour,)."""
     reasons: tuple[str, ...]
     """Why each is worst, such as ``lowest voltage``; empty for one that is the worst of single nodes or branches."""
-    considered: int
-    """Number of hours that were solved; 0 at nominal load."""
-    kept: int
-    """Number of hours that can limit a site; more than ``hours`` has if there are too many."""
+    every: np.ndarray
+    """Time of every hour that was solved, h, (any,)."""
+    loading: np.ndarray
+    """Highest loading of each branch in them, (branch,); empty without known ratings, and at nominal load."""
 
     def named(self) -> list[int]:
         """Return the positions of the hours with a reason."""
@@ -102,16 +103,11 @@ def windows_text(study: Study, windows: Windows) -> str:
     if windows.hours is None:
         return f"Windows: {windows.sampled} at nominal load with noise, and {len(added)} without noise."
     hours = hours_text(study, windows.considered)
-    told = [f"{time_text(study.scenario, windows.hours[i])} ({windows.reasons[i]})" for i in added[:_SHOWN]]
-    told += [f"{len(added) - _SHOWN} more"] * (len(added) > _SHOWN)
-    if not added:
-        return (
-            f"Windows: {windows.sampled}, spread over all {hours}; none is added at the worst of "
-            "them, since limits may be broken in a share of the seconds."
-        )
+    named = [f"{time_text(study.scenario, windows.hours[i])} ({windows.reasons[i]})" for i in added[:_SHOWN]]
+    named += [f"{len(added) - _SHOWN} more"] * (len(added) > _SHOWN)
     return (
         f"Windows: {windows.sampled}, spread over all {hours}, and {len(added)} at the worst of "
-        f"them by a power flow of each, without noise: {', '.join(told)}."
+        f"them by a power flow of each, without noise: {', '.join(named)}."
     )
 
 
@@ -152,7 +148,7 @@ def sampled_windows(study: Study) -> Windows:
     return Windows(hours, hours, ("",) * n, 0)
 
 
-def with_worst_hours(study: Study, limiting: dict[int, str]) -> Windows:
+def with_worst_hours(study: Study, limiting: Mapping[float, str]) -> Windows:
     """Return the sampled windows of a study, and windows at its worst hours.
 
     Parameters
@@ -160,20 +156,18 @@ def with_worst_hours(study: Study, limiting: dict[int, str]) -> Windows:
     study
         The study.
     limiting
-        Reasons for further hours by their position in ``load_hours``, such as those that limit the site at a bus.
+        Reasons for further hours by their time, h, such as those that limit the site at a bus.
     """
     sampled, found = sampled_windows(study), load_hours(study)
-    if study.allowed_pct > 0.0:
-        return dataclasses.replace(sampled, considered=found.considered)
-    reasons = {i: found.reasons[i] for i in found.named()}
-    for i, reason in limiting.items():
-        reasons.setdefault(i, reason)
-    chosen = list(reasons)
+    reasons = {float(found.hours[i]): found.reasons[i] for i in found.named()}
+    for hour, reason in limiting.items():
+        reasons.setdefault(hour, reason)
     every = (*sampled.reasons, *reasons.values())
     if sampled.begin_h is None or sampled.hours is None:
         return Windows(None, None, every, 0)
-    begin_h = np.concatenate((sampled.begin_h, window_begins(study, found.hours[chosen])))
-    return Windows(begin_h, np.concatenate((sampled.hours, found.hours[chosen])), every, found.considered)
+    hours = np.array(list(reasons))
+    begin_h = np.concatenate((sampled.begin_h, window_begins(study, hours)))
+    return Windows(begin_h, np.concatenate((sampled.hours, hours)), every, len(found.every))
 
 
 def window_begins(study: Study, hours: np.ndarray) -> np.ndarray:
@@ -195,7 +189,7 @@ def _window_scenario(study: Study) -> Scenario:
 
 def _found(study: Study) -> LoadHours:
     if study.load == "peak":
-        return LoadHours(np.zeros(1), ("nominal load",), 0, 1)
+        return LoadHours(np.zeros(1), ("nominal load",), np.zeros(1), np.empty(0))
     fields = study.window_fields | {"workload.full_load_s": None, "horizon": 2} | still_fields(study)
     scenario = with_sites(study, free_bus(study), (0.0,), **fields)
     hours = _sample_hours(scenario)
@@ -229,7 +223,8 @@ def _found(study: Study) -> LoadHours:
             named.setdefault(hour, []).append(what)
     order = list(dict.fromkeys([*named, *lowest.in_order(), *loaded.in_order()]))
     kept = order[:MOST_HOURS]
-    return LoadHours(hours[kept], tuple(", ".join(named.get(i, ())) for i in kept), len(hours), len(order))
+    reasons = tuple(", ".join(named.get(i, ())) for i in kept)
+    return LoadHours(hours[kept], reasons, hours, loaded.largest())
 
 
 def _sample_hours(scenario: Scenario) -> np.ndarray:
@@ -258,6 +253,10 @@ class _Extremes:
             values, at = np.concatenate((self._values, values)), np.concatenate((self._at, at))
         best = np.argsort(-values, axis=0, kind="stable")[: self._ranks]
         self._values, self._at = np.take_along_axis(values, best, 0), np.take_along_axis(at, best, 0)
+
+    def largest(self) -> np.ndarray:
+        """Return the most extreme value of each, times the sign; empty without any."""
+        return self._values[0] if self._values.size else np.empty(0)
 
     def first(self) -> int | None:
         """Return the hour of the most extreme value of all; None without any."""

@@ -50,7 +50,7 @@ class BusCapacity:
     unserved_pct: float
     """Share of the site's arriving work that was still queued at the end of the windows, %."""
     outside_pct: float
-    """Share of the sampled seconds with a broken limit at that size, %."""
+    """Share of the seconds of all windows with a broken limit at that size, %."""
     margin: float
     """Least margin to a limit at that size, see ``Trial.margin``."""
     most_windows_mw: float
@@ -114,13 +114,14 @@ def searched(
     before = [overloaded_before(feeder, bus, site.exempt) for bus in buses]
     empty = run_trial(site, controller, 0, np.full(len(samples), buses[0]), samples, name)
     # Without a site of any size there is nothing to search where limits are broken already.
-    fails = int(empty.outside.sum()) > study.allowed_seconds
+    allowed = study.allowed_seconds(len(samples))
+    fails = int(empty.outside.sum()) > allowed
     scan = tuple(sorted({study.top >> i for i in range(study.top.bit_length())}))
     tops = [study.top] * len(buses)
     if snapshot is not None:
         tops = [round(found.capacity_mw / study.step_mw) for found in snapshot]
     searches = [
-        BusSearch(empty, site_limit, int(guess), top, study.allowed_seconds, scan)
+        BusSearch(empty, site_limit, int(guess), top, allowed, scan)
         for guess, site_limit, top in zip(guesses, critical, tops, strict=True)
     ]
     left = {i: search for i, search in enumerate(searches) if not (fails or before[i]) and tops[i]}
@@ -173,10 +174,10 @@ def _window_capacities_mw(site: AddedSite, empty: Trial, size: int, at_size: Tri
 def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: str, empty: Trial) -> BusCapacity:
     study, trial = site.study, search.at_size
     feeder = study.scenario.feeder
+    outside_pct = 100.0 * float(trial.outside.sum()) / (len(trial.outside) * (study.horizon - study.settled))
     sampled = ~site.windows.still if site.windows.sampled else slice(None)
     trial, empty = trial.of(sampled), empty.of(sampled)
     delays = fcfs_delays(trial.arrived_kw.T, trial.served_kw.T, study.scenario.dt_s)
-    counted = len(trial.outside) * (study.horizon - study.settled)
     sited = search.size > 0
     of_windows = _window_capacities_mw(site, empty, search.size, trial)
     return BusCapacity(
@@ -188,7 +189,7 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
         delay_mean_s=delays.mean_s if sited else 0.0,
         delay_p95_s=delays.p95_s if sited else 0.0,
         unserved_pct=100.0 * delays.unserved_kws / delays.arrived_kws if sited and delays.arrived_kws else 0.0,
-        outside_pct=100.0 * float(trial.outside.sum()) / counted,
+        outside_pct=outside_pct,
         margin=search.at_size.margin,
         most_windows_mw=round(float(np.quantile(of_windows, _FEW)), _DIGITS),
         half_windows_mw=round(float(np.median(of_windows)), _DIGITS),

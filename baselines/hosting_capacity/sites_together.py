@@ -19,10 +19,12 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
-from dcgrid_env.baselines.hosting_capacity.hosting import study_windows
+from dcgrid_env.baselines.hosting_capacity.hosting import UNCONTROLLED
+from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, load_hours, with_worst_hours
 from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_of, overloaded_before
-from dcgrid_env.baselines.hosting_capacity.trial import Trial, overloaded_nodes, run_trial
+from dcgrid_env.baselines.hosting_capacity.snapshot import exempt, moment_of, moments, reasons, snapshots, worst_hours
+from dcgrid_env.baselines.hosting_capacity.trial import ROUNDING, Trial, hour_margins, overloaded_nodes, run_trial
 
 Rule = Literal["equal", "sum"]
 MOST_ORDERS = 4
@@ -78,19 +80,46 @@ def sites_together(
         raise ValueError(f"together: must be one of {', '.join(get_args(Rule))}, got {rule!r}")
     if study.buses is None or len(set(study.buses)) < 2:
         raise ValueError("together: needs at least two buses; name them with buses")
-    sites = _Sites(study)
+    ids, buses = study.scenario.feeder.bus_ids, study.candidates()
+    alone = reasons([str(ids[bus]) for bus in buses], [worst for _, worst in snapshots(study, buses, exempt(study))])
+    limiting = dict(alone)
+    while True:  # until the worst hours with all sites are among those of the windows
+        found, worst = _found(study, limiting, controller, name, rule, on_trial)
+        if worst <= limiting.keys():
+            return found
+        limiting |= dict.fromkeys(worst - limiting.keys(), "worst with all sites")
+
+
+def _found(
+    study: Study,
+    limiting: dict[float, str],
+    controller: Controller,
+    name: str,
+    rule: Rule,
+    on_trial: Callable[[], None] | None,
+) -> tuple[Together, set[float]]:
+    """Find sizes with windows at some hours, and the hours that are worst with sites of these sizes, h."""
+    windows = with_worst_hours(study, limiting)
+    sites = _Sites(study, windows)
+    moment = moment_of(study)
+    every = _Sites(moment, moments(moment, load_hours(study).every), sites.exempt)
+    bounding = _Sites(moment, moments(moment, np.array(list(limiting))), sites.exempt)
 
     def trial(sizes: tuple[int, ...]) -> Trial:
-        rows = np.arange(len(sites.windows))
+        rows = np.arange(len(windows))
         found = run_trial(sites, controller, sizes, np.zeros_like(rows), rows, name)  # pyright: ignore
         if on_trial is not None:
             on_trial()
         return found
 
     trial = lru_cache(maxsize=None)(trial)
+    bounded = name == UNCONTROLLED and not study.allowed_pct
 
     def fits(sizes: Sequence[int]) -> bool:
-        return int(trial(tuple(sizes)).outside.sum()) <= study.allowed_seconds
+        sizes = tuple(sizes)
+        if bounded and hour_margins(bounding, sizes, 0).min() < -ROUNDING:  # pyright: ignore
+            return False
+        return int(trial(sizes).outside.sum()) <= study.allowed_seconds(len(windows))
 
     n = len(sites.buses)
     if not fits((0,) * n):
@@ -101,7 +130,8 @@ def sites_together(
         larger = tuple(size + (k == i) for k, size in enumerate(sizes))
         limits.append("" if sizes[i] == study.top else limit_of(study.scenario, trial(larger)))
     mw = tuple(float(f"{size * study.step_mw:.10g}") for size in sizes)
-    return Together(rule, name, tuple(study.scenario.feeder.bus_ids[bus] for bus in sites.buses), mw, tuple(limits))
+    together = Together(rule, name, tuple(study.scenario.feeder.bus_ids[bus] for bus in sites.buses), mw, tuple(limits))
+    return together, set(worst_hours(every, tuple(sizes), 0)[0])
 
 
 def _equal(fits: Callable[[Sequence[int]], bool], n: int, top: int) -> tuple[int, ...]:
@@ -151,11 +181,10 @@ def _largest(fits: Callable[[int], bool], low: int, top: int) -> int:
 class _Sites:
     """The sites of a study at fixed buses, in the place of ``AddedSite``: a size is one for each of them."""
 
-    def __init__(self, study: Study):
-        self.study = study
+    def __init__(self, study: Study, windows: Windows, exempt: np.ndarray | None = None):
+        self.study, self.windows = study, windows
         self.buses = study.candidates()
-        self.windows = study_windows(study, self.buses)
-        self.exempt = overloaded_nodes(AddedSite(study, self.windows))
+        self.exempt = overloaded_nodes(AddedSite(study, windows)) if exempt is None else exempt
         for bus in self.buses:
             if branch := overloaded_before(study.scenario.feeder, int(bus), self.exempt):
                 raise LimitsBroken(f"together: no site fits at bus {study.scenario.feeder.bus_ids[bus]}: {branch}")

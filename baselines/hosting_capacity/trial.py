@@ -12,6 +12,7 @@ from dcgrid_env import Feeder, FeederError, rating_coverage
 from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.element_names import branch_to
+from dcgrid_env.baselines.hosting_capacity.load_hours import load_hours
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import as_driven, transitions
 from dcgrid_env.powerflow import n_loading
@@ -20,11 +21,12 @@ COLLAPSED = -10.0
 """Margin if the power flow has no solution."""
 UNLIMITED = 1e6
 """Margin without a limit, for example of branches without a known rating."""
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
+"""Margin below 0 that breaks no limit."""
 _VALUES = 4_000_000
 """Maximum number of voltages of a batch that are stored at a time; larger batches run in parts."""
 LIMITS = ("undervoltage", "overvoltage", "overload", "voltage step", "taps", "loss")
-OVERLOAD, STEP, TAPS, LOSS = range(2, len(LIMITS))
+UNDERVOLTAGE, _, OVERLOAD, _, TAPS, LOSS = range(len(LIMITS))
 
 
 class Trial(NamedTuple):
@@ -87,7 +89,7 @@ def trials(
 
 
 def overloaded_nodes(site: AddedSite) -> np.ndarray:
-    """Find branches that are overloaded without any site or control in more steps than allowed.
+    """Find branches that are overloaded without any site or control in more steps than allowed, or in any hour.
 
     Returns
     -------
@@ -112,15 +114,40 @@ def overloaded_nodes(site: AddedSite) -> np.ndarray:
         for k in range(study.horizon):
             loading = next(steps).state.loading
             if k >= study.settled:
-                seconds += (loading > study.loading_max_pct / 100.0 + _ROUNDING).sum(axis=0)
+                seconds += (loading > study.loading_max_pct / 100.0 + ROUNDING).sum(axis=0)
         steps.close()
-    overloaded = seconds > study.allowed_seconds
+    overloaded = seconds > study.allowed_seconds(len(still))
+    if not study.allowed_pct and len(most := load_hours(study).loading):
+        overloaded |= most > study.loading_max_pct / 100.0 + ROUNDING
     if overloaded.any() and isinstance(feeder, Feeder) and feeder.n_loop:
         raise FeederError(
             f"feeder {feeder.name!r} has loops, and its {branch_to(feeder, int(overloaded.argmax()))} is overloaded "
             "without any site, so the buses that it limits are undefined; raise its rating_a or open the loops"
         )
     return overloaded
+
+
+def hour_margins(site: AddedSite, size: Any, bus: int) -> np.ndarray:
+    """Return the margins to each of ``LIMITS`` in a power flow of each window's begin, (window, limit).
+
+    The data centres draw what they do at the begin, and nothing is controlled except equipment of the feeder, which has
+    settled. Changes from step to step and taps do not count.
+    """
+    study, found = site.study, []
+    at_once = max(1, _VALUES // (study.scenario.feeder.n_node * 8))
+    scenario = as_driven(site.scenario(size, True), NoControl())
+    for first in range(0, len(site.windows), at_once):
+        samples = np.arange(first, min(first + at_once, len(site.windows)))
+        seeds, options = site.reset_arguments(np.full_like(samples, bus), samples)
+        steps = transitions(scenario, NoControl(), seeds, None, options)
+        now = next(steps)
+        steps.close()
+        margins, _ = _distances(site, now, None)
+        if study.loss_max_kw is not None:
+            margins[:, LOSS] = 1.0 - now.loss_kw / study.loss_max_kw
+        margins[~np.asarray(now.converged)] = COLLAPSED
+        found.append(margins)
+    return np.concatenate(found)
 
 
 def _run(
@@ -143,7 +170,7 @@ def _run(
             loss_kw = loss_kw + now.loss_kw
             if study.taps_max_per_hour is not None:
                 taps = taps + now.state.three_phase.equipment.regulators.moved
-            outside += (here < -_ROUNDING).any(axis=1)
+            outside += (here < -ROUNDING).any(axis=1)
             nearer = here < margins
             margins, nodes = np.where(nearer, here, margins), np.where(nearer, where, nodes)
         before = now.state.v_pu
@@ -160,7 +187,7 @@ def _run(
         nodes[:, TAPS] = taps.argmax(axis=1)
     if study.loss_max_kw is not None:
         margins[:, LOSS] = 1.0 - loss_kw / (study.loss_max_kw * counted)
-    outside[(margins[:, [TAPS, LOSS]] < -_ROUNDING).any(axis=1)] = counted
+    outside[(margins[:, [TAPS, LOSS]] < -ROUNDING).any(axis=1)] = counted
     # What follows a power flow without a solution is another episode, and does not count.
     margins[~goes_on] = COLLAPSED
     outside[~goes_on] = counted

@@ -102,14 +102,11 @@ def test_days_of_training_count():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settings", [{"allowed_pct": 1.0}, {"load": "peak"}])
-def test_studies_without_worst_hours_say_so(settings):
-    study = study_of(np.full((HOURS, 32), 0.4), **settings)
-    found = hosting_capacity(dataclasses.replace(study, buses=("18",)), ["none"])
-    added = [reason for reason in found.windows.reasons if reason]
-    assert added == (["nominal load"] if study.load == "peak" else [])
-    text = windows_text(study, found.windows)
-    assert ("none is added at the worst" in text) == (study.load == "day")
+def test_a_study_at_nominal_load_says_so():
+    study = study_of(np.full((HOURS, 32), 0.4), load="peak", buses=("18",))
+    found = hosting_capacity(study, ["none"])
+    assert {reason for reason in found.windows.reasons if reason} == {"nominal load"}
+    assert windows_text(study, found.windows) == "Windows: 4 at nominal load with noise, and 1 without noise."
 
 
 def test_sampled_windows_are_spread_over_all_hours():
@@ -144,4 +141,4 @@ def test_pv_makes_an_hour_of_highest_voltage_by_day():
     found = load_hours(Study(scenario=scenario, samples=1))
     (highest,) = (hour for hour, reason in zip(found.hours, found.reasons, strict=True) if "highest voltage" in reason)
     assert 5.0 < highest < 19.0
-    assert found.considered == 96
+    assert len(found.every) == 96
