@@ -82,7 +82,8 @@ def read_profiles(path: str | Path) -> ProfileTable:
     times_s, day = _times(name, raw)
     table = _long(name, raw, times_s, day) if raw.header[1] in _LONG else _wide(name, raw, times_s, day)
     if day:
-        table = replace(table, utc_offset_h=_utc_offset_h(raw.columns[0][0]))
+        cells = raw.columns[0]
+        table = replace(table, utc_offset_h=_utc_offset_h(cells[0]), clock_changes=_clock_changes(cells, times_s))
     table.__dict__["_asked_by"] = str(path.absolute())
     return table
 
@@ -224,7 +225,7 @@ def _seconds(
     dates: list[datetime] = []
     for i, cell in enumerate(cells):
         try:
-            dates.append(cell if isinstance(cell, datetime) else date_of(str(cell)))
+            dates.append(_date(cell))
         except ValueError:
             raise refuse(i, _DATES) from None
         if (dates[i].tzinfo is None) != (dates[0].tzinfo is None):
@@ -246,8 +247,22 @@ def _seconds(
     return times, first.date().isoformat()
 
 
+def _date(cell: object) -> datetime:
+    return cell if isinstance(cell, datetime) else date_of(str(cell))
+
+
+def _clock_changes(cells: Sequence[Any], times_s: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Return ``ProfileTable.clock_changes`` of dates and their times since the midnight before the first one, s."""
+    dates = [_date(cell).replace(tzinfo=None) for cell in cells]
+    midnight = dates[0].replace(hour=0, minute=0, second=0, microsecond=0)
+    ahead_s = np.round([(date - midnight).total_seconds() for date in dates] - times_s)
+    order = np.argsort(times_s, kind="stable")
+    changes = order[1:][np.diff(ahead_s[order]) != 0.0].tolist()
+    return tuple((float(times_s[i]) / 3600.0, float(ahead_s[i]) / 3600.0) for i in changes)
+
+
 def _utc_offset_h(cell: object) -> float | None:
-    offset = (cell if isinstance(cell, datetime) else date_of(str(cell))).utcoffset()
+    offset = _date(cell).utcoffset()
     return None if offset is None else offset.total_seconds() / 3600.0
 
 

@@ -42,6 +42,9 @@ class ProfileTable:
     """Date of the first sample, ISO 8601; "" if the times are not dates."""
     utc_offset_h: float | None = None
     """UTC offset of the first sample, h; None if the times state none."""
+    clock_changes: tuple[tuple[float, float], ...] = ()
+    """Changes of the file's clock to and from summer time: time of each, h since the midnight before the first sample,
+    and by how much the clock is ahead of that of the first sample from then on, h."""
 
     def __post_init__(self) -> None:
         values = np.array(self.values, np.float64)
@@ -97,9 +100,14 @@ class ProfileTable:
         ----------
         hour : time, h since the midnight before the first sample.
         """
-        day, minutes = divmod(round(60.0 * hour), 1440)
+        day, minutes = divmod(round(60.0 * float(self.clock_h(np.array([hour]))[0])), 1440)
         dated = date.fromisoformat(self.first_day) + timedelta(days=day) if self.first_day else None
         return f"{dated.isoformat() if dated else f'day {day + 1}'} {minutes // 60:02d}:{minutes % 60:02d}"
+
+    def clock_h(self, hour: FloatArray) -> FloatArray:
+        """Return what the file's clock shows at times, h since the midnight before the first sample."""
+        at, ahead_h = zip((-np.inf, 0.0), *self.clock_changes, strict=True)
+        return hour + np.array(ahead_h)[np.searchsorted(at, hour + 1e-9, side="right") - 1]
 
     def at(self, hour: FloatArray, *, linear: bool, repeat: bool) -> FloatArray:
         """Return the values at times, (row, column).

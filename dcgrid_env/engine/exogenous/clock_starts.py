@@ -38,6 +38,8 @@ class _RowClocks(NamedTuple):
 
     begin_s: np.ndarray
     """Begin on the clock of the load profiles, s since 1970; NaN if not known."""
+    local: np.ndarray
+    """Whether that is the local clock of the files, since not both state UTC offsets, bool."""
     room: np.ndarray
     """Steps by which a window may begin later than the row."""
 
@@ -51,7 +53,8 @@ def row_clocks(scenario: Scenario) -> _RowClocks | None:
     table = scenario.load_profiles.file
     offset_h = None if table is None else table.utc_offset_h
     begins = [np.nan if clock is None else clock.local_s(offset_h) for clock in pool.clocks]
-    return _RowClocks(np.array(begins), np.array(pool.row_steps) - window_steps(scenario))
+    local = [offset_h is None or clock is None or clock.utc_offset_h is None for clock in pool.clocks]
+    return _RowClocks(np.array(begins), np.array(local), np.array(pool.row_steps) - window_steps(scenario))
 
 
 def starts_on_clock(
@@ -73,7 +76,10 @@ def starts_on_clock(
     """
     dt_s, room = float(scenario.dt_s), clocks.room[row]
     midnight = midnight_s(scenario)
-    later_s = 3600.0 * begin_h[:, None] + (midnight or 0.0) - clocks.begin_s[row]
+    table = scenario.load_profiles.file
+    clock_h = begin_h if table is None else table.clock_h(begin_h)
+    clock_h = np.where(clocks.local[row], clock_h[:, None], begin_h[:, None])
+    later_s = 3600.0 * clock_h + (midnight or 0.0) - clocks.begin_s[row]
     known = np.isfinite(later_s)
     later_s = np.where(known, later_s, 0.0)
     by_date = np.floor(later_s / dt_s + _ROUNDING).astype(np.int64)
@@ -131,7 +137,11 @@ def _clock_lines(scenario: Scenario) -> Iterator[str]:
     }
     said = [f"{_per_cent(shares[way])} of episodes begin {text}" for way, text in ways.items() if shares[way] > 0.0]
     runs = "does not run" if shares[Aligned.NOT] == 1.0 else "runs" if not shares[Aligned.NOT] else "runs in part"
-    yield f"trace {names}: {runs} on the clock of {whose}: {', '.join(said)}"
+    known = {clock.utc_offset_h is not None for trace in dated if (clock := clock_of(trace)) is not None}
+    zone = ""
+    if with_dates and len(known | {scenario.load_profiles.table.utc_offset_h is not None}) > 1:
+        zone = "; not all of the files state UTC offsets, so their times count as of one time zone"
+    yield f"trace {names}: {runs} on the clock of {whose}: {', '.join(said)}{zone}"
 
 
 def _begins_h(scenario: Scenario) -> np.ndarray:

@@ -1,5 +1,8 @@
 """Recordings with dates begin at the date or time of day of the episode."""
 
+from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
+
 import numpy as np
 import pytest
 
@@ -78,6 +81,29 @@ def test_the_scenario_of_a_day_gives_a_time_of_day():
 def test_utc_offsets_that_both_files_state_are_accounted_for(noted, offset_h, wanted_h):
     s = scenario(dated(**noted), start_h=36.25, offset_h=offset_h)
     assert hour_of_log(s, 0) == pytest.approx(wanted_h + DT_S / 3600.0, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stamps", ["offsets", "local"])
+@pytest.mark.parametrize("noted", [{}, {"utc_offset_h": 2.0}])
+def test_summer_time_of_load_profiles_is_accounted_for(stamps, noted, tmp_path):
+    """On the clock of the profiles' first sample in winter, 12:15 of a summer day is 11:15."""
+    zone, begin = ZoneInfo("Europe/Berlin"), datetime(2026, 3, 1, tzinfo=ZoneInfo("Europe/Berlin"))
+    times = [(begin.astimezone(UTC) + timedelta(hours=i)).astimezone(zone) for i in range(24 * 70)]
+    stamp = datetime.isoformat if stamps == "offsets" else lambda at: at.replace(tzinfo=None).isoformat()
+    file = tmp_path / "loads.csv"
+    file.write_text("time,home\n" + "".join(f"{stamp(at)},0.5\n" for at in times))
+    classes = dict.fromkeys(make_scenario("ieee33-weak").feeder.bus_ids[1:], "home")
+    wanted = datetime(2026, 5, 2, 12, 15, tzinfo=zone)
+    start_h = (wanted.astimezone(UTC) - begin.astimezone(UTC)) / timedelta(hours=1)
+    profiles = {"file": str(file), "columns": "class", "classes": classes, "days": "all", "start_h": start_h}
+    log = dated("2026-05-01", **noted) if not noted else dated("2026-04-30", begin="22:00", **noted)
+    s = scenario(log).replace(load_profiles=profiles)
+    assert s.load_profiles.table.time_text(start_h) == "2026-05-02 12:15"
+    shown_h = hour_of_log(s, 0) - (0.0 if not noted else 22.0)  # hours since the log's local midnight
+    assert shown_h == pytest.approx(36.25 + DT_S / 3600.0, abs=1e-6)
+    stated = any("not all of the files state UTC offsets" in line for line in recording_lines(s))
+    assert stated == ((stamps == "offsets") != bool(noted))
 
 
 def test_recordings_of_different_length_share_the_clock_and_keep_their_rows():
