@@ -210,7 +210,7 @@ def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> di
 
 def _capacity(job: Job, found: Capacities) -> Section:
     picture = ("The largest data centre at each bus, MW", png(capacity_maps(found)))
-    allowed_pct, rule = job.study.allowed_pct, "no window breaks a limit"
+    allowed_pct, rule = job.study.allowed_pct, "no window breaks a limit, and without control no hour in a power flow"
     if allowed_pct:
         rule = f"limits are broken in at most {allowed_pct:g} % of the seconds of all windows"
     text = (

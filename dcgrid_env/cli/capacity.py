@@ -87,7 +87,8 @@ class Capacity(OverWorkers):
     """Also find the sizes that sites at all --buses can have at once: equal shares as far as possible, or the largest
     sum. Requires at least two buses."""
     allowed_pct: float = 0.0
-    """Share of the seconds in which a limit may be violated, %. Above 0, no windows are added at the worst hours."""
+    """Share of the seconds of all windows in which a limit may be violated, %. Above 0, a result may exceed the
+    snapshot."""
     tolerance_mw: float | None = None
     """Step between sizes, MW. Default: a round number near one thousandth of the largest size."""
     max_mw: float | None = None

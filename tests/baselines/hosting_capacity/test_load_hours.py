@@ -1,7 +1,5 @@
 """The worst hours of loads, and the capacities that they bound, against a power flow of every hour."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
