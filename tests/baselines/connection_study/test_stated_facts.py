@@ -16,6 +16,8 @@ from dcgrid_env.baselines.connection_study.study_job import Job
 from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
+from dcgrid_env.baselines.hosting_capacity.load_hours import sampled_windows
+from dcgrid_env.baselines.hosting_capacity.snapshot import study_windows
 from dcgrid_env.baselines.hosting_capacity.trial import LIMITS
 from dcgrid_env.powerflow import distflow
 from dcgrid_env.traces import ProfileTable
@@ -31,7 +33,7 @@ def table(share=0.1, days=10):
 
 def job(feeder=None, bus="12", profiles=None, scenario=None, study=None, **request):
     feeder = feeder or load_feeder("ieee33")
-    on_it = scenario_on(feeder, f"1 x 100 kW at {bus}", "none").replace(split="test", **(scenario or {}))
+    on_it = scenario_on(feeder, f"1 x 100 kW at {bus}", "none").replace(**({"split": "test"} | (scenario or {})))
     if profiles:
         on_it = on_it.replace(load_profiles={"columns": "bus", **profiles})
     asked = StudyRequest(feeder=feeder.name, bus=bus, mw=0.1, controllers=("none",), **request)
@@ -53,17 +55,23 @@ def test_ride_through_is_at_nominal_load_whatever_the_load_profiles_have():
 
 
 @pytest.mark.slow
-def test_times_of_load_profiles_are_dates_of_the_split():
-    found = job(profiles={"file": table()})
-    days = {time_of(found.study, window).split(" ")[0] for window in range(2)}
-    assert days <= {"2025-01-05", "2025-01-10"}  # the fifth and the tenth day are the test's
+def test_times_of_load_profiles_are_dates():
+    profiles = table()
+    peaked = profiles.values.copy()
+    peaked[6 * 24 + 7] = 0.9  # a day of training
+    found = job(profiles={"file": dataclasses.replace(profiles, values=peaked)}, scenario={"split": "whole"})
+    windows = study_windows(found.study, 11, 1)
+    times = [time_of(found.study, windows, window) for window in range(len(windows))]
+    assert "2025-01-07 07:00" in times[found.study.samples :]
+    assert {time.split(" ")[0] for time in times} <= {f"2025-01-{day:02d}" for day in range(1, 11)}
     (text,) = sections.day(found).paragraphs
-    assert "the other loads follow the load profiles from 2025-01-" in text
-    begun = job(profiles={"file": table(), "start_h": 4 * 24 + 7.5})
-    assert time_of(begun.study, 1) == "2025-01-05 07:30"
+    assert text.startswith("The day from 2025-01-07 00:00 on, in which a power flow of each sample without the site")
+    begun = job(profiles={"file": profiles, "start_h": 4 * 24 + 7.5}, scenario={"split": "whole"})
+    assert time_of(begun.study, sampled_windows(begun.study), 1) == "2025-01-05 07:30"
     assert "from 2025-01-05 00:00 on" in sections.day(begun).paragraphs[0]
-    assert time_of(job().study, 0) == "11:30"
-    assert time_of(job(study={"load": "peak"}).study, 0) == "nominal load"
+    standard, peak = job(), job(study={"load": "peak"})
+    assert time_of(standard.study, sampled_windows(standard.study), 0) == "11:30"
+    assert time_of(peak.study, sampled_windows(peak.study), 0) == "nominal load"
 
 
 def test_ratings_that_are_all_known_leave_nothing_unchecked():
