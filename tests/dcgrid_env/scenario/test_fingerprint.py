@@ -206,13 +206,15 @@ def test_a_later_field_of_storages_at_its_default_changes_no_hash(monkeypatch):
     assert scenario_hash(other) != scenario_hash(scenario)
 
 
-def test_load_profiles_without_utc_offsets_have_the_hash_of_tables_without_that_field():
+def test_load_profiles_without_utc_offsets_and_summer_time_have_the_hash_of_tables_without_these_fields():
     table = ProfileTable(0.0, 900.0, ("a",), np.array([[1.0], [2.0]]), "2026-03-01")
-    five = [field for field in dataclasses.fields(ProfileTable) if field.name != "utc_offset_h"]
+    later = ("utc_offset_h", "clock_changes")
+    five = [field for field in dataclasses.fields(ProfileTable) if field.name not in later]
     before = dataclasses.make_dataclass("ProfileTable", [field.name for field in five])
     published = digest([("", before(*(getattr(table, field.name) for field in five)))])
     assert digest([("", table)], fields) == published
-    assert digest([("", dataclasses.replace(table, utc_offset_h=1.0))], fields) != published
+    for changed in ({"utc_offset_h": 1.0}, {"clock_changes": ((2.0, 1.0),)}):
+        assert digest([("", dataclasses.replace(table, **changed))], fields) != published
 
 
 def test_a_recording_whose_origin_has_lists_has_a_hash():
