@@ -45,7 +45,7 @@ from dcgrid_env.engine.physics.relay_slopes import RelaySlopes, relay_slopes
 from dcgrid_env.engine.record.episode_record import JoinedRecorder, Recorder, Series
 from dcgrid_env.engine.record.parquet import ParquetCourse
 from dcgrid_env.engine.record.streaming import WHOLE_COURSE_BYTES, PartSink, StreamingRecorder, course_bytes
-from dcgrid_env.envs.base import HugeObservationWarning
+from dcgrid_env.envs.base import EpisodeCutWarning, HugeObservationWarning
 from dcgrid_env.envs.info import info_arrays
 from dcgrid_env.envs.parallel import DcgridParallelEnv, env, parallel_env
 from dcgrid_env.envs.registration import register as _register
@@ -113,6 +113,7 @@ __all__ = [
     "DcgridVectorEnv",
     "Delays",
     "Device",
+    "EpisodeCutWarning",
     "Fault",
     "Feeder",
     "FeederError",

@@ -36,6 +36,13 @@ def warn_if_huge(scenario: Scenario, what: str, remedy: str) -> None:
         warnings.warn(f"{what} holds the voltages of {n:,} nodes; {remedy}", HugeObservationWarning, stacklevel=4)
 
 
+class EpisodeCutWarning(UserWarning):
+    """Episodes are reset before their end, each at the same step, as a time limit around the environment does."""
+
+
+CUTS = 3
+"""Number of successive episodes, reset at the same step before their end, after which a warning is given."""
+
 RENDER_MODES = ("human", "rgb_array")
 
 
@@ -101,6 +108,7 @@ class BaseEnvironment:
         self._bus_ids = np.array(bus_numbers(ids) or ids)  # numbers where all are, which clients make tensors of
         self._simulation: Simulation = simulation(self.scenario, n_env)
         self._last: Transition | None = None
+        self._cut_at, self._cuts = 0, 0  # step at which the last episodes were reset before their end, and how many
 
     @property
     def transition(self) -> Transition:
@@ -147,9 +155,33 @@ class BaseEnvironment:
         """Begin episodes; draw a seed if none was ever given."""
         if not self._simulation.begun:
             seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
+        elif self._simulation.n_env == 1:
+            self._warn_of_cuts()
         transition = self._simulation.reset(seeds, mask, given)
         self._arrived()
         return transition
+
+    def _warn_of_cuts(self) -> None:
+        """Warn, once, before a reset if the last episodes ended at the same step, before the horizon.
+
+        A time limit that is put around the environment cannot be seen from within, but its resets can. A single step
+        is no episode: checkers of environments take one.
+        """
+        now = self._simulation.now
+        steps = int(now.step[0])
+        if now.over[0]:
+            self._cuts = 0
+        elif steps > 0:
+            self._cuts = self._cuts + 1 if steps == self._cut_at else 1
+            self._cut_at = steps
+        if self._cuts == CUTS and steps > 1:
+            warnings.warn(
+                f"{CUTS} episodes in a row were reset at step {steps}, before the end at step {self.scenario.horizon}: "
+                f"what an episode is charged at its end, such as work left over, was left out; for episodes of {steps} "
+                f"steps pass horizon={steps} instead of a time limit around the environment",
+                EpisodeCutWarning,
+                stacklevel=4,
+            )
 
     def _step(self, action: np.ndarray) -> Transition:
         transition = self._simulation.step(action)

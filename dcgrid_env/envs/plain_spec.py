@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, registry
 
 from dcgrid_env.core.checked import Plain
 from dcgrid_env.envs.time_limit import Horizon
+from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.plain import refuse_objects, to_plain
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -31,6 +32,7 @@ class PlainSpec:
     @spec.setter
     def spec(self, spec: Any) -> None:
         if spec is not None:
+            self._refuse_time_limit(spec.id)
             kwargs = {name: _plain(value) for name, value in spec.kwargs.items() if not isinstance(value, Horizon)}
             fields = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec) if field.init}
             steps = Horizon(self.scenario.horizon)
@@ -38,6 +40,16 @@ class PlainSpec:
             spec = kind(**fields | {"kwargs": kwargs, "max_episode_steps": steps, "additional_wrappers": ()})
             self._made()
         self._spec = spec
+
+    def _refuse_time_limit(self, gym_id: str) -> None:
+        """Raise ScenarioError if the registration of an id has a time limit of another length than the horizon."""
+        steps, horizon = getattr(registry.get(gym_id), "max_episode_steps", None), self.scenario.horizon
+        if steps not in (None, horizon) and not isinstance(steps, Horizon):
+            raise ScenarioError(
+                f"{gym_id!r} is registered with max_episode_steps={steps} and its horizon is {horizon}, so what an "
+                f"episode is charged at its end, such as work left over, would be wrong; register it with "
+                f"kwargs={{'horizon': {steps}}} and without max_episode_steps"
+            )
 
     def _made(self) -> None:
         """Do what is due where Gymnasium has made the environment."""

@@ -52,7 +52,8 @@ class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray
     {end}
 
     ``horizon`` sets the number of steps, and so does ``max_episode_steps`` in ``gymnasium.make`` of a registered id. A
-    shorter ``TimeLimit`` that is put around the environment by hand ends episodes without charging leftover work.
+    shorter ``TimeLimit`` that is put around the environment by hand ends episodes without charging leftover work; the
+    third reset in a row at the same step warns of it.
 
     Information
     -----------

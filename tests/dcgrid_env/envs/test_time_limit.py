@@ -8,9 +8,18 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.wrappers import ClipAction, TimeAwareObservation
+from gymnasium.wrappers import ClipAction, TimeAwareObservation, TimeLimit
 
-from dcgrid_env import IDS, DcgridEnv, DcgridVectorEnv, Scenario, ScenarioError, make_scenario, parallel_env
+from dcgrid_env import (
+    IDS,
+    DcgridEnv,
+    DcgridVectorEnv,
+    EpisodeCutWarning,
+    Scenario,
+    ScenarioError,
+    make_scenario,
+    parallel_env,
+)
 from dcgrid_env.traces import PowerTrace
 
 ID = "dcgrid/IEEE33Weak-v0"
@@ -176,3 +185,61 @@ def test_limits_of_other_environments_do_not_matter():
     env: Any = make(spec, max_episode_steps=3)
     env.reset(seed=0)
     assert env.unwrapped.inner.scenario.horizon == 120
+
+
+def run_steps(env: Any, lengths: list[int]) -> None:
+    """Begin an episode, take some steps, and so on for each of the numbers of steps; then reset once more."""
+    for steps in lengths:
+        env.reset()
+        for _ in range(steps):
+            over = any(env.step(np.zeros(env.action_space.shape, np.float32))[2:4])
+            if over:
+                break
+    env.reset()
+
+
+@pytest.mark.parametrize("steps", [4, 9])
+def test_registration_with_another_limit_than_the_horizon_is_refused(steps):
+    gymnasium.register(
+        "Another-v0", "dcgrid_env:DcgridEnv", max_episode_steps=steps, kwargs={"scenario": "toy6", "horizon": 6}
+    )
+    try:
+        with pytest.raises(ScenarioError, match=rf"max_episode_steps={steps} and its horizon is 6.*'horizon': {steps}"):
+            make("Another-v0")
+    finally:
+        del gymnasium.registry["Another-v0"]
+
+
+def test_registration_with_the_horizon_as_limit():
+    gymnasium.register(
+        "Another-v0", "dcgrid_env:DcgridEnv", max_episode_steps=6, kwargs={"scenario": "toy6", "horizon": 6}
+    )
+    try:
+        assert make("Another-v0").spec.max_episode_steps == 6
+    finally:
+        del gymnasium.registry["Another-v0"]
+
+
+def test_time_limit_by_hand_warns():
+    env = TimeLimit(DcgridEnv("toy6", horizon=6), 4)
+    with pytest.warns(EpisodeCutWarning, match=r"reset at step 4, before the end at step 6.*pass horizon=4"):
+        run_steps(env, [9, 9, 9])
+
+
+def test_cycles_by_hand_warn():
+    env: Any = parallel_env("toy6", horizon=6)
+    env.reset()
+    rest = {agent: np.zeros(env.action_space(agent).shape, np.float32) for agent in env.agents}
+    for _ in range(2):
+        for _ in range(2):
+            env.step(rest)
+        env.reset()
+    env.step(rest)
+    env.step(rest)
+    with pytest.warns(EpisodeCutWarning, match="pass horizon=2"):
+        env.reset()
+
+
+@pytest.mark.parametrize("lengths", [[4, 4], [4, 3, 4, 4], [4, 4, 6, 4], [1, 1, 1, 1], [0, 0, 0, 0], [6, 6, 6, 6]])
+def test_other_resets_do_not_warn(lengths):
+    run_steps(DcgridEnv("toy6", horizon=6), lengths)  # a warning is an error in tests
