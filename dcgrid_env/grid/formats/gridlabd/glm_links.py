@@ -140,7 +140,7 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
     for name, number in (("raise_taps", up), ("lower_taps", down)):
         if number < 1:
             wrong(config, name, "must be at least 1")
-    step = model.real(config, "regulation", "ratio", 0.0) / up
+    step = model.real(config, "regulation", "plain number", 0.0) / up  # GridLAB-D reads 10 % as 10
     if step < 0.0 or (step == 0.0 and _kind_of_control(script, config) != "MANUAL"):
         wrong(config, "regulation", "must be positive, such as 0.1 for steps of 0.00625 by 16 taps")
     taps = {

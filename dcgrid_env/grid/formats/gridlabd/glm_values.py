@@ -33,6 +33,7 @@ UNITS = {
     "time": {"s": 1.0, "min": 60.0, "h": 3600.0},
     "frequency": {"Hz": 1.0},
     "ratio": {"pu": 1.0, "unit": 1.0, "%": 0.01},
+    "plain number": {"pu": 1.0},
 }  # fmt: skip
 """Factor of each unit, by quantity. GridLAB-D's units, which have the factor 1, apply to values without a unit.
 

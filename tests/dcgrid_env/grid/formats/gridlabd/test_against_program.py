@@ -254,3 +254,13 @@ def test_a_compensator_needs_a_current_transducer(model):
     )
     with pytest.raises(FeederError, match="regulator_configuration rc: current_transducer_ratio must be positive"):
         read_model(model(text))
+
+
+@pytest.mark.slow
+def test_a_regulation_in_percent_is_refused(model):
+    """GridLAB-D has no unit for it, and reads the number as it is."""
+    text = regulator("connect_type 1; regulation 10 %; tap_pos_A 5;")
+    path = model(text)
+    assert properties(path, [("rc", "regulation")]) == {("rc", "regulation"): 10.0}
+    with pytest.raises(FeederError, match="regulator_configuration rc: regulation '10 %' must be in pu"):
+        read_model(path)
