@@ -22,7 +22,7 @@ from dcgrid_env.grid.formats.bus_branch.description import empty_grid
 from dcgrid_env.grid.formats.import_report import UNBALANCED, Report
 from dcgrid_env.grid.formats.pandapower.net_branches import ModelRows, read_branches
 from dcgrid_env.grid.formats.pandapower.net_profiles import NetProfiles
-from dcgrid_env.grid.formats.pandapower.net_schema import REFUSED, PandapowerNet, check_net
+from dcgrid_env.grid.formats.pandapower.net_schema import EMPTY_WORDS, REFUSED, PandapowerNet, check_net
 from dcgrid_env.grid.formats.pandapower.net_source import loaded_net
 from dcgrid_env.grid.topology import FeederError
 
@@ -85,6 +85,8 @@ def read_pandapower(
                 "lost", "controller", map(str, net.controller.index), "it moves nothing: taps stay as they are"
             )
         _report_what_is_refused(net, report)
+        if any(row.fate == "refused" for row in report.findings):
+            report.refuse_unless(str(net.name or called), ())  # pandapower may be unable to build its model of them
         _report_taps(net, report)
         _report_options(net, report)
         converged = _solve(called, net)
@@ -246,7 +248,7 @@ def _report_taps(net: PandapowerNet, report: Report) -> None:
         steps = [f"{tap}_step_{unit}" for unit in ("percent", "degree") if f"{tap}_step_{unit}" in table.columns]
         for i, row in table.iterrows():
             of_type = row.get(f"{tap}_changer_type")
-            has_type = isinstance(of_type, str) and of_type != ""
+            has_type = of_type == of_type and of_type not in EMPTY_WORDS
             position, neutral = _number(row[f"{tap}_pos"]), _number(row.get(f"{tap}_neutral"))
             if not has_type and position != neutral and any(_number(row[step]) for step in steps):
                 text = (

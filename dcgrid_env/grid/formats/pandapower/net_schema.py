@@ -82,6 +82,8 @@ REFUSED = {
     "load_dc": "a DC load",
 }
 """Tables of what no balanced feeder has, and what their elements are."""
+EMPTY_WORDS = (None, "", "nan", "None")
+"""Contents of an empty cell of words; pandapower itself writes "nan" for transformers of three windings."""
 _WORDS = {
     ("switch", "et"): ("b", "l", "t", "t3"),
     ("trafo", "tap_side"): ("hv", "lv"),
@@ -124,7 +126,7 @@ def check_net(source: str, net: PandapowerNet) -> None:
     for (name, column), words in _WORDS.items():
         if column in net[name].columns:
             for i, cell in zip(net[name].index, net[name][column], strict=True):
-                if cell not in (None, "", *words) and cell == cell:
+                if cell not in (*EMPTY_WORDS, *words) and cell == cell:
                     text = f"{column} is {str(cell)[:60]!r}; it is {' or '.join(words)}"
                     raise FeederError(f"{source}, table {name}, index {i}: {text}")
     _check_switches(source, net)

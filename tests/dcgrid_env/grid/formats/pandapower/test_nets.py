@@ -395,3 +395,50 @@ def test_simbenchs_year_gives_pandapowers_voltages_before_between_and_after_summ
         ours = dict(zip(feeder.bus_ids, distflow(feeder, load_kw, load_kvar).v_pu.tolist(), strict=True))
         theirs = net.res_bus.vm_pu
         assert max(abs(ours[our_bus] - theirs[int(bus)]) for bus, our_bus in imported.bus_of.items()) < 1e-6
+
+
+def two_buses():
+    net = pp.create_empty_network()
+    first, second = (pp.create_bus(net, 20.0) for _ in range(2))
+    pp.create_ext_grid(net, first, vm_pu=1.02)
+    pp.create_line_from_parameters(net, first, second, 2.0, 0.3, 0.3, 200.0, 0.3)
+    return net
+
+
+@pytest.mark.parametrize(
+    ("add", "text"),
+    [
+        (lambda n: pp.create_xward(n, 1, 0.1, 0, 0, 0, 0.1, 0.1, 1.0), "xward 0: it keeps a voltage"),
+        (lambda n: pp.create_svc(n, 1, 1.0, -1.0, 1.0, 90.0), "svc 0: a static var compensator"),
+        (lambda n: pp.create_load_dc(n, pp.create_bus_dc(n, 20.0), 0.1), "load_dc 0: a DC load"),
+    ],
+)
+def test_refused_elements_of_a_file_are_named(add, text, tmp_path):
+    net = two_buses()
+    add(net)
+    path = tmp_path / "net.json"
+    pp.to_json(net, str(path))
+    with pytest.raises(FeederError, match=text):
+        read_pandapower(str(path))
+
+
+@pytest.mark.slow
+def test_three_windings_whose_tap_has_no_type(tmp_path):
+    """pandapower writes the missing type as a word, and then ignores the tap."""
+    net = two_buses()
+    medium, low = pp.create_bus(net, 10.0), pp.create_bus(net, 0.4)
+    pp.create_transformer3w_from_parameters(
+        net, 1, medium, low, 20, 10, 0.4, 5, 3, 2, 6, 5, 4, 0.3, 0.3, 0.3, 10, 0.1,
+        tap_side="hv", tap_neutral=0, tap_pos=2, tap_min=-5, tap_max=5, tap_step_percent=2.0,
+    )  # fmt: skip
+    pp.create_load(net, medium, 0.3, 0.1)
+    assert net.trafo3w.tap_changer_type.tolist() == ["nan"]
+    path = tmp_path / "net.json"
+    pp.to_json(net, str(path))
+    with quiet():
+        pp.runpp(net, calculate_voltage_angles=True)
+    found = read_pandapower(str(path))
+    feeder = Feeder.from_network(found.network)
+    v_pu = dict(zip(feeder.bus_ids, distflow(feeder, feeder.p_load_kw, feeder.q_load_kvar).v_pu, strict=True))
+    assert v_pu[found.bus_of["2"]] == pytest.approx(net.res_bus.vm_pu[medium], abs=1e-7)
+    assert fates(found)["tap of trafo3w", "nothing lost"] == ("0",)
