@@ -335,7 +335,9 @@ def _opendss_volts(master: Path) -> dict[str, complex]:
 
     dss.Basic.AllowEditor(False)
     dss.Basic.AllowChangeDir(False)
-    dss.Text.Command(f'redirect "{master}"')
+    with tempfile.TemporaryDirectory() as folder:
+        dss.Basic.DataPath(folder)  # where commands of a script write
+        dss.Text.Command(f'redirect "{master}"')
     dss.Text.Command("set controlmode=off mode=snapshot")
     dss.Solution.Convergence(1e-10)
     dss.Solution.MaxIterations(500)
