@@ -69,12 +69,6 @@ def test_what_is_disabled_or_beyond_an_open_switch_is_left_out(master):
     assert apart_pu(found) < 1e-8
 
 
-@pytest.mark.slow
-def test_a_circuit_without_base_voltages_is_refused(master):
-    with pytest.raises(FeederError, match="has no base voltage; add Set VoltageBases"):
-        read_circuit(master(end=""))
-
-
 def test_what_opendss_refuses_names_file_and_line(master):
     with pytest.raises(FeederError, match=r"Master.dss, line 9: OpenDSS refuses the command: .*nowhere") as refused:
         read_circuit(master("New Load.x bus1=n kv=1 kw=1 daily=nowhere"))
