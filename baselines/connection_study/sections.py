@@ -22,8 +22,8 @@ from dcgrid_env.baselines.hosting_capacity.added_site import AddedSite
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.element_names import branch_to, time_text
 from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, load_hours, windows_text, with_same_hours
-from dcgrid_env.baselines.hosting_capacity.snapshot import snapshot_capacity, study_windows
 from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, run_trial
+from dcgrid_env.baselines.hosting_capacity.worst_hours import snapshot_capacity, study_windows
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout, transitions
 from dcgrid_env.core.html_page import png

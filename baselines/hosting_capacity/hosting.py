@@ -17,8 +17,8 @@ from dcgrid_env.baselines.hosting_capacity.bus_search import worst_samples
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, with_worst_hours
 from dcgrid_env.baselines.hosting_capacity.site_search import BusCapacity, search_buses
-from dcgrid_env.baselines.hosting_capacity.snapshot import SNAPSHOT, exempt, reasons, snapshots
 from dcgrid_env.baselines.hosting_capacity.trial import overloaded_nodes, trials
+from dcgrid_env.baselines.hosting_capacity.worst_hours import SNAPSHOT, exempt, reasons, snapshots
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.registry import TUNED, find_controller
 from dcgrid_env.baselines.tuning.tunable import TUNABLE

@@ -23,8 +23,15 @@ from dcgrid_env.baselines.hosting_capacity.hosting import UNCONTROLLED
 from dcgrid_env.baselines.hosting_capacity.load_hours import Windows, load_hours, with_worst_hours
 from dcgrid_env.baselines.hosting_capacity.site_scenario import with_sites
 from dcgrid_env.baselines.hosting_capacity.site_search import limit_of, overloaded_before
-from dcgrid_env.baselines.hosting_capacity.snapshot import exempt, moment_of, moments, reasons, snapshots, worst_hours
 from dcgrid_env.baselines.hosting_capacity.trial import ROUNDING, Trial, hour_margins, overloaded_nodes, run_trial
+from dcgrid_env.baselines.hosting_capacity.worst_hours import (
+    exempt,
+    moment_of,
+    moments,
+    reasons,
+    snapshots,
+    worst_hours,
+)
 
 Rule = Literal["equal", "sum"]
 MOST_ORDERS = 4

@@ -17,8 +17,8 @@ from dcgrid_env.baselines.connection_study.study_request import StudyRequest
 from dcgrid_env.baselines.hosting_capacity.capacity_study import Study
 from dcgrid_env.baselines.hosting_capacity.hosting import hosting_capacity
 from dcgrid_env.baselines.hosting_capacity.load_hours import sampled_windows
-from dcgrid_env.baselines.hosting_capacity.snapshot import study_windows
 from dcgrid_env.baselines.hosting_capacity.trial import LIMITS
+from dcgrid_env.baselines.hosting_capacity.worst_hours import study_windows
 from dcgrid_env.powerflow import distflow
 from dcgrid_env.traces import ProfileTable
 
