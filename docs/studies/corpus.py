@@ -102,7 +102,7 @@ def outcome(corpus: str, grid: Grid) -> Outcome:
     except NoSolutionError as error:
         return Outcome(corpus, grid.name, 0, math.nan, "no solution", str(error))
     except FeederError as error:
-        return Outcome(corpus, grid.name, 0, math.nan, "refused", str(error))
+        return Outcome(corpus, grid.name, 0, math.nan, "refused", re.sub(r"(?<!\S)/\S*/", "", str(error)))  # no folders
     where = max(apart, key=lambda node: math.inf if math.isnan(apart[node]) else apart[node])
     equal = apart[where] <= EQUAL_PU
     reason = "" if equal else f"at {where}"
