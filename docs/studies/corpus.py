@@ -130,7 +130,7 @@ def differences_from_pandapower(make: Callable[[], Any], source: str | None = No
     net = make()
     imported = read_pandapower(copy.deepcopy(net), at=source)
     try:
-        pandapower.runpp(net, tolerance_mva=1e-9, max_iteration=50, numba=False)
+        pandapower.runpp(net, tolerance_mva=1e-9, max_iteration=50, numba=False)  # pyright: ignore[reportArgumentType]
     except pandapower.LoadflowNotConverged as error:
         raise NoSolutionError(str(error)) from None
     live = set(net.bus.index[net.res_bus.vm_pu.notna()])
@@ -274,8 +274,8 @@ def _matpower_case(path: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / path.name
         file.write_text(plain)
-        frames = CaseFrames(str(file))
-    bus, gen, branch = (np.array(table, dtype=float) for table in (frames.bus, frames.gen, frames.branch))
+        frames: Any = CaseFrames(str(file))
+    bus, gen, branch = (np.array(getattr(frames, name), dtype=float) for name in ("bus", "gen", "branch"))
     mva = float(frames.baseMVA)
     if re.search(r"^mpc\.branch\(:", text, re.MULTILINE):  # ohm
         branch[:, 2:4] /= bus[0, 9] ** 2 / mva
@@ -346,7 +346,7 @@ def _opendss_volts(master: Path) -> dict[str, complex]:
         raise NoSolutionError("OpenDSS does not converge")
     parts = np.array(dss.Circuit.AllBusVolts())
     volts = parts[0::2] + 1j * parts[1::2]
-    nodes = [name.rpartition(".") for name in dss.Circuit.AllNodeNames()]
+    nodes = [name.rpartition(".") for name in dss.Circuit.AllNodeNames() or ()]
     numbers = sorted({int(number) for _, _, number in nodes})
     letters = dict(zip([n for n in numbers if n <= 26], (LETTERS[n - 1] for n in numbers if n <= 26), strict=True))
     unused = [letter for letter in LETTERS[3:] if letter not in letters.values()]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import typing
+from typing import Any
 
 import pytest
 
@@ -31,8 +32,9 @@ def test_every_number_of_a_command_has_a_limit(line):
     for name in numbers(kind):
         low, high = LIMITS[name]
         assert low < high < float("inf")
-        if isinstance(defaults[name], int | float):
-            assert low <= defaults[name] <= high
+        default: Any = defaults[name]
+        if isinstance(default, int | float):
+            assert low <= default <= high
 
 
 @pytest.mark.parametrize("line", [line for line, entry in ENTRIES.items() if "train:" in entry.where])

@@ -14,7 +14,7 @@ from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.baselines.hindsight_costs import read_hindsight
 from dcgrid_env.baselines.scenario_spec import read_value
 from dcgrid_env.baselines.tuning.tuned import read_tuned
-from dcgrid_env.baselines.user_code import load, parse
+from dcgrid_env.baselines.user_code import CodeReference, load
 from dcgrid_env.cli.connection_study import read_request
 from dcgrid_env.cli.stored_run import stored_run
 from dcgrid_env.core.user_files import parse_json, parse_toml, read_bytes, read_json, read_text
@@ -69,7 +69,7 @@ READERS = {
     "policy": (Policy.load, ".safetensors", PolicyError),
     "hindsight": (lambda path: read_hindsight(path.parent, path.stem), ".json", ValueError),
     "results": (lambda path: stored_run(path.parent, False), ".json", ValueError),
-    "code": (lambda path: load(parse(f"{path}:make"), "controller"), ".py", ValueError),
+    "code": (lambda path: load(CodeReference(str(path), "make"), "controller"), ".py", ValueError),
 }
 
 

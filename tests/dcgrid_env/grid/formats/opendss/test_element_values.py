@@ -1,6 +1,7 @@
 """Values that OpenDSS computes from properties nobody reads: each row has the admittance of its element."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ def test_an_element_whose_row_differs_becomes_an_admittance(master, monkeypatch)
     right = dss_transformers.transformer_joint
 
     def wrong(*arguments):
-        joint = right(*arguments)
+        joint: Any = right(*arguments)
         return dataclasses.replace(joint, values=joint.values | {"x_percent": 1.0})
 
     monkeypatch.setattr(reading, "transformer_joint", wrong)
