@@ -33,9 +33,9 @@ from dcgrid_env.core.files import write_text
 from dcgrid_env.core.install import from_clone
 from dcgrid_env.core.user_files import MOST_MIB, is_file
 from dcgrid_env.traces.checks import FloatArray, TraceError
-from dcgrid_env.traces.logs.clock import date_of
 from dcgrid_env.traces.profile_table import ProfileTable, checked_table
 from dcgrid_env.traces.summer_time import elapsed_s
+from dcgrid_env.traces.text.dates import date_of
 from dcgrid_env.traces.text.table_file import open_table
 
 REACTIVE = ".q"

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 from dcgrid_env.core.user_files import MOST_MIB, parse_json
 from dcgrid_env.traces.checks import TraceError
-from dcgrid_env.traces.logs.clock import seconds
 from dcgrid_env.traces.logs.meters import Meters, one_of
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.recording_clock import BEGAN, UTC_OFFSET
 from dcgrid_env.traces.text.cells import reading
+from dcgrid_env.traces.text.dates import seconds
 from dcgrid_env.traces.text.power_unit import column_unit, require_power
 from dcgrid_env.traces.text.text_file import TextFile, open_text, stem
 from dcgrid_env.traces.text.times import clock_text

@@ -6,10 +6,10 @@ import os
 import re
 
 from dcgrid_env.traces.checks import TraceError, require_positive
-from dcgrid_env.traces.logs.clock import seconds
 from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.cells import not_a_number, reading
+from dcgrid_env.traces.text.dates import seconds
 from dcgrid_env.traces.text.text_file import open_text, stem
 from dcgrid_env.traces.text.times import clock_text
 from dcgrid_env.traces.trace import PowerTrace

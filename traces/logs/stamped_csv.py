@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.traces.checks import TraceError
-from dcgrid_env.traces.logs.clock import is_date, seconds, utc_offset_h
 from dcgrid_env.traces.logs.meters import Meters
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.recording_clock import BEGAN, UTC_OFFSET
 from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number, reading
+from dcgrid_env.traces.text.dates import is_date, seconds, utc_offset_h
 from dcgrid_env.traces.text.power_unit import (
     KW_PER_UNIT,
     bracketed,

@@ -13,9 +13,9 @@ import numpy as np
 
 from dcgrid_env.core.user_files import parse_json
 from dcgrid_env.traces.checks import FloatArray, TraceError, check_samples, require_positive
-from dcgrid_env.traces.logs.clock import FORMS
 from dcgrid_env.traces.provenance import Provenance
 from dcgrid_env.traces.text.cells import is_missing, is_number, not_a_number
+from dcgrid_env.traces.text.dates import FORMS
 from dcgrid_env.traces.text.gaps import GapRule
 from dcgrid_env.traces.text.power_limits import above_limit, limit_of, outlier, outlier_text
 from dcgrid_env.traces.text.power_unit import (

@@ -28,7 +28,7 @@ class UnverifiedFeederWarning(UserWarning):
 
 
 class AcceptedFeederWarning(UnverifiedFeederWarning):
-    """The same for a feeder that was imported with ``--allow unverified``."""
+    """A feeder was read whose import was not verified and was accepted by ``--allow unverified``."""
 
 
 def write_stamp(folder: Path, verdict: str, accepted: bool) -> None:

@@ -52,7 +52,7 @@ def test_show_refuses_what_is_too_short_for_the_picture(tmp_path, capsys):
             r"site\.csv: must last .*, got 5 s; use a longer recording or shorter steps .--dt-s 2.$",
         ),
         (["chat", "--against", str(path), "--dt-s", "3"], r"site\.csv: must last .*, got 5 s"),
-        (["chat", "--dt-s", "-1"], "--dt-s = -1.0 is not a finite number above 0"),
+        (["chat", "--dt-s", "-1"], "dt_s: must be at least 0.001, got -1"),
     ):
         said = " ".join(fails(capsys, "show", *arguments, "--out", str(out)).split())
         assert re.search(message, said), said

@@ -22,7 +22,7 @@ from dcgrid_env.grid.network import (
 )
 from helpers.feeders import BALANCED
 
-FIGURE = st.floats(-1e9, 1e9).filter(lambda value: value != 0.0)
+FIGURE = st.floats(-1e8, 1e8).filter(lambda value: abs(value) > 1e-96)  # within the limits of a feeder
 TEXT = st.text(st.characters(exclude_categories=["Cc", "Cs", "Zs", "Zl", "Zp"]), min_size=1, max_size=6)
 
 
@@ -31,10 +31,12 @@ def networks(draw):
     """Balanced radial networks; buses with and without a load, a capacitor and coordinates."""
     bus = draw(st.lists(TEXT | st.integers(-9, 99).map(str), min_size=1, max_size=8, unique=True))
     n = len(bus)
-    coordinate = st.lists(st.floats(-1e6, 1e6) | st.just(float("nan")), min_size=n, max_size=n)
+    coordinate = st.lists(
+        FIGURE.map(lambda value: value / 1e3) | st.just(0.0) | st.just(float("nan")), min_size=n, max_size=n
+    )
     loaded, shunted = (draw(st.lists(st.sampled_from(bus), unique=True).map(lambda b: sorted(b, key=bus.index)))
                        for _ in range(2))  # fmt: skip
-    ohm = st.lists(st.floats(0.0, 1e6), min_size=n - 1, max_size=n - 1)
+    ohm = st.lists(FIGURE.map(lambda value: abs(value) / 1e3) | st.just(0.0), min_size=n - 1, max_size=n - 1)
 
     def figures(buses):
         return draw(st.lists(FIGURE, min_size=len(buses), max_size=len(buses)))

@@ -15,7 +15,7 @@ from dcgrid_env.traces import (
     read_wattameter_log,
     recorded_trace,
 )
-from dcgrid_env.traces.logs.clock import is_date, seconds
+from dcgrid_env.traces.text.dates import is_date, seconds
 
 DMON = """\
 #Entity   POWER    TMPTR

@@ -29,7 +29,7 @@ class Joint:
     nodes: tuple[Node, ...] = ()
     """Nodes of an admittance, in the order of its matrix."""
     parts: tuple[tuple[Node, ...], ...] = ()
-    """The same nodes, those that it connects with each other together."""
+    """Groups of the nodes that it connects with each other."""
     members: tuple[str, ...] = ()
     """The elements that it is, as class.name."""
 

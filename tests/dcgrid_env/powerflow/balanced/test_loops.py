@@ -88,7 +88,7 @@ def meshed(draw):
     ends += draw(st.lists(further, min_size=1, max_size=8))
     z = st.floats(1e-4, 0.01)
     r, x = (draw(st.lists(z, min_size=len(ends), max_size=len(ends))) for _ in range(2))
-    power = st.floats(-300.0, 600.0)
+    power = st.floats(-300.0, 600.0).map(lambda value: round(value, 9))  # no feeder has less than 1e-100 kW
     p, q, g, b = (draw(st.lists(power, min_size=n, max_size=n)) for _ in range(4))
     return small(ends, r, x, p, q, shunt_kw=[abs(value) / 10 for value in g], shunt_kvar=[value / 10 for value in b])
 

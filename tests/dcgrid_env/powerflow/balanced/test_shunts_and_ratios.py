@@ -44,9 +44,15 @@ def two_buses(r, x, g, b, ratio):
     )  # fmt: skip
 
 
+def rounded(value):
+    """A figure that a feeder may have: none is below 1e-100 in size."""
+    return round(value, 12)
+
+
 @settings(deadline=None)
 @given(
-    p=st.floats(-1.0, 1.0), q=st.floats(-1.0, 1.0), g=st.floats(-0.5, 1.0), b=st.floats(-1.0, 1.0),
+    p=st.floats(-1.0, 1.0), q=st.floats(-1.0, 1.0),
+    g=st.floats(-0.5, 1.0).map(rounded), b=st.floats(-1.0, 1.0).map(rounded),
     ratio=st.floats(0.8, 1.2), v0=st.floats(0.95, 1.05),
 )  # fmt: skip
 @pytest.mark.slow
