@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import RandomFeeders, Scenario, acting_relays, solver_for
+from dcgrid_env import Feeder, RandomFeeders, Scenario, acting_relays, solver_for
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.rollout import rollout
 from dcgrid_env.grid import is_bundled
@@ -124,7 +124,10 @@ def source_line(scenario: Scenario, origin: str) -> str:
 def _leaves_band(scenario: Scenario) -> bool:
     """Whether a bus is outside the band at nominal load, without devices, at the feeder's source voltage."""
     feeder: Any = scenario.feeder
-    solution = solver_for(feeder, scenario.power_flow)(feeder, feeder.p_load_kw, feeder.q_load_kvar, feeder.v0_pu)
+    q_kvar = feeder.q_load_kvar
+    if isinstance(feeder, Feeder) and scenario.background.capacitors:  # three-phase feeders have a table of their banks
+        q_kvar = q_kvar - feeder.capacitor_kvar
+    solution = solver_for(feeder, scenario.power_flow)(feeder, feeder.p_load_kw, q_kvar, feeder.v0_pu)
     v_pu = np.asarray(solution.v_pu)[..., feeder.load_slice]
     return not np.all(np.abs(v_pu - 1.0) <= scenario.cost.band_pu)
 

@@ -45,6 +45,14 @@ def test_only_bundled_feeders_that_leave_the_band_by_themselves_are_centred(tmp_
     assert default_voltage(scenario_on(read_feeder(tmp_path / "mine"))).source_voltage_pu == 1.0
 
 
+def test_capacitors_of_a_feeder_count_in_its_lowest_voltage():
+    """ieee123 has 0.923 p.u. with its 750 kvar of capacitors and 0.886 p.u. without them."""
+    scenario = scenario_on(load_feeder("ieee123")).replace(cost={"band_pu": 0.1})
+    assert default_voltage(scenario).source_voltage_pu == 1.0
+    without = scenario.replace(background={"capacitors": False})
+    assert default_voltage(without).source_voltage_pu > 1.0
+
+
 def test_a_centred_voltage_can_be_asked_for_where_fields_are_overridden(tmp_path):
     load_feeder("ieee33").scaled(1.1, 1.0).to_csv(tmp_path / "mine")
     texts = (f"feeder={tmp_path / 'mine'}", "source_voltage_pu=centred")
