@@ -9,6 +9,7 @@ from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.unseen import UnseenScenarioWarning
+from dcgrid_env.agents.training.sb3_settings import ppo_settings, sac_settings
 from dcgrid_env.agents.training.vec_env import sb3_vec_env
 from dcgrid_env.baselines import find_controller
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate
@@ -25,5 +26,7 @@ __all__ = [
     "evaluate",
     "find_controller",
     "guarded",
+    "ppo_settings",
+    "sac_settings",
     "sb3_vec_env",
 ]

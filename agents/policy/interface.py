@@ -195,7 +195,7 @@ class PolicyInterface:
         """Return the inputs of each network: (..., n) for a joint one, (..., n_agent, n) for a kind of agent."""
         if self._visible is not None:
             joint = joint * self._visible
-        plates = self._plates(joint) if self.nameplate else ()
+        plates = self.plates(joint) if self.nameplate else ()
         if self.kind == "joint":
             return {"joint": _joined((joint, *plates)) if plates else joint}
         networks = {}
@@ -205,7 +205,7 @@ class PolicyInterface:
             networks[kind] = _joined((observed, *of_group)) if plates else observed
         return networks
 
-    def _plates(self, joint: Array) -> tuple[Any, Any, Any]:
+    def plates(self, joint: Array) -> tuple[Any, Any, Any]:
         """Return the three nameplate inputs, each (..., n_agent); see :class:`Policy`."""
         draw, reach = (joint[..., self._of_all[z]] * scale for z, scale in zip("rx", self._scales_mw, strict=True))
         by = reach if self._reactive is None else _chosen(self._reactive, reach, draw)

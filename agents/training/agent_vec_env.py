@@ -23,6 +23,7 @@ from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS
 from dcgrid_env.agents.policy.interface import Gains, PolicyInterface
 from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs, in_hand
 from dcgrid_env.agents.training.config import Act
+from dcgrid_env.agents.training.row_form import View
 from dcgrid_env.baselines.equipment_agents import at_rest
 
 
@@ -37,7 +38,8 @@ class AgentVecEnv(JointVecEnv):
         Whether the nameplate figures are observed.
     """
 
-    kind = view = "shared"
+    kind = "shared"
+    view: View = "shared"
 
     def __init__(
         self,
@@ -57,7 +59,7 @@ class AgentVecEnv(JointVecEnv):
             )
         view = self._agent_interface = PolicyInterface(scenario, "shared", nameplate=nameplate)
         self.fields = tuple(dict.fromkeys(name for group in view.groups.values() for name in group.fields))
-        self._figures = 3 * nameplate
+        self.nameplate, self._figures = nameplate, 3 * nameplate
         self.kinds = ("inverter", "datacenter", *(kind for kind in view.groups if kind not in PLAIN_CHANNELS))
         """Kinds of agents in the order of the rows of ``used``; all but the first have a figure in the observation."""
         self.members = {kind: np.arange(group.agents.start, group.agents.stop) for kind, group in view.groups.items()}
@@ -105,27 +107,36 @@ class AgentVecEnv(JointVecEnv):
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
         joint, _ = super()._spaces()
-        low, high = (self._of_agents(edge[None])[0] for edge in (joint.low, joint.high))
+        low, high = (self._rows(edge[None]).reshape(self.rows_per_env, -1) for edge in (joint.low, joint.high))
         low, high = low.min(axis=0), high.max(axis=0)
         plate = slice(len(self.fields), len(self.fields) + self._figures)
         low[plate], high[plate] = -np.inf, np.inf
-        n_kind = self._kind.shape[1]
-        low[-n_kind:], high[-n_kind:] = 0.0, 1.0
+        low[plate.stop :], high[plate.stop :] = 0.0, 1.0
         return spaces.Box(low, high, dtype=np.float32), self._action_space(len(self.channels))
 
     def _rows(self, joint: np.ndarray) -> np.ndarray:
-        of_agents = self._of_agents(joint)
-        return of_agents.reshape(-1, of_agents.shape[-1])
+        plates = self._agent_interface.plates(joint) if self.nameplate else ()
+        ends = np.broadcast_to(np.array([0.0, 1.0], np.float32), (len(joint), 2))
+        rows = np.concatenate((joint, *plates, ends), axis=-1, dtype=np.float32).take(self._sources, axis=1)
+        return rows.reshape(-1, rows.shape[-1])
 
-    def _of_agents(self, joint: np.ndarray) -> np.ndarray:
-        """Convert joint observations, (env, n_observation), to those of the agents, (env, agent, n)."""
-        n_agent, n_kind = self._kind.shape
-        rows = np.zeros((len(joint), n_agent, len(self.fields) + self._figures + n_kind), np.float32)
-        rows[..., -n_kind:] = self._kind
-        for kind, inputs in self._agent_interface.inputs(joint).items():
-            members = self.members[kind]
-            rows[:, members[:, None], self.columns(self.scenario.agents[members[0]])] = inputs
-        return rows
+    @property
+    def _zero(self) -> int:
+        """Where the 0 is that ``_sources`` refers to; the 1 follows."""
+        return sum(len(names) for names in field_names(self.scenario).values()) + self._figures * self.scenario.n_agents
+
+    @cached_property
+    def _sources(self) -> np.ndarray:
+        """Where the figures of a row are in joint observation, nameplate figures, 0 and 1, (row, n_observation)."""
+        scenario, n_agent = self.scenario, self.scenario.n_agents
+        names = [field_names(scenario)[agent] for agent in scenario.agents]
+        first = np.cumsum([0, *map(len, names)])
+        sources = np.full((n_agent, len(self.fields) + self._figures + self._kind.shape[1]), self._zero, np.int64)
+        for i, own in enumerate(names):
+            sources[i, [self.fields.index(name) for name in own]] = first[i] + np.arange(len(own))
+            sources[i, len(self.fields) :][: self._figures] = first[-1] + i + n_agent * np.arange(self._figures)
+        sources[:, len(self.fields) + self._figures :] += self._kind.astype(np.int64)
+        return sources
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
         each = (actions * self.reach).reshape(-1, self.scenario.n_agents, len(self.channels))

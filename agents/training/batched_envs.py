@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -19,20 +19,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from dcgrid_env import DcgridVectorEnv, Scenario, action_layout, end_costs
 from dcgrid_env.agents.policy.interface import Gains, PolicyInterface
 from dcgrid_env.agents.training.config import Act
-from dcgrid_env.baselines import make_controller
+from dcgrid_env.agents.training.row_form import Outputs, RowActions, RowForm, View, droop_gains
 from dcgrid_env.baselines.equipment_agents import at_rest
 
-Outputs = Literal["setpoint", "change", "droop"]
 REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 0.25), "droop": (0.5, 0.5, 0.25)}
 """Network output for an action of 1: clock, reactive set point and other channel."""
-LARGEST = {"setpoint": 1.0, "change": 5.0, "droop": 5.0}
-"""Largest action; changes should stay well below it."""
-
-
-def droop_gains(scenario: Scenario) -> Gains:
-    """Return the gains of the tuned droop; raise ValueError if bundled gains are missing."""
-    law: Any = make_controller("droop-tuned", scenario)
-    return Gains(law.k_p_mw_per_pu, law.k_q_mvar_per_pu_s, law.alpha_per_s)
 
 
 class JointVecEnv(VecEnv):
@@ -65,6 +56,8 @@ class JointVecEnv(VecEnv):
     """
 
     kind = "joint"
+    view: View = "joint"
+    nameplate = False
 
     def __init__(
         self,
@@ -141,9 +134,8 @@ class JointVecEnv(VecEnv):
         return observation, self._action_space(action.shape[0])
 
     def _action_space(self, n_action: int) -> spaces.Box:
-        largest = LARGEST[self.outputs]
-        self._n_action = n_action
-        return spaces.Box(-largest, largest, (n_action,), np.float32)
+        form = RowForm(self.view, self.outputs, self.nameplate, self.gains, self.scenario.name)
+        return RowActions(form, n_action)
 
     def _rows(self, joint: np.ndarray) -> np.ndarray:
         """Convert joint observations, (env, n_observation), to observations of the rows."""

@@ -8,6 +8,8 @@ reward therefore belong to one channel, without the noise of the others.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from gymnasium import spaces
 
@@ -15,6 +17,7 @@ from dcgrid_env import Scenario, action_layout
 from dcgrid_env.agents.policy.interface import Gains
 from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.agents.training.batched_envs import Outputs
+from dcgrid_env.agents.training.row_form import View
 
 
 class ChannelVecEnv(AgentVecEnv):
@@ -26,7 +29,7 @@ class ChannelVecEnv(AgentVecEnv):
         Settings of the batch, see :class:`AgentVecEnv`.
     """
 
-    view = "channel"
+    view: View = "channel"
 
     def __init__(
         self,
@@ -48,18 +51,18 @@ class ChannelVecEnv(AgentVecEnv):
         return len(self._owner)
 
     def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
-        self._column = np.array([self.channels.index(name) for name in self._of_names])
-        """Channel of each row of an environment."""
-        self._code = np.eye(len(self.channels), dtype=np.float32)[self._column]
-        of_agent, _ = super()._spaces()
-        zero = np.zeros(len(self.channels), np.float32)
-        low, high = (np.concatenate(edges) for edges in ((of_agent.low, zero), (of_agent.high, zero + 1.0)))
-        return spaces.Box(low, high, dtype=np.float32), self._action_space(1)
+        observation, _ = super()._spaces()
+        return observation, self._action_space(1)
 
-    def _rows(self, joint: np.ndarray) -> np.ndarray:
-        code = np.broadcast_to(self._code, (len(joint), *self._code.shape))
-        rows = np.concatenate((self._of_agents(joint)[:, self._owner], code), axis=-1)
-        return rows.reshape(-1, rows.shape[-1])
+    @cached_property
+    def _column(self) -> np.ndarray:
+        """Channel of each row of an environment, (row,)."""
+        return np.array([self.channels.index(name) for name in self._of_names])
+
+    @cached_property
+    def _sources(self) -> np.ndarray:
+        code = np.eye(len(self.channels), dtype=np.int64)[self._column]
+        return np.concatenate((super()._sources[self._owner], self._zero + code), axis=1)
 
     def _means(self, actions: np.ndarray) -> dict[str, np.ndarray]:
         of_agents = np.zeros((self.n_envs, self.scenario.n_agents, len(self.channels)), np.float32)

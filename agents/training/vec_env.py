@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, get_args
 
 from dcgrid_env import IDS, Scenario, make_scenario
+from dcgrid_env.agents.training.row_form import Outputs, View, learning_form, pays_differences
 
 if TYPE_CHECKING:
     from dcgrid_env.agents.training.batched_envs import JointVecEnv
-
-SB3View = Literal["joint", "shared", "channel"]
-"""Whether a row is an environment, an agent of one, or a channel of an agent."""
-SB3Outputs = Literal["setpoint", "change", "droop"]
-"""Meaning of an action: set points, changes from the action that keeps the state, or corrections of the tuned droop."""
 
 
 def sb3_vec_env(
     scenario: str | Scenario,
     num_envs: int,
-    view: SB3View = "joint",
+    view: View | None = None,
     *,
-    outputs: SB3Outputs = "setpoint",
-    nameplate: bool = False,
+    outputs: Outputs | None = None,
+    nameplate: bool | None = None,
     render_mode: str | None = None,
     **overrides: object,
 ) -> JointVecEnv:
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
+
+    By default rows, actions and reward have the form with which training is fastest: a row is a channel of an agent,
+    an action of 0 is that of the tuned droop, and training is paid by difference rewards. :func:`ppo_settings` returns
+    the settings of PPO that go with it. ``view="joint", outputs="setpoint", reward="shared"`` is the form of
+    ``gymnasium.make``.
 
     Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next
     reset begins the episodes of seeds n, n + 1 and so on, one in each environment. In the last step of an episode
@@ -42,7 +44,7 @@ def sb3_vec_env(
     num_envs
         Environments in the batch.
     view
-        "joint": a row is an environment, with the observation and action of ``gymnasium.make``. "shared": a row is an
+        "joint": a row is an environment, with the observation of ``gymnasium.make``. "shared": a row is an
         agent, so that one policy drives all of them; the VecEnv has ``num_envs`` times the scenario's agents as rows,
         environment by environment. Observations are then an agent's own fields, 0 where it has none of the name. The
         last entry is 1 for a data centre or 0 for an inverter, with a further such entry for each other kind of agent.
@@ -51,17 +53,20 @@ def sb3_vec_env(
         ``reward="difference"``. "channel": a row is one channel of an agent, such as its clock or its reactive power,
         in the order of the joint action. Its action has one entry. Its observation is that of the shared view and then
         a figure for each channel, 1 for the row's own. With ``reward="difference"`` a row is paid its channel's entry.
+        Default: "channel", or "joint" if regulators or capacitor banks are among the agents.
     outputs
         "setpoint": actions are set points, as in ``gymnasium.make``. "change": reactive power is a change from the
         present one, and a clock is reduced from the one that serves all work. "droop": actions are corrections of the
-        tuned droop; ``cost={"default_action": "droop"}`` then uses its gains.
+        tuned droop. Default: "droop", or "change" if the droop has no tuned gains for the scenario.
     nameplate
         Whether to observe the effect of full demand and of full reactive power on the agent's voltage. The share of
-        the latter that corrects the voltage is observed too. Not in the joint view.
+        the latter that corrects the voltage is observed too. Not in the joint view. Default: in the other views.
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     **overrides
-        Any field of the Scenario, for instance ``horizon=60, split="validation"``.
+        Any field of the Scenario, for instance ``horizon=60, split="validation"``. Default of ``reward`` on the split
+        "train": "difference" where it is defined, with the action of 0 as ``cost.default_action``. On other splits the
+        reward is minus the cost, so that ``EvalCallback`` selects by J.
 
     Raises
     ------
@@ -73,22 +78,29 @@ def sb3_vec_env(
         For an unknown view or unknown outputs, nameplate figures in a joint view, or corrections of a droop without
         tuned gains. Also for another view than "joint" if regulators or capacitor banks are among the agents.
     """
-    if view not in get_args(SB3View):
-        raise ValueError(f"view is {view!r}; choose one of {', '.join(get_args(SB3View))}")
-    if outputs not in get_args(SB3Outputs):
-        raise ValueError(f"outputs is {outputs!r}; choose one of {', '.join(get_args(SB3Outputs))}")
-    if nameplate and view == "joint":
-        raise ValueError("nameplate is True with view 'joint'; choose view 'shared' or 'channel', or leave it out")
+    for name, value, choices in (("view", view, get_args(View)), ("outputs", outputs, get_args(Outputs))):
+        if value is not None and value not in choices:
+            raise ValueError(f"{name} is {value!r}; choose one of {', '.join(choices)}")
     chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
+    form = learning_form(chosen, view, outputs, nameplate)
+    if form.nameplate and form.view == "joint":
+        raise ValueError("nameplate is True with view 'joint'; choose view 'shared' or 'channel', or leave it out")
+    cost = overrides.get("cost")
+    named = {*overrides, *(cost if isinstance(cost, Mapping) else ())}
+    is_open = "reward" not in named and chosen.cost.reward == "shared" and chosen.split == "train"
+    if is_open and form.view != "joint" and pays_differences(chosen):
+        chosen = chosen.replace(reward="difference")
+    if chosen.cost.reward == "difference" and (is_open or "reward" in named) and "default_action" not in named:
+        chosen = chosen.replace(cost={"default_action": "droop" if form.outputs == "droop" else "previous"})
     try:
         from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
         from dcgrid_env.agents.training.batched_envs import JointVecEnv
         from dcgrid_env.agents.training.channel_vec_env import ChannelVecEnv
     except ImportError as error:
         raise ImportError(
-            f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.6'"
+            f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.7'"
         ) from error
-    if view == "joint":
-        return JointVecEnv(chosen, num_envs, outputs=outputs, render_mode=render_mode)
-    by_row = AgentVecEnv if view == "shared" else ChannelVecEnv
-    return by_row(chosen, num_envs, outputs=outputs, nameplate=nameplate, render_mode=render_mode)
+    if form.view == "joint":
+        return JointVecEnv(chosen, num_envs, outputs=form.outputs, render_mode=render_mode)
+    by_row = AgentVecEnv if form.view == "shared" else ChannelVecEnv
+    return by_row(chosen, num_envs, outputs=form.outputs, nameplate=form.nameplate, render_mode=render_mode)

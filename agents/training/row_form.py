@@ -1,0 +1,123 @@
+"""What a row of a training environment is and what its action means, as a record that a model's file keeps.
+
+``RowActions`` is the action space of :func:`sb3_vec_env`. It is an ordinary Box with the record as ``form``.
+Stable-Baselines3 writes the action space into the file of a model, as text that is read without unpickling. A model
+can therefore be scored and exported without being told how it was trained.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple, Self, get_args
+
+import numpy as np
+from gymnasium import spaces
+
+from dcgrid_env import Scenario, ScenarioError, under_own_control
+from dcgrid_env.agents.policy.interface import Gains
+from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.baselines import make_controller
+
+View = Literal["joint", "shared", "channel"]
+"""Whether a row is an environment, an agent of one, or a channel of an agent."""
+Outputs = Literal["setpoint", "change", "droop"]
+"""Meaning of an action: set points, changes from the action that keeps the state, or corrections of the tuned droop."""
+
+
+class RowForm(NamedTuple):
+    """What a row is and what its action means, see :func:`sb3_vec_env`."""
+
+    view: View = "joint"
+    outputs: Outputs = "setpoint"
+    nameplate: bool = False
+    """Whether a row observes the effect of its ratings on its voltage."""
+    gains: Gains | None = None
+    """Gains of the droop that actions correct; None for other outputs."""
+    scenario: str = ""
+    """Name of the scenario of the training."""
+
+    @classmethod
+    def read(cls, stored: Any) -> Self:
+        """Return the form from a mapping of its fields, as ``stored`` writes it.
+
+        Raises PolicyError with the field's name if a field is missing or invalid.
+        """
+        if not isinstance(stored, dict) or set(stored) != set(cls._fields):
+            raise PolicyError(f"action_space: form must have the fields {', '.join(cls._fields)}; save the model again")
+        for name, choices in (("view", get_args(View)), ("outputs", get_args(Outputs)), ("nameplate", (True, False))):
+            if stored[name] not in choices:
+                choice = ", ".join(map(str, choices))
+                raise PolicyError(f"action_space: form has {name} {stored[name]!r}; it must be one of {choice}")
+        if not isinstance(stored["scenario"], str):
+            raise PolicyError(f"action_space: form has scenario {stored['scenario']!r}; it must be a name")
+        try:
+            gains = None if stored["gains"] is None else Gains.of(stored["gains"])
+        except (TypeError, ValueError):
+            raise PolicyError(f"action_space: form has gains {stored['gains']!r}; it must be three numbers") from None
+        if (gains is None) == (stored["outputs"] == "droop"):
+            raise PolicyError("action_space: form has gains exactly if its outputs are 'droop'; save the model again")
+        return cls(**(stored | {"gains": gains}))
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """The fields as JSON takes them."""
+        return self._asdict() | {"gains": None if self.gains is None else list(self.gains)}
+
+
+class RowActions(spaces.Box):
+    """Actions of a row, (n_action,) in [-1, 1]; ``form`` has the fields of its :class:`RowForm`.
+
+    Parameters
+    ----------
+    form
+        What the row is and what its action means.
+    n_action
+        Entries of an action.
+    """
+
+    def __init__(self, form: RowForm, n_action: int):
+        super().__init__(-1.0, 1.0, (n_action,), np.float32)
+        self.form = form.stored
+
+
+def droop_gains(scenario: Scenario) -> Gains:
+    """Return the gains of the tuned droop; raise ValueError if there are none for the scenario."""
+    law: Any = make_controller("droop-tuned", scenario)
+    return Gains(law.k_p_mw_per_pu, law.k_q_mvar_per_pu_s, law.alpha_per_s)
+
+
+def learning_form(
+    scenario: Scenario, view: View | None = None, outputs: Outputs | None = None, nameplate: bool | None = None
+) -> RowForm:
+    """Return the form with which training is fastest, with fields that are given unchanged.
+
+    An action of 0 is the tuned droop, or where it has no gains the action that serves all work and keeps reactive
+    power as it is. Decision 51 has the measurements.
+
+    Parameters
+    ----------
+    scenario
+        Scenario to train on.
+    view, outputs, nameplate
+        Fields that the user gives. By default a row is a channel of an agent, or an environment if regulators or
+        capacitor banks are among the agents, since these share no policy with the others.
+    """
+    of_equipment = under_own_control(scenario, keep_set_points=True) is not scenario
+    view = view or ("joint" if of_equipment else "channel")
+    gains = None
+    if outputs in (None, "droop"):
+        try:
+            gains = droop_gains(scenario)
+        except ValueError:
+            if outputs:
+                raise
+    outputs = outputs or ("change" if gains is None else "droop")
+    return RowForm(view, outputs, view != "joint" if nameplate is None else nameplate, gains, scenario.name)
+
+
+def pays_differences(scenario: Scenario) -> bool:
+    """Return whether a difference reward is defined for a scenario."""
+    try:
+        scenario.replace(reward="difference")
+    except ScenarioError:
+        return False
+    return True

@@ -1,0 +1,111 @@
+"""Settings of Stable-Baselines3's algorithms with which they learn on the rows of ``sb3_vec_env``.
+
+The settings are the same for every scenario. Decision 51 has the measurements by which they were chosen.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dcgrid_env.agents.training.row_form import RowActions
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecEnv
+
+    from dcgrid_env.agents.training.batched_envs import JointVecEnv
+
+SCALE_ENVS, SCALE_SEED = 8, 1 << 40
+"""Environments of the episode by which observations are scaled, and the seed of the first."""
+SMALLEST_SPREAD = 1e-2
+"""Least standard deviation that an observation is divided by."""
+
+
+def ppo_settings(envs: VecEnv) -> dict[str, Any]:
+    """Return keyword arguments for Stable-Baselines3's PPO, as in ``PPO(env=envs, **ppo_settings(envs))``.
+
+    A rollout is an episode of each environment. The policy scales its observations itself, by the means and standard
+    deviations in one episode of eight environments with small random actions. A saved model therefore needs no file of
+    VecNormalize.
+
+    Parameters
+    ----------
+    envs
+        Result of :func:`sb3_vec_env`, also inside wrappers such as VecMonitor.
+
+    Raises
+    ------
+    TypeError
+        If the environments are not those of :func:`sb3_vec_env`.
+    """
+    from stable_baselines3.common.utils import LinearSchedule
+
+    made = rows_of(envs)
+    steps = made.scenario.horizon
+    return {
+        "policy": "MlpPolicy",
+        "gamma": discount(made),
+        "gae_lambda": 0.0 if discount(made) == 0.0 else 0.9,
+        "n_steps": steps,
+        "batch_size": -(-steps * made.num_envs // 8),
+        "n_epochs": 3,
+        "learning_rate": LinearSchedule(3e-3, 0.0, 1.0),
+        "policy_kwargs": {"log_std_init": -1.0, **scaled_observations(made)},
+        "device": "cpu",
+    }
+
+
+def sac_settings(envs: VecEnv) -> dict[str, Any]:
+    """Return keyword arguments for Stable-Baselines3's SAC, as in ``SAC(env=envs, **sac_settings(envs))``.
+
+    See :func:`ppo_settings`. The weight of the entropy starts near its final value, and actions at the one of the
+    droop: no random actions precede the training.
+    """
+    from stable_baselines3.common.utils import LinearSchedule
+
+    made = rows_of(envs)
+    return {
+        "policy": "MlpPolicy",
+        "gamma": discount(made),
+        "learning_rate": LinearSchedule(3e-3, 0.0, 1.0),
+        "batch_size": 2048,
+        "buffer_size": 2000 * made.num_envs,
+        "learning_starts": 0,
+        "gradient_steps": 1,
+        "ent_coef": "auto_0.01",
+        "target_entropy": 0.2 * made.action_space.shape[0],  # pyright: ignore[reportOptionalSubscript]
+        "policy_kwargs": {"net_arch": [64, 64], "n_critics": 1, **scaled_observations(made)},
+        "device": "cpu",
+    }
+
+
+def discount(made: JointVecEnv) -> float:
+    """Return the discount: 0 for a difference reward, which charges later costs at once, else 0.9."""
+    return 0.0 if made.scenario.cost.reward == "difference" else 0.9
+
+
+def rows_of(envs: VecEnv) -> JointVecEnv:
+    """Return what ``sb3_vec_env`` made, without wrappers; raise TypeError for other environments."""
+    made: Any = envs.unwrapped
+    if not isinstance(envs.action_space, RowActions) or not hasattr(made, "rows_per_env"):
+        raise TypeError(f"envs is a {type(made).__name__}; give environments made by sb3_vec_env")
+    return made
+
+
+def scaled_observations(made: JointVecEnv) -> dict[str, Any]:
+    """Return policy arguments that scale observations by their means and standard deviations in one episode each."""
+    from dcgrid_env.agents.training.sb3_models import Normalised
+    from dcgrid_env.agents.training.vec_env import sb3_vec_env
+
+    rows = sb3_vec_env(made.scenario, SCALE_ENVS, made.view, outputs=made.outputs, nameplate=made.nameplate)
+    rng = np.random.default_rng(0)
+    rows.seed(SCALE_SEED)
+    seen = [rows.reset()]
+    offset = 0.3 * rng.standard_normal((rows.num_envs, *made.action_space.shape))  # pyright: ignore
+    for _ in range(made.scenario.horizon):
+        action = offset + 0.3 * rng.standard_normal(offset.shape)
+        seen.append(rows.step(np.clip(action, -1.0, 1.0).astype(np.float32))[0])
+    figures = np.concatenate(seen).astype(np.float64)
+    moments = {"mean": figures.mean(0).tolist(), "std": np.maximum(figures.std(0), SMALLEST_SPREAD).tolist()}
+    return {"features_extractor_class": Normalised, "features_extractor_kwargs": moments}
