@@ -6,7 +6,8 @@ members of collectives", Advances in Complex Systems 4, 2001), for each channel 
 the default it would be close to the advantage in J. Foerster et al., "Counterfactual multi-agent policy gradients",
 arXiv 1705.08926.
 
-    saved(a) = c(V + dV) - c(V) + w_effort (|q'|/s - |q|/s) + sum over a's terms of price (amount' - amount)
+    saved(a) = c(V + dV) - c(V) + w_effort (|q'|/s - |q|/s) + w_request (missed(P') - missed(P))
+               + sum over a's terms of price (amount' - amount)
     dV       = (dV/dq (q' - q) - dV/dp (p' - p)) / V           balanced; without 1/V on a three-phase feeder
 
 A dash marks the step with the default in that entry. The devices' own ``step`` computes p' and amount', so routed work
@@ -38,6 +39,8 @@ from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.grid_terms import voltage_cost
+from dcgrid_env.scenario.costs.load_requests import columns, missed_share, rated_kw, sites_share
+from dcgrid_env.scenario.costs.utility_limits import sites
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -251,6 +254,8 @@ def differences(
         coming = coming_taps(scenario, targets, after, steps_left, exogenous.offset_v)
     group = connections(scenario).group[np.arange(scenario.n_agents), buses]
     add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, group, slopes, coming, saved)
+    if scenario.cost.weights.grid_request:
+        saved += _saved_requests(scenario, after, drawn_kw, exogenous.available)
     return saved
 
 
@@ -370,6 +375,20 @@ def add_saved_costs(
         np.ascontiguousarray(state.q_kvar), drawn_kw, available, *slopes, *coming, saved,
     )  # fmt: skip
     over_rows(lambda begin, end: add_saved_costs_rows(begin, end, *given), len(saved))
+
+
+def _saved_requests(
+    scenario: Scenario, state: State, drawn_kw: np.ndarray, available: np.ndarray | None
+) -> np.ndarray:
+    """Return the cost of the utility's requests that each entry saves, (row, n_action); see ``add_saved_costs``."""
+    of, asked, cut = changes(scenario), columns(state.request), sites(scenario)
+    is_draw = ~of.is_reactive & (of.agent >= cut.start) & (of.agent < cut.stop)
+    p_kw = drawn_kw if available is None else drawn_kw * available[:, of.agent]
+    moved_kw = np.add.reduceat(np.where(is_draw, p_kw - state.p_kw[:, of.agent], 0.0), of.first[:-1], axis=1)
+    draw, moved = sites_share(scenario, state.p_kw)[:, None], moved_kw / rated_kw(scenario)
+    lower, upper = asked.lower[:, None], asked.upper[:, None]
+    missed = missed_share(draw + moved, lower, upper) - missed_share(draw, lower, upper)
+    return scenario.cost.weights.grid_request * missed
 
 
 def _saved_costs_arrays(

@@ -9,7 +9,7 @@ from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 from dcgrid_env.scenario.errors import ScenarioError
 
-COMPARED = ("voltage", "violation", "effort")
+COMPARED = ("voltage", "violation", "effort", "grid_request")
 """Terms of the grid that a default action is compared by."""
 UNASSIGNED = ("switching",)
 """Terms of the grid that are not compared, because they follow from timers over many steps. Taps that save more than
