@@ -78,6 +78,11 @@ class RowActions(spaces.Box):
         super().__init__(-1.0, 1.0, (n_action,), np.float32)
         self.form = form.stored
 
+    def __eq__(self, other: object) -> bool:
+        """Whether the spaces are equal and actions have the same meaning, so that a model can go on with the other."""
+        meaning = [(space.form["view"], space.form["outputs"]) for space in (self, other) if isinstance(space, RowActions)]
+        return super().__eq__(other) and len(set(meaning)) == 1
+
 
 def droop_gains(scenario: Scenario) -> Gains:
     """Return the gains of the tuned droop; raise ValueError if there are none for the scenario."""

@@ -38,6 +38,9 @@ def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     ------
     TypeError
         If the environments are not those of :func:`sb3_vec_env`.
+    ValueError
+        If a wrapper changes the observations, as VecNormalize does. Make the settings from the environments without it,
+        and replace ``policy_kwargs``.
     """
     from stable_baselines3.common.utils import LinearSchedule
 
@@ -86,10 +89,21 @@ def discount(made: JointVecEnv) -> float:
 
 
 def rows_of(envs: VecEnv) -> JointVecEnv:
-    """Return what ``sb3_vec_env`` made, without wrappers; raise TypeError for other environments."""
+    """Return what ``sb3_vec_env`` made, without wrappers; see :func:`ppo_settings` for what is refused."""
+    from stable_baselines3.common.vec_env import VecNormalize
+
     made: Any = envs.unwrapped
     if not isinstance(envs.action_space, RowActions) or not hasattr(made, "rows_per_env"):
         raise TypeError(f"envs is a {type(made).__name__}; give environments made by sb3_vec_env")
+    wrapper: Any = envs
+    while wrapper is not made:
+        is_scaled = isinstance(wrapper, VecNormalize) and wrapper.norm_obs
+        if is_scaled or wrapper.observation_space != made.observation_space:
+            raise ValueError(
+                f"envs has the wrapper {type(wrapper).__name__}, which changes the observations that the policy "
+                "scales; make the settings from environments without it"
+            )
+        wrapper = wrapper.venv
     return made
 
 

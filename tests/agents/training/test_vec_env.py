@@ -22,6 +22,8 @@ from dcgrid_env.agents import sb3_vec_env
 from dcgrid_env.baselines import rollout
 
 VIEWS = pytest.mark.parametrize("view", ["joint", "shared", "channel"])
+PLAIN: dict[str, Any] = {"outputs": "setpoint", "reward": "shared"}
+"""Actions and rewards of ``gymnasium.make``."""
 NOISE = NormalActionNoise(np.zeros(2), 0.2 * np.ones(2))
 SMALL = {"device": "cpu", "gamma": 0.5, "seed": 0}
 
@@ -49,8 +51,8 @@ class Driver:
 
 def test_ids_presets_and_scenarios_make_the_same_batch():
     own = make_scenario("ieee33-weak", horizon=7)
-    env = sb3_vec_env("dcgrid/IEEE33Weak-v0", 2, horizon=7)
-    for same in (env, sb3_vec_env("ieee33-weak", 2, horizon=7), sb3_vec_env(own, 2)):
+    env = sb3_vec_env("dcgrid/IEEE33Weak-v0", 2, "joint", horizon=7, **PLAIN)
+    for same in (env, sb3_vec_env("ieee33-weak", 2, "joint", horizon=7, **PLAIN), sb3_vec_env(own, 2, "joint", **PLAIN)):
         assert same.get_attr("scenario") == [own] * 2
     assert sb3_vec_env(own, 2, "shared").num_envs == 2 * 7
     native = DcgridVectorEnv(2, own)
@@ -68,7 +70,7 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="outputs is 'delta'; choose one of setpoint, change, droop"):
         sb3_vec_env("toy6", 1, outputs="delta")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="nameplate is True with view 'joint'; choose view 'shared'"):
-        sb3_vec_env("toy6", 1, nameplate=True)
+        sb3_vec_env("toy6", 1, "joint", nameplate=True)
     with pytest.raises(ScenarioError, match="no scenario 'toy7'"):
         sb3_vec_env("toy7", 1)
     with pytest.raises(TypeError, match="no scenario field 'horizn'; did you mean horizon"):
@@ -88,12 +90,13 @@ except ImportError as error:
 """
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("sb3_vec_env needs Stable-Baselines3 (")
-    assert "pip install 'stable-baselines3>=2.6'" in done.stdout
+    assert "pip install 'stable-baselines3>=2.7'" in done.stdout
 
 
 @VIEWS
 def test_vec_monitor_logs_the_benchmarks_j(view, tmp_path):
-    env = VecMonitor(sb3_vec_env("ieee33-weak", 2, view, horizon=5), str(tmp_path / "log"), info_keywords=("J",))
+    made = sb3_vec_env("ieee33-weak", 2, view, horizon=5, **PLAIN)
+    env = VecMonitor(made, str(tmp_path / "log"), info_keywords=("J",))
     env.seed(3)
     env.reset()
     native = DcgridVectorEnv(2, "ieee33-weak", horizon=5)
@@ -161,7 +164,7 @@ def test_eval_callback_finds_the_j_of_the_benchmark(view, tmp_path):
 
 def test_an_evaluation_is_the_benchmarks_own():
     scenario = make_scenario("ieee123", horizon=6, split="validation")
-    env = VecMonitor(sb3_vec_env(scenario, 4))
+    env = VecMonitor(sb3_vec_env(scenario, 4, "joint", outputs="setpoint"))
     model = PPO("MlpPolicy", env, **SMALL)
     env.seed(0)
     returned: Any = evaluate_policy(model, env, n_eval_episodes=4)[0]
@@ -186,7 +189,7 @@ def test_an_evaluation_counts_different_episodes(view, episodes):
     joint: dict[float, int] = {}
     shown: Any
     for kept, shown in ((found, view), (joint, "joint")):
-        env: Any = VecNormalize(VecMonitor(sb3_vec_env("toy6", 3, shown, horizon=4)), norm_reward=False)
+        env: Any = VecNormalize(VecMonitor(sb3_vec_env("toy6", 3, shown, horizon=4, reward="shared")), norm_reward=False)
         env.seed(7)
         n: int = env.n_eval_episodes(episodes)
         returns, lengths = map(np.array, evaluate_policy(Still(env), env, n, return_episode_rewards=True))

@@ -1,0 +1,68 @@
+"""Settings of PPO and SAC: what they are for, what they refuse, and what they learn."""
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecFrameStack, VecMonitor, VecNormalize
+
+import dcgrid_env  # noqa: F401
+from dcgrid_env.agents import ppo_settings, sac_settings, sb3_vec_env
+
+BOTH = pytest.mark.parametrize(("algorithm", "settings"), [(PPO, ppo_settings), (SAC, sac_settings)])
+
+
+@BOTH
+def test_wrappers_change_nothing_and_untrained_policies_act_near_the_droop(algorithm, settings):
+    envs = sb3_vec_env("ieee33-weak", 4)
+    envs.seed(3)
+    first = envs.reset()
+    plain, wrapped = settings(envs), settings(VecNormalize(VecMonitor(envs), norm_obs=False))
+    envs.seed(3)
+    np.testing.assert_array_equal(envs.reset(), first)  # the scaling has an episode of its own
+    assert {name: value for name, value in plain.items() if name != "learning_rate"} == {
+        name: value for name, value in wrapped.items() if name != "learning_rate"
+    }
+    assert plain["gamma"] == 0.0
+    assert settings(sb3_vec_env("ieee33-weak", 4, reward="shared"))["gamma"] > 0.0
+    model = algorithm(env=envs, seed=0, **plain)
+    assert np.abs(model.predict(first, deterministic=True)[0]).max() < 0.3
+    with torch.no_grad():
+        extractor = (model.policy if algorithm is PPO else model.actor).features_extractor
+        features = extractor(torch.as_tensor(first)).numpy()
+    assert np.abs(features).max() < 10.0
+    assert features.std() > 0.3
+
+
+@BOTH
+def test_environments_whose_observations_cannot_be_scaled_are_refused(algorithm, settings):
+    foreign = make_vec_env("dcgrid/Toy6-v0", 1)
+    for envs in (foreign, gymnasium.make("dcgrid/Toy6-v0")):
+        with pytest.raises(TypeError, match="give environments made by sb3_vec_env"):
+            settings(envs)
+    foreign.close()
+    envs = sb3_vec_env("toy6", 1)
+    for changed in (VecNormalize(envs), VecFrameStack(envs, 2)):
+        with pytest.raises(ValueError, match="envs has the wrapper Vec.*make the settings from environments without it"):
+            settings(changed)
+
+
+@pytest.mark.slow
+@BOTH
+def test_a_short_training_beats_the_droop(algorithm, settings):
+    torch.set_num_threads(1)
+    envs, tested = sb3_vec_env("ieee33-weak", 16), sb3_vec_env("ieee33-weak", 16, split="validation")
+    model = algorithm(env=envs, seed=0, **settings(envs))
+    model.learn((30_000 if algorithm is PPO else 8_000) * envs.rows_per_env)
+
+    def j(act):
+        tested.seed(0)
+        rows, ends = tested.reset(), []
+        for _ in range(tested.scenario.horizon):
+            rows, *_, ends = tested.step(act(rows))
+        return np.mean([end["J"] for end in ends])
+
+    droop = j(lambda rows: np.zeros((len(rows), 1), np.float32))
+    assert j(lambda rows: model.predict(rows, deterministic=True)[0]) < 0.97 * droop
