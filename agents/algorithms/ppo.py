@@ -33,7 +33,8 @@ from stable_baselines3.common.utils import set_random_seed
 from dcgrid_env.agents.policy.interface import Gains
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
-from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
+from dcgrid_env.agents.training.batched_envs import RowVecEnv
+from dcgrid_env.agents.training.row_form import Outputs
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.setting_bounds import MOST_GAIN
 
@@ -104,7 +105,7 @@ class GroupPolicy(ActorCriticPolicy):
     group
         Number of rows of an environment. The rows of an environment are consecutive.
     used
-        ``JointVecEnv.used``: one row, or one row for each kind of agent. The last entries of the observation are a
+        ``Rows.used``: one row, or one row for each kind of agent. The last entries of the observation are a
         one-hot code of the kind, all zero for the first kind. Unused entries of an action have no likelihood.
     rest
         Initial mean of each entry of an action, (n_action,).
@@ -188,7 +189,7 @@ class BatchedPpo(PPO):
 
     def collect_rollouts(self, env: Any, callback: Any, rollout_buffer: Any, n_rollout_steps: int) -> bool:
         """Fill the buffer; bootstrap the value where the horizon truncates an episode."""
-        vec_env: JointVecEnv = env
+        vec_env: RowVecEnv = env
         policy: Any = self.policy
         policy.set_training_mode(False)
         rollout_buffer.reset()
@@ -229,14 +230,14 @@ class BatchedPpo(PPO):
         return self.policy.predict_values(self._tensor(observation)).flatten().cpu().numpy()  # pyright: ignore
 
 
-def make(cfg: Ppo, vec_env: JointVecEnv) -> BatchedPpo:
+def make(cfg: Ppo, vec_env: RowVecEnv) -> BatchedPpo:
     """Return the initialised algorithm."""
     set_random_seed(cfg.seed)
     normalisation = sb3_models.normalise(vec_env, cfg.seed, cfg.gamma)
     rollout = vec_env.num_envs * vec_env.scenario.horizon
-    rest = vec_env.rest * (cfg.outputs == "setpoint")
+    rest = vec_env.rows.rest * (cfg.outputs == "setpoint")
     if cfg.further_begin is not None:
-        rest = np.where([name in ("clock", "q") for name in vec_env.channels], rest, cfg.further_begin)
+        rest = np.where([name in ("clock", "q") for name in vec_env.rows.channels], rest, cfg.further_begin)
     model = BatchedPpo(
         GroupPolicy,
         vec_env,
@@ -255,7 +256,7 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> BatchedPpo:
             "log_std_init": cfg.log_std,
             **normalisation,
             "group": vec_env.rows_per_env,
-            "used": vec_env.used,
+            "used": vec_env.rows.used,
             "rest": rest,
             "pull": cfg.pull,
         },
@@ -264,7 +265,7 @@ def make(cfg: Ppo, vec_env: JointVecEnv) -> BatchedPpo:
     return model
 
 
-def exported(cfg: Ppo, vec_env: JointVecEnv, model: BatchedPpo) -> Policy:
+def exported(cfg: Ppo, vec_env: RowVecEnv, model: BatchedPpo) -> Policy:
     """Return the mean of the current policy as NumPy arrays."""
     policy: Any = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]

@@ -36,9 +36,10 @@ from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
 from dcgrid_env.agents.training.agent_networks import AgentNetworks
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.counterfactual import Counterfactual, require_one_step
+from dcgrid_env.agents.training.rows import make_rows
 from dcgrid_env.agents.training.run_folder import device_of, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import made_with
@@ -116,7 +117,7 @@ class CounterfactualPpo(BaseAlgorithm):
         The networks.
     """
 
-    def __init__(self, cfg: PpoCounterfactual, vec_env: JointVecEnv, policy: AgentNetworks):
+    def __init__(self, cfg: PpoCounterfactual, vec_env: RowVecEnv, policy: AgentNetworks):
         super().__init__(AgentNetworks, vec_env, cfg.learning_rate, device=cfg.device, support_multi_env=True)
         self.cfg, self.vec_env = cfg, vec_env
         self.policy = self.actor = policy.to(self.device)
@@ -229,7 +230,7 @@ class CounterfactualPpo(BaseAlgorithm):
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
 
-def vec_env_for(cfg: PpoCounterfactual) -> JointVecEnv:
+def vec_env_for(cfg: PpoCounterfactual) -> RowVecEnv:
     """Return the vector environment of the training split; raise ValueError if a setting or the scenario is invalid."""
     check(cfg)
     if cfg.view != "shared":
@@ -243,10 +244,10 @@ def vec_env_for(cfg: PpoCounterfactual) -> JointVecEnv:
     if cfg.minibatches > rows // 2:
         raise ValueError(f"minibatches is {cfg.minibatches}; a rollout here has {rows} rows: give at most half as many")
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
-    return JointVecEnv(scenario, cfg.num_envs, cfg.act)
+    return RowVecEnv(make_rows(scenario, act=cfg.act), cfg.num_envs)
 
 
-def make(cfg: PpoCounterfactual, vec_env: JointVecEnv) -> CounterfactualPpo:
+def make(cfg: PpoCounterfactual, vec_env: RowVecEnv) -> CounterfactualPpo:
     """Return the initialised algorithm."""
     set_random_seed(cfg.seed)
     chosen: dict[str, Any] = {"preview": cfg.preview, "act": cfg.act, "nameplate": True, "outputs": "change"}

@@ -15,7 +15,7 @@ from stable_baselines3 import SAC
 
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.run_folder import torch
 
 
@@ -27,14 +27,14 @@ class Sac(sb3.OffPolicy):
     """Target entropy of the policy for each entry of an action; lower values mean less exploration."""
 
 
-def make(cfg: Sac, vec_env: JointVecEnv) -> SAC:
+def make(cfg: Sac, vec_env: RowVecEnv) -> SAC:
     """Return the initialised algorithm."""
-    entropy = cfg.entropy_per_action * float(vec_env.used.sum(-1).mean())
+    entropy = cfg.entropy_per_action * float(vec_env.rows.used.sum(-1).mean())
     model = SAC("MlpPolicy", vec_env, **sb3_models.off_policy(cfg, vec_env), target_entropy=entropy)
     return sb3_models.prepared(model, vec_env, model.actor.mu)
 
 
-def exported(cfg: Sac, vec_env: JointVecEnv, model: SAC) -> Policy:
+def exported(cfg: Sac, vec_env: RowVecEnv, model: SAC) -> Policy:
     """Return the mean of the current policy as NumPy arrays."""
     actor: Any = model.actor
     return sb3_models.export(cfg, vec_env, actor.features_extractor, [*actor.latent_pi, actor.mu], "relu", "tanh")

@@ -17,7 +17,7 @@ from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNo
 
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training import sb3, sb3_models
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from dcgrid_env.agents.training.batched_envs import RowVecEnv
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class BatchedNoise(VectorizedActionNoise):
         """Do nothing, because the noise has no state."""
 
 
-def make(cfg: Td3, vec_env: JointVecEnv) -> TD3:
+def make(cfg: Td3, vec_env: RowVecEnv) -> TD3:
     """Return the initialised algorithm."""
     noise = BatchedNoise(cfg.noise, vec_env.num_envs, vec_env.action_space.shape[0])  # pyright: ignore
     model = TD3(
@@ -57,7 +57,7 @@ def make(cfg: Td3, vec_env: JointVecEnv) -> TD3:
     return model
 
 
-def exported(cfg: Td3, vec_env: JointVecEnv, model: TD3) -> Policy:
+def exported(cfg: Td3, vec_env: RowVecEnv, model: TD3) -> Policy:
     """Return the current policy as NumPy arrays."""
     actor: Any = model.actor
     return sb3_models.export(cfg, vec_env, actor.features_extractor, actor.mu, "relu", "tanh")

@@ -12,7 +12,7 @@ from stable_baselines3.common.save_util import load_from_pkl
 from stable_baselines3.common.vec_env import VecNormalize
 
 from dcgrid_env import Scenario, action_layout
-from dcgrid_env.agents.from_sb3.sb3_policy import Normalisation, vec_env_for
+from dcgrid_env.agents.from_sb3.sb3_policy import Normalisation, rows_for
 from dcgrid_env.agents.from_sb3.sb3_zip import algorithm_of, read_about
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import Policy
@@ -60,13 +60,13 @@ class Sb3Controller:
         shapes = (self.model.observation_space.shape, self.model.action_space.shape)
         if any(shape is None or len(shape) != 1 for shape in shapes):
             raise PolicyError(f"{self.path}: spaces have the shapes {shapes}; a model for dcgrid has flat ones")
-        self._vec_env = vec_env_for(env_info, (shapes[0][0], shapes[1][0]))
+        self._rows = rows_for(env_info, (shapes[0][0], shapes[1][0]))
         self._equipment = EquipmentAgents(env_info, keep_set_points=True)
         self._layout = action_layout(env_info)
 
     def act(self, observations: Any) -> Any:
         """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
-        if self._vec_env.scenario.agents != self._equipment.scenario.agents:
+        if self._rows.scenario.agents != self._equipment.scenario.agents:
             return self._equipment.act(observations, self._joint)
         if isinstance(observations, Mapping):
             agents = self._equipment.scenario.agents
@@ -75,7 +75,7 @@ class Sb3Controller:
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         rows = joint.reshape(-1, joint.shape[-1])
-        action = self._vec_env.driven(rows, self._predicted)
+        action = self._rows.driven(rows, self._predicted)
         return action.reshape(*joint.shape[:-1], -1)
 
     def _predicted(self, rows: np.ndarray) -> np.ndarray:

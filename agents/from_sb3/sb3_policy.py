@@ -10,8 +10,8 @@ from dcgrid_env import Scenario, under_own_control
 from dcgrid_env.agents.from_sb3.sb3_zip import REMEDY, Actor
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from dcgrid_env.agents.training.row_form import RowForm
+from dcgrid_env.agents.training.rows import Rows, make_rows
 from dcgrid_env.agents.training.sb3_models import networks_of
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -24,21 +24,20 @@ class Normalisation(NamedTuple):
     clip: float
 
 
-def vec_env_for(scenario: Scenario, widths: tuple[int, int]) -> JointVecEnv:
-    """The vector environment, of one environment, whose rows have an observation and an action of these widths.
+def rows_for(scenario: Scenario, widths: tuple[int, int]) -> Rows:
+    """The rows whose observation and action have these widths.
 
     That of ``gymnasium.make``, of all agents or without regulators and capacitor banks, or the shared view of
     ``sb3_vec_env``. PolicyError, saying which widths there are, where neither fits.
     """
     others, looked_at = under_own_control(scenario, keep_set_points=True), []
-    for name, view, seen in (
-        ("joint", JointVecEnv, scenario), ("joint", JointVecEnv, others), ("shared", AgentVecEnv, others),
+    for view, seen in (
+        ("joint", scenario), ("joint", others), ("shared", others),
     ):  # fmt: skip
-        vec_env = view(seen, 1)
-        spaces = (vec_env.observation_space.shape, vec_env.action_space.shape)
-        if spaces == tuple((width,) for width in widths):
-            return vec_env
-        looked_at.append(f"{spaces[0][0]} and {spaces[1][0]} ({name})")  # pyright: ignore[reportOptionalSubscript]
+        rows = make_rows(seen, RowForm(view))
+        if (rows.n_observation, rows.n_action) == widths:
+            return rows
+        looked_at.append(f"{rows.n_observation} and {rows.n_action} ({view})")
     raise PolicyError(
         f"observation and action have {widths[0]} and {widths[1]} figures; on {scenario.name} they have "
         f"{', '.join(dict.fromkeys(looked_at))}: name the scenario that it was trained on, or {REMEDY}"
@@ -71,8 +70,8 @@ def as_policy(actor: Actor, spec: ScenarioSpec, made_with: str, normalisation: N
             "it was trained behind VecNormalize, whose statistics are no part of the zip; give the file of its save "
             "with --normalize, and --trust, for that file is pickle"
         )
-    vec_env, n = vec_env_for(scenario, actor.widths), actor.widths[0]
-    if under_own_control(vec_env.scenario, keep_set_points=True) is not vec_env.scenario:
+    rows, n = rows_for(scenario, actor.widths), actor.widths[0]
+    if under_own_control(rows.scenario, keep_set_points=True) is not rows.scenario:
         raise PolicyError(
             f"it drives the regulators or capacitor banks of {scenario.name} too, which a policy leaves under their "
             f"own control; dcgrid evaluate takes the zip with --trust, or {REMEDY}"
@@ -81,11 +80,9 @@ def as_policy(actor: Actor, spec: ScenarioSpec, made_with: str, normalisation: N
         raise PolicyError(
             f"normalize has {len(normalisation.mean)} figures and the observation {n}; give the file of this training"
         )
-    networks = networks_of(
-        vec_env, actor.layers, actor.activation, actor.squash, *(normalisation or (None, None, None))
-    )
+    networks = networks_of(rows, actor.layers, actor.activation, actor.squash, *(normalisation or (None, None, None)))
     return Policy(
         networks, observe=scenario.sensing.observe, preview=scenario.sensing.preview, scenario=spec.label,
         made_with=made_with,
-        channels=vec_env.further_channels,
+        channels=rows.further_channels,
     )  # fmt: skip

@@ -22,9 +22,10 @@ from stable_baselines3.common.utils import set_random_seed
 from dcgrid_env import Scenario, under_own_control
 from dcgrid_env.agents.policy.interface import Gains
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
-from dcgrid_env.agents.training.batched_envs import JointVecEnv, Outputs
+from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import Training, check
+from dcgrid_env.agents.training.row_form import Outputs, RowForm
+from dcgrid_env.agents.training.rows import make_rows
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.baselines import make_controller
@@ -92,7 +93,7 @@ class OffPolicy(Config):
     tau: float = 0.01
     """Update rate of the target networks for each gradient step."""
 
-    def iterations(self, vec_env: JointVecEnv) -> int:
+    def iterations(self, vec_env: RowVecEnv) -> int:
         """Return the number of iterations for the total number of steps, at least 1."""
         return max(1, round(self.steps / (vec_env.num_envs * vec_env.scenario.horizon)))
 
@@ -102,7 +103,7 @@ class OffPolicy(Config):
 
 
 @contextmanager
-def begin(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> Iterator[tuple[Run, JointVecEnv]]:
+def begin(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> Iterator[tuple[Run, RowVecEnv]]:
     """Lock the folder of the run for the block and return the vector environment of the training split.
 
     Raise ValueError if a setting is invalid, and TrainingError if the training in the folder cannot be continued.
@@ -118,7 +119,7 @@ def run_of(cfg: Training) -> AbstractContextManager[Run]:
     return open_run(cfg.folder, cfg, cfg.resume, [judged_on])
 
 
-def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> JointVecEnv:
+def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None = None) -> RowVecEnv:
     """Return the vector environment of the training split; raise ValueError if a setting is invalid."""
     check(cfg)
     has_differences = cfg.reward == "difference"
@@ -138,10 +139,11 @@ def vec_env_for(cfg: Config, outputs: Outputs = "setpoint", gains: Gains | None 
         scenario = for_training(scenario, cfg.gamma, cfg.wait)
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
     if cfg.view == "centralised":
-        vec_env = JointVecEnv(scenario, cfg.num_envs, cfg.act, outputs, gains)
+        form, n_envs = RowForm("joint", outputs, gains=gains), cfg.num_envs
     else:
+        form = RowForm("shared", outputs, cfg.nameplate, gains)
         n_envs = max(1, cfg.num_envs // scenario.n_agents)
-        vec_env = AgentVecEnv(scenario, n_envs, cfg.act, outputs, gains, cfg.nameplate)
+    vec_env = RowVecEnv(make_rows(scenario, form, cfg.act), n_envs)
     vec_env.end_as_it_arises = not has_differences
     return vec_env
 
@@ -157,7 +159,7 @@ def for_training(scenario: Scenario, gamma: float, wait: float) -> Scenario:
     and (1 - gamma^n) / (1 - gamma) with the discount. The price is raised by the ratio of the two at n = ``wait``.
 
     Other end-of-episode costs, such as energy missing in storages, are charged by the rows when they arise
-    (``JointVecEnv.end_as_it_arises``).
+    (``RowVecEnv.end_as_it_arises``).
     """
     w = scenario.cost.weights
     raised = wait * (1.0 - gamma) / (1.0 - gamma**wait) if gamma < 1.0 else 1.0
@@ -174,7 +176,7 @@ def episode_seed(seed: int, iteration: int, n_envs: int) -> int:
 def train(
     cfg: Training,
     run: Run,
-    vec_env: JointVecEnv,
+    vec_env: RowVecEnv,
     model: BaseAlgorithm,
     *,
     iterations: int,
@@ -241,7 +243,7 @@ def train(
     return run.folder
 
 
-def _iterate(run: Run, vec_env: JointVecEnv, model: BaseAlgorithm, seed: int, iteration: int, rate: float) -> None:
+def _iterate(run: Run, vec_env: RowVecEnv, model: BaseAlgorithm, seed: int, iteration: int, rate: float) -> None:
     """Run one episode of every row and learn from it."""
     set_random_seed((seed * 1_000_003 + iteration) % 2**32)
     vec_env.seed(episode_seed(seed, iteration, vec_env.n_envs))

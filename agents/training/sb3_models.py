@@ -13,9 +13,9 @@ from stable_baselines3.common.utils import set_random_seed
 
 from dcgrid_env.agents.policy.neural_network import Network
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import trained_on
+from dcgrid_env.agents.training.rows import AgentRows, Rows
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.sb3 import Config, OffPolicy, episode_seed
 from dcgrid_env.agents.training.torch_modules import CLIP
@@ -24,7 +24,7 @@ from dcgrid_env.agents.training.validation import made_with
 SMALLEST_STD = 1e-4
 
 
-def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
+def normalise(vec_env: RowVecEnv, seed: int, gamma: float) -> dict[str, Any]:
     """Scale the rows' rewards, so that returns are of order 1; policy arguments that normalise observations.
 
     Both by an episode in each environment, under clocks near the top and random setpoints; fixed from then on.
@@ -36,7 +36,7 @@ def normalise(vec_env: JointVecEnv, seed: int, gamma: float) -> dict[str, Any]:
     return {"features_extractor_class": Normalised, "features_extractor_kwargs": moments}
 
 
-def random_episode(vec_env: JointVecEnv, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def random_episode(vec_env: RowVecEnv, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """What an episode in each environment shows and pays, under clocks near the top and random reactive setpoints.
 
     Observations, (step and row, n_observation), and rewards, (step, row).
@@ -49,7 +49,7 @@ def random_episode(vec_env: JointVecEnv, seed: int) -> tuple[np.ndarray, np.ndar
     for _ in range(vec_env.scenario.horizon):
         drawn = 0.3 * rng.standard_normal(shape)
         observed.append(observation)
-        action = np.where(vec_env.clocks, 1.0 - np.abs(drawn), constant + drawn)
+        action = np.where(vec_env.rows.clocks, 1.0 - np.abs(drawn), constant + drawn)
         observation, reward, *_ = vec_env.step(np.clip(action, -1.0, 1.0).astype(np.float32))
         paid.append(reward)
     return np.concatenate(observed), np.array(paid)
@@ -71,7 +71,7 @@ class Normalised(BaseFeaturesExtractor):
         return ((observations - self.mean) / self.std).clamp(-CLIP, CLIP)
 
 
-def off_policy(cfg: OffPolicy, vec_env: JointVecEnv) -> dict[str, Any]:
+def off_policy(cfg: OffPolicy, vec_env: RowVecEnv) -> dict[str, Any]:
     """Arguments that the algorithms with a replay buffer share; seeds the generators and normalises the rows."""
     set_random_seed(cfg.seed)
     return {
@@ -87,10 +87,10 @@ def off_policy(cfg: OffPolicy, vec_env: JointVecEnv) -> dict[str, Any]:
     }
 
 
-def prepared(model: Any, vec_env: JointVecEnv, last: Any) -> Any:
+def prepared(model: Any, vec_env: RowVecEnv, last: Any) -> Any:
     """Return the model with an in-memory logger and an actor whose ``last`` layer starts near rest."""
     with torch.no_grad():
-        last.bias += 2.0 * torch.as_tensor(vec_env.rest, dtype=torch.float32, device=last.bias.device)
+        last.bias += 2.0 * torch.as_tensor(vec_env.rows.rest, dtype=torch.float32, device=last.bias.device)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 
@@ -105,25 +105,26 @@ def replay_arrays(model: Any) -> dict[str, Any]:
 
 
 def export(
-    cfg: Config, vec_env: JointVecEnv, normalised: Normalised, layers: Iterable[torch.nn.Module], activation: str,
+    cfg: Config, vec_env: RowVecEnv, normalised: Normalised, layers: Iterable[torch.nn.Module], activation: str,
     squash: str,
 ) -> Policy:  # fmt: skip
     """The actor as a policy of NumPy arrays: in the shared view a network for each kind of agent."""
     mean, std = (buffer.cpu().numpy().astype(np.float64) for buffer in (normalised.mean, normalised.std))
     linear = [module for module in layers if isinstance(module, torch.nn.Linear)]
     weights = [(m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy()) for m in linear]
-    if vec_env.outputs != "setpoint":
-        weights[-1] = (weights[-1][0] * vec_env.reach, weights[-1][1] * vec_env.reach)
-    networks = networks_of(vec_env, weights, activation, squash, mean, std, CLIP)
+    rows = vec_env.rows
+    if rows.form.outputs != "setpoint":
+        weights[-1] = (weights[-1][0] * rows.reach, weights[-1][1] * rows.reach)
+    networks = networks_of(rows, weights, activation, squash, mean, std, CLIP)
     return Policy(
         networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
-        outputs=vec_env.outputs, gains=vec_env.gains,
-        scenario=trained_on(cfg), made_with=made_with(), channels=vec_env.further_channels,
+        outputs=rows.form.outputs, gains=rows.form.gains,
+        scenario=trained_on(cfg), made_with=made_with(), channels=rows.further_channels,
     )  # fmt: skip
 
 
 def networks_of(
-    vec_env: JointVecEnv, weights: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, squash: str,
+    rows: Rows, weights: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, squash: str,
     mean: np.ndarray | None, std: np.ndarray | None, clip: float | None,
 ) -> dict[str, Network]:  # fmt: skip
     """Make the networks of a policy whose layers act on a row: one, or in the shared view one for each kind of agent.
@@ -132,8 +133,8 @@ def networks_of(
 
     Parameters
     ----------
-    vec_env
-        The vector environment.
+    rows
+        What a row is.
     weights
         (weight, bias) of each layer, (n_in, n_out) and (n_out,).
     activation, squash
@@ -141,20 +142,20 @@ def networks_of(
     mean, std, clip
         Normalisation of a row's observation, (n_observation,) each and a figure; none of them where there is none.
     """
-    if not isinstance(vec_env, AgentVecEnv):
+    if not isinstance(rows, AgentRows):
         return {"joint": Network(weights, activation, squash, mean, std, clip)}
     networks = {}
-    for name, members in vec_env.members.items():
-        columns = vec_env.columns(vec_env.scenario.agents[members[0]])
+    for name, members in rows.members.items():
+        columns = rows.columns(rows.scenario.agents[members[0]])
         constant = np.zeros(len(weights[0][0]))
-        constant[-len(vec_env.kinds) + 1 :] = [name == kind for kind in vec_env.kinds[1:]]
+        constant[-len(rows.kinds) + 1 :] = [name == kind for kind in rows.kinds[1:]]
         constant = constant if mean is None or std is None else (constant - mean) / std
         constant = constant if clip is None else np.clip(constant, -clip, clip)
         constant[columns] = 0.0
         (first, bias), *rest = weights
         layered = [(first[columns], bias + constant @ first), *rest]
         last, last_bias = layered[-1]
-        given = vec_env.entries(name)
+        given = rows.entries(name)
         layered[-1] = (last[:, given], last_bias[given])
         own_mean, own_std = (None if moments is None else moments[columns] for moments in (mean, std))
         networks[name] = Network(layered, activation, squash, own_mean, own_std, clip)

@@ -14,7 +14,7 @@ from dcgrid_env.agents.training.row_form import RowActions
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
-    from dcgrid_env.agents.training.batched_envs import JointVecEnv
+    from dcgrid_env.agents.training.batched_envs import RowVecEnv
 
 SCALE_ENVS, SCALE_SEED = 8, 1 << 40
 """Environments of the episode by which observations are scaled, and the seed of the first."""
@@ -83,17 +83,17 @@ def sac_settings(envs: VecEnv) -> dict[str, Any]:
     }
 
 
-def discount(made: JointVecEnv) -> float:
+def discount(made: RowVecEnv) -> float:
     """Return the discount: 0 for a difference reward, which charges later costs at once, else 0.9."""
     return 0.0 if made.scenario.cost.reward == "difference" else 0.9
 
 
-def rows_of(envs: VecEnv) -> JointVecEnv:
+def rows_of(envs: VecEnv) -> RowVecEnv:
     """Return what ``sb3_vec_env`` made, without wrappers; see :func:`ppo_settings` for what is refused."""
     from stable_baselines3.common.vec_env import VecNormalize
 
     made: Any = envs.unwrapped
-    if not isinstance(envs.action_space, RowActions) or not hasattr(made, "rows_per_env"):
+    if not isinstance(envs.action_space, RowActions) or not hasattr(made, "rows"):
         raise TypeError(f"envs is a {type(made).__name__}; give environments made by sb3_vec_env")
     wrapper: Any = envs
     while wrapper is not made:
@@ -107,12 +107,12 @@ def rows_of(envs: VecEnv) -> JointVecEnv:
     return made
 
 
-def scaled_observations(made: JointVecEnv) -> dict[str, Any]:
+def scaled_observations(made: RowVecEnv) -> dict[str, Any]:
     """Return policy arguments that scale observations by their means and standard deviations in one episode each."""
+    from dcgrid_env.agents.training.batched_envs import RowVecEnv
     from dcgrid_env.agents.training.sb3_models import Normalised
-    from dcgrid_env.agents.training.vec_env import sb3_vec_env
 
-    rows = sb3_vec_env(made.scenario, SCALE_ENVS, made.view, outputs=made.outputs, nameplate=made.nameplate)
+    rows = RowVecEnv(made.rows, SCALE_ENVS)
     rng = np.random.default_rng(0)
     rows.seed(SCALE_SEED)
     seen = [rows.reset()]

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, get_args
 
 from dcgrid_env import IDS, Scenario, make_scenario
 from dcgrid_env.agents.training.row_form import Outputs, View, learning_form, pays_differences
+from dcgrid_env.agents.training.rows import make_rows
 
 if TYPE_CHECKING:
-    from dcgrid_env.agents.training.batched_envs import JointVecEnv
+    from dcgrid_env.agents.training.batched_envs import RowVecEnv
 
 
 def sb3_vec_env(
@@ -21,7 +22,7 @@ def sb3_vec_env(
     nameplate: bool | None = None,
     render_mode: str | None = None,
     **overrides: object,
-) -> JointVecEnv:
+) -> RowVecEnv:
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
 
     By default rows, actions and reward have the form with which training is fastest: a row is a channel of an agent,
@@ -93,14 +94,9 @@ def sb3_vec_env(
     if chosen.cost.reward == "difference" and (is_open or "reward" in named) and "default_action" not in named:
         chosen = chosen.replace(cost={"default_action": "droop" if form.outputs == "droop" else "previous"})
     try:
-        from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
-        from dcgrid_env.agents.training.batched_envs import JointVecEnv
-        from dcgrid_env.agents.training.channel_vec_env import ChannelVecEnv
+        from dcgrid_env.agents.training.batched_envs import RowVecEnv
     except ImportError as error:
         raise ImportError(
             f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.7'"
         ) from error
-    if form.view == "joint":
-        return JointVecEnv(chosen, num_envs, outputs=form.outputs, render_mode=render_mode)
-    by_row = AgentVecEnv if form.view == "shared" else ChannelVecEnv
-    return by_row(chosen, num_envs, outputs=form.outputs, nameplate=form.nameplate, render_mode=render_mode)
+    return RowVecEnv(make_rows(chosen, form), num_envs, render_mode)

@@ -10,11 +10,10 @@ from dcgrid_env.agents.algorithms import ppo, td3
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.safe import require_plain
 from dcgrid_env.agents.training import sb3
-from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
 from helpers.forms import variant_of
 from helpers.riding import ride_through_34
 from helpers.routing import routed
+from helpers.row_envs import agent_envs, joint_envs
 from helpers.storages import toy6_storage
 
 SCENARIOS = {
@@ -64,7 +63,7 @@ def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
 
 def vec_env_of(scenario, view):
     joint = view == "centralised"
-    vec_env = JointVecEnv(scenario, 4) if joint else AgentVecEnv(scenario, 4, nameplate=True)
+    vec_env = joint_envs(scenario, 4) if joint else agent_envs(scenario, 4, nameplate=True)
     vec_env.end_as_it_arises = True
     return vec_env
 
@@ -150,7 +149,7 @@ def test_other_channels_may_begin_elsewhere_than_at_rest(tmp_path):
     scenario = SCENARIOS["riding"]
     vec_env = vec_env_of(scenario, "shared")
     model = ppo.make(ppo.Ppo(hidden=(8,), nameplate=True, further_begin=-0.5), vec_env)
-    begun = dict(zip(vec_env.channels, model.policy.action_net.bias.tolist(), strict=True))  # pyright: ignore
+    begun = dict(zip(vec_env.rows.channels, model.policy.action_net.bias.tolist(), strict=True))  # pyright: ignore
     assert begun == pytest.approx({"clock": 1.0, "q": 0.0, "return": -0.5}, abs=0.2)
     for given, outputs, remedy in ((2.0, "setpoint", "give at least -1 and at most 1"), (0.0, "droop", "leave it out")):
         with pytest.raises(ValueError, match=f"further_begin is {given}; {remedy}"):

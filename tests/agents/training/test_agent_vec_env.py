@@ -7,23 +7,21 @@ import pytest
 
 from dcgrid_env import DcgridVectorEnv, action_layout, end_costs, field_names
 from dcgrid_env.agents import sb3_vec_env
-from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
-from dcgrid_env.agents.training.channel_vec_env import ChannelVecEnv
 from helpers.riding import ride_through_34
+from helpers.row_envs import agent_envs, channel_envs, joint_envs
 from helpers.storages import toy6_storage
 
 
 @pytest.mark.parametrize("scenario", [toy6_storage(6), ride_through_34(horizon=6)], ids=["storages", "riding"])
 @pytest.mark.parametrize("nameplate", [False, True])
 def test_rows_of_every_kind_see_their_own_and_act_as_the_joint_action(scenario, nameplate):
-    vec_env, native = AgentVecEnv(scenario, 2, nameplate=nameplate), DcgridVectorEnv(2, scenario)
+    vec_env, native = agent_envs(scenario, 2, nameplate=nameplate), DcgridVectorEnv(2, scenario)
     vec_env.seed(3)
     rows, (joint, _) = vec_env.reset(), native.reset(seed=3)
     rng, names = np.random.default_rng(0), field_names(scenario)
     for _ in range(4):
         assert all(vec_env.observation_space.contains(row) for row in rows)
-        action = rng.uniform(-1.0, 1.0, (vec_env.num_envs, len(vec_env.channels))).astype(np.float32)
+        action = rng.uniform(-1.0, 1.0, (vec_env.num_envs, len(vec_env.rows.channels))).astype(np.float32)
         by_agent, own_action = (
             np.asarray(rows).reshape(2, scenario.n_agents, -1),
             action.reshape(2, scenario.n_agents, -1),
@@ -36,8 +34,10 @@ def test_rows_of_every_kind_see_their_own_and_act_as_the_joint_action(scenario, 
             if agent.startswith(device.prefix)
         ):
             n = len(names[agent])
-            np.testing.assert_array_equal(by_agent[:, i, vec_env.columns(agent)[:n]], joint[:, at : at + n])
-            given.append(own_action[:, i][:, [vec_env.channels.index(channel.name) for channel in device.channels]])
+            np.testing.assert_array_equal(by_agent[:, i, vec_env.rows.columns(agent)[:n]], joint[:, at : at + n])
+            given.append(
+                own_action[:, i][:, [vec_env.rows.channels.index(channel.name) for channel in device.channels]]
+            )
             at += n
         rows, paid, *_ = vec_env.step(action)
         joint, reward, *_ = native.step(np.concatenate(given, axis=1))
@@ -46,7 +46,7 @@ def test_rows_of_every_kind_see_their_own_and_act_as_the_joint_action(scenario, 
 
 def test_rows_are_paid_their_difference_rewards_and_an_environment_their_sum():
     scenario = toy6_storage(6).replace(reward="difference")
-    rows, joint = AgentVecEnv(scenario, 2), JointVecEnv(scenario, 2)
+    rows, joint = agent_envs(scenario, 2), joint_envs(scenario, 2)
     for vec_env in (rows, joint):
         vec_env.seed(3)
         vec_env.reset()
@@ -59,10 +59,10 @@ def test_rows_are_paid_their_difference_rewards_and_an_environment_their_sum():
 
 def test_rows_of_channels_act_as_rows_of_agents_and_are_paid_entry_by_entry():
     scenario = toy6_storage(6).replace(reward="difference")
-    agents, channels = AgentVecEnv(scenario, 2, outputs="change"), ChannelVecEnv(scenario, 2, outputs="change")
+    agents, channels = agent_envs(scenario, 2, outputs="change"), channel_envs(scenario, 2, outputs="change")
     layout, rng = action_layout(scenario), np.random.default_rng(0)
     owner = [scenario.agents.index(agent) for agent, _ in layout.names]
-    column = [agents.channels.index(name) for _, name in layout.names]
+    column = [agents.rows.channels.index(name) for _, name in layout.names]
     for vec_env in (agents, channels):
         vec_env.seed(3)
     of_agents: Any = agents.reset()
@@ -90,7 +90,7 @@ def test_corrections_of_a_droop_are_compared_with_that_droop():
     vec_env = sb3_vec_env(
         "ieee33-weak", 2, "shared", outputs="droop", reward="difference", cost={"default_action": "droop"}
     )
-    assert vec_env.scenario.cost.default_gains == vec_env.gains
+    assert vec_env.scenario.cost.default_gains == vec_env.rows.form.gains
     vec_env.seed(0)
     vec_env.reset()
     for _ in range(3):
@@ -100,21 +100,21 @@ def test_corrections_of_a_droop_are_compared_with_that_droop():
 
 
 def test_kinds_are_told_apart_and_use_their_own_entries():
-    vec_env = AgentVecEnv(toy6_storage(), 1)
-    assert vec_env.kinds == ("inverter", "datacenter", "storage")
-    assert vec_env.channels == ("clock", "q", "p")
-    assert vec_env.used.tolist() == [[0, 1, 0], [1, 1, 0], [0, 0, 1]]
-    assert AgentVecEnv(toy6_storage(), 1, "q").used.tolist() == [[0, 1, 0], [0, 1, 0], [0, 0, 0]]
+    vec_env = agent_envs(toy6_storage(), 1)
+    assert vec_env.rows.kinds == ("inverter", "datacenter", "storage")
+    assert vec_env.rows.channels == ("clock", "q", "p")
+    assert vec_env.rows.used.tolist() == [[0, 1, 0], [1, 1, 0], [0, 0, 1]]
+    assert agent_envs(toy6_storage(), 1, "q").rows.used.tolist() == [[0, 1, 0], [0, 1, 0], [0, 0, 0]]
     vec_env.seed(0)
     assert vec_env.reset()[:, -2:].tolist() == [[1, 0], [0, 0], [0, 0], [0, 1], [0, 1]]
-    assert vec_env.rest.tolist() == [1.0, 0.0, 0.0]
-    assert AgentVecEnv(ride_through_34(), 1).rest.tolist() == [1.0, 0.0, 1.0]
-    assert JointVecEnv(toy6_storage(), 1, "q").used.tolist() == [[0, 1, 1, 1, 0, 0]]
+    assert vec_env.rows.rest.tolist() == [1.0, 0.0, 0.0]
+    assert agent_envs(ride_through_34(), 1).rows.rest.tolist() == [1.0, 0.0, 1.0]
+    assert joint_envs(toy6_storage(), 1, "q").rows.used.tolist() == [[0, 1, 1, 1, 0, 0]]
 
 
 def test_what_the_end_charges_is_charged_as_it_arises():
     scenario = toy6_storage(4)
-    plain, early = JointVecEnv(scenario, 2), JointVecEnv(scenario, 2)
+    plain, early = joint_envs(scenario, 2), joint_envs(scenario, 2)
     early.end_as_it_arises = True
     for vec_env in (plain, early):
         vec_env.seed(0)

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import CostWeights, DcgridVectorEnv, Fault, field_names, make_scenario
-from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
-from dcgrid_env.agents.training.batched_envs import JointVecEnv
+from helpers.row_envs import agent_envs, joint_envs
 
 SEED = 5
 
@@ -18,7 +17,7 @@ def actions_for(vec_env, steps, rng):
 
 def test_joint_rows_are_the_native_environments_steps():
     s = scenario()
-    vec_env, native = JointVecEnv(s, 3), DcgridVectorEnv(3, s)
+    vec_env, native = joint_envs(s, 3), DcgridVectorEnv(3, s)
     vec_env.seed(SEED)
     seen, (expected, _) = vec_env.reset(), native.reset(seed=SEED)
     assert np.array_equal(seen, expected)
@@ -32,25 +31,25 @@ def test_joint_rows_are_the_native_environments_steps():
 
 def test_agent_rows_hold_each_agents_own_observation_by_name_and_the_rest_is_zero():
     s = scenario()
-    vec_env, native = AgentVecEnv(s, 2), DcgridVectorEnv(2, s)
+    vec_env, native = agent_envs(s, 2), DcgridVectorEnv(2, s)
     vec_env.seed(SEED)
     seen, (joint, _) = vec_env.reset().reshape(2, s.n_agents, -1), native.reset(seed=SEED)
     assert vec_env.num_envs == 2 * 7
     at = 0
     for i, agent in enumerate(s.agents):
         names = field_names(s)[agent]
-        for j, name in enumerate(vec_env.fields):
+        for j, name in enumerate(vec_env.rows.fields):
             expected = joint[:, at + names.index(name)] if name in names else 0.0
             assert np.array_equal(seen[:, i, j], np.broadcast_to(expected, 2)), (agent, name)
         assert (seen[:, i, -1] == (i < 3)).all()  # the kind
-        assert np.array_equal(seen[:, i, vec_env.columns(agent)], joint[:, at : at + len(names)])
+        assert np.array_equal(seen[:, i, vec_env.rows.columns(agent)], joint[:, at : at + len(names)])
         at += len(names)
-    assert vec_env.observation_space.shape == (len(vec_env.fields) + 1,)
+    assert vec_env.observation_space.shape == (len(vec_env.rows.fields) + 1,)
 
 
 def test_agent_rows_act_as_the_joint_action_and_share_the_reward():
     s = scenario()
-    vec_env, native = AgentVecEnv(s, 2), DcgridVectorEnv(2, s)
+    vec_env, native = agent_envs(s, 2), DcgridVectorEnv(2, s)
     vec_env.seed(SEED)
     vec_env.reset()
     native.reset(seed=SEED)
@@ -66,20 +65,20 @@ def test_agent_rows_act_as_the_joint_action_and_share_the_reward():
 
 def test_nameplate_figures_are_what_full_draw_and_full_reactive_power_do():
     s = scenario()
-    vec_env = AgentVecEnv(s, 1, nameplate=True)
+    vec_env = agent_envs(s, 1, nameplate=True)
     vec_env.seed(SEED)
     seen = vec_env.reset()
-    r, x = (seen[:, vec_env.fields.index(name)] for name in ("r", "x"))
+    r, x = (seen[:, vec_env.rows.fields.index(name)] for name in ("r", "x"))
     rated_mw = np.array([1.0] * 3 + [0.1] * 4)
     limit_mvar = np.array([0.33] * 3 + [0.1] * 4)
-    at = len(vec_env.fields)
+    at = len(vec_env.rows.fields)
     np.testing.assert_allclose(seen[:, at], r * rated_mw, rtol=1e-6)
     np.testing.assert_allclose(seen[:, at + 1], x * limit_mvar, rtol=1e-6)
-    assert list(vec_env.columns("inv_0")[-(seen.shape[1] - 1 - at) :]) == list(range(at, seen.shape[1] - 1))
+    assert list(vec_env.rows.columns("inv_0")[-(seen.shape[1] - 1 - at) :]) == list(range(at, seen.shape[1] - 1))
 
 
 @pytest.mark.parametrize("observe", ["neighbours", "feeder"])
-@pytest.mark.parametrize("make", [JointVecEnv, AgentVecEnv])
+@pytest.mark.parametrize("make", [joint_envs, agent_envs])
 def test_observations_lie_in_their_space(make, observe):
     vec_env = make(scenario(observe=observe), 2)
     vec_env.seed(SEED)
@@ -89,7 +88,7 @@ def test_observations_lie_in_their_space(make, observe):
 
 
 @pytest.mark.parametrize(("act", "clock", "q"), [("q", 1410.0, None), ("clock", None, 0.0)])
-@pytest.mark.parametrize("make", [JointVecEnv, AgentVecEnv])
+@pytest.mark.parametrize("make", [joint_envs, agent_envs])
 def test_what_is_not_in_hand_is_held(make, act, clock, q):
     vec_env = make(scenario(), 2, act)
     vec_env.seed(SEED)
@@ -104,13 +103,13 @@ def test_what_is_not_in_hand_is_held(make, act, clock, q):
 
 def test_used_entries_follow_kind_and_what_is_in_hand():
     s = scenario()
-    assert AgentVecEnv(s, 1).used.tolist() == [[0, 1], [1, 1]]
-    assert AgentVecEnv(s, 1, "q").used.tolist() == [[0, 1], [0, 1]]
-    assert AgentVecEnv(s, 1, "clock").used.tolist() == [[0, 0], [1, 0]]
-    assert JointVecEnv(s, 1, "clock").used.tolist() == [[1, 0] * 3 + [0] * 4]
+    assert agent_envs(s, 1).rows.used.tolist() == [[0, 1], [1, 1]]
+    assert agent_envs(s, 1, "q").rows.used.tolist() == [[0, 1], [0, 1]]
+    assert agent_envs(s, 1, "clock").rows.used.tolist() == [[0, 0], [1, 0]]
+    assert joint_envs(s, 1, "clock").rows.used.tolist() == [[1, 0] * 3 + [0] * 4]
 
 
-@pytest.mark.parametrize("make", [JointVecEnv, AgentVecEnv])
+@pytest.mark.parametrize("make", [joint_envs, agent_envs])
 def test_an_episodes_end_is_told_as_sb3_wants_it(make):
     vec_env = make(scenario(), 2)
     vec_env.seed(SEED)
@@ -131,7 +130,7 @@ def test_an_episodes_end_is_told_as_sb3_wants_it(make):
 
 def test_a_voltage_collapse_is_no_truncation():
     s = scenario("ieee33-weak", datacenters={"p_rated_kw": 20000.0})
-    vec_env = AgentVecEnv(s, 2)
+    vec_env = agent_envs(s, 2)
     vec_env.seed(SEED)
     vec_env.reset()
     _, paid, done, infos = vec_env.step(np.ones((vec_env.num_envs, 2), np.float32))
@@ -141,7 +140,7 @@ def test_a_voltage_collapse_is_no_truncation():
 
 
 def test_rewards_are_scaled():
-    plain, scaled = AgentVecEnv(scenario(), 1), AgentVecEnv(scenario(), 1)
+    plain, scaled = agent_envs(scenario(), 1), agent_envs(scenario(), 1)
     scaled.reward_mean, scaled.reward_scale = -2.0, 0.5
     for vec_env in (plain, scaled):
         vec_env.seed(SEED)
@@ -151,7 +150,7 @@ def test_rewards_are_scaled():
 
 
 def test_seeds_begin_the_same_episodes_again_and_episodes_go_on_without():
-    vec_env = AgentVecEnv(scenario("ieee123"), 2)
+    vec_env = agent_envs(scenario("ieee123"), 2)
     vec_env.seed(SEED)
     first = vec_env.reset()
     second = vec_env.reset()
@@ -163,14 +162,14 @@ def test_seeds_begin_the_same_episodes_again_and_episodes_go_on_without():
 
 def test_works_without_either_kind_and_with_faults():
     for s in (scenario(inverters={"buses": ()}), scenario(faults=(Fault(("inverter",), begin_s=(0.0, 1.0)),))):
-        vec_env = AgentVecEnv(s, 2)
+        vec_env = agent_envs(s, 2)
         vec_env.seed(SEED)
         vec_env.reset()
         vec_env.step(np.zeros((vec_env.num_envs, 2), np.float32))
 
 
 def test_the_rows_are_one_batch():
-    vec_env = AgentVecEnv(scenario(weights=CostWeights()), 2)
+    vec_env = agent_envs(scenario(weights=CostWeights()), 2)
     assert vec_env.get_attr("num_envs") == [2] * 14
     assert vec_env.env_is_wrapped(object) == [False] * 14
     with pytest.raises(AttributeError, match="one batch"):

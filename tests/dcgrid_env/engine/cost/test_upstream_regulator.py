@@ -20,11 +20,11 @@ from dcgrid_env import (
     scenario_hash,
 )
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
-from dcgrid_env.agents.training.agent_vec_env import AgentVecEnv
 from dcgrid_env.devices.tap_changer.regulator_view import upstream_regulators
 from dcgrid_env.engine.cost.observation import field_names, joint_bounds
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.simulation import Simulation
+from helpers.row_envs import agent_envs
 from helpers.three_phase import SCENARIOS, ieee13, ieee123, one_phase
 
 FIELDS = ("upstream_tap", "upstream_relay", "upstream_timer")
@@ -253,8 +253,8 @@ def test_a_policy_trains_on_the_fields(view):
 
 def test_the_shared_view_of_stable_baselines3_has_the_fields():
     scenario = ieee13().replace(sensing={"regulator": True})
-    vec_env = AgentVecEnv(scenario, 2)
-    at = [vec_env.fields.index(field) for field in FIELDS]
+    vec_env = agent_envs(scenario, 2)
+    at = [vec_env.rows.fields.index(field) for field in FIELDS]
     rows: Any = vec_env.reset()
     joint = vec_env.batch.transition.observation
     np.testing.assert_array_equal(rows[:, at], joint[:, columns(scenario)].reshape(-1, 3))

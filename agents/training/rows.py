@@ -1,0 +1,326 @@
+"""Rows of training environments: what a row observes, what its action does, and what it is paid.
+
+A row is an environment (``Rows``), an agent of one (``AgentRows``) or a channel of an agent (``ChannelRows``). The
+classes convert joint observations to those of rows, and actions of rows to joint actions. They step nothing and need no
+library, so vector environments of any library and controllers use the same ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from dcgrid_env import Scenario, action_layout, field_names, under_own_control
+from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS
+from dcgrid_env.agents.policy.interface import PolicyInterface
+from dcgrid_env.agents.training.config import Act
+from dcgrid_env.agents.training.row_form import RowActions, RowForm, droop_gains
+from dcgrid_env.baselines.equipment_agents import at_rest
+
+REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 0.25), "droop": (0.5, 0.5, 0.25)}
+"""Network output for an action of 1: clock, reactive set point and other channel."""
+
+
+def make_rows(scenario: Scenario, form: RowForm | None = None, act: Act = "both") -> Rows:
+    """Return the rows of a form, see :class:`Rows`; by default those of ``gymnasium.make``."""
+    form = form or RowForm()
+    return {"joint": Rows, "shared": AgentRows, "channel": ChannelRows}[form.view](scenario, form, act)
+
+
+class Rows:
+    """One row for each environment, with the joint observation and action of ``gymnasium.make``.
+
+    Parameters
+    ----------
+    scenario
+        Scenario to control. The droop as the default action of a difference reward gets the gains of the form.
+    form
+        What a row is and what its action means. Corrections of a droop without gains are those of the tuned one.
+    act
+        Channels that a policy drives: both, or the clock or the reactive power alone. The other is at the top clock or
+        at zero reactive power.
+
+    Raises
+    ------
+    ValueError
+        If a droop without gains has no tuned ones for the scenario.
+    """
+
+    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both"):
+        gains = (form.gains or droop_gains(scenario)) if form.outputs == "droop" else None
+        if gains is not None and scenario.cost.default_action == "droop":
+            scenario = scenario.replace(cost={"default_gains": tuple(gains)})
+        self.scenario, self.act = scenario, act
+        self.form = form._replace(gains=gains, scenario=scenario.name)
+        kind = "joint" if form.view == "joint" else "shared"
+        self._acting = PolicyInterface(scenario, kind, act=act, outputs=form.outputs, gains=gains)
+
+    @property
+    def per_env(self) -> int:
+        """Number of rows of an environment."""
+        return 1
+
+    @property
+    def n_observation(self) -> int:
+        """Number of entries of a row's observation."""
+        return sum(len(names) for names in field_names(self.scenario).values())
+
+    @property
+    def n_action(self) -> int:
+        """Number of entries of a row's action."""
+        return len(self.channels)
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels that rows drive; except in the view "channel", those of the entries of an action."""
+        return tuple(channel for _, channel in action_layout(self.scenario).names)
+
+    @cached_property
+    def clocks(self) -> np.ndarray:
+        """Which channels are clocks, bool, (n_channel,)."""
+        return np.array([channel == "clock" for channel in self.channels])
+
+    @property
+    def used(self) -> np.ndarray:
+        """1 for each channel that reaches the grid, else 0, float32, (1, n_channel)."""
+        return np.array([[_in_hand(self.act, channel) for channel in self.channels]], np.float32)
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Rest value of each channel as a set point, float32, (n_channel,)."""
+        return at_rest(self.scenario).astype(np.float32)
+
+    @cached_property
+    def reach(self) -> np.ndarray:
+        """Network output for an action of 1, float32, (n_channel,)."""
+        clock, q, other = REACH[self.form.outputs]
+        return np.array([{"clock": clock, "q": q}.get(channel, other) for channel in self.channels], np.float32)
+
+    @property
+    def further_channels(self) -> dict[str, tuple[str, ...]]:
+        """Channels that a policy must list; see ``PolicyInterface.further_channels``."""
+        return self._acting.further_channels
+
+    @property
+    def action_space(self) -> RowActions:
+        """Actions of a row, with the form."""
+        return RowActions(self.form, self.n_action)
+
+    def observation_space(self, joint: spaces.Space[Any]) -> spaces.Box:
+        """Return the observations of a row, from the space of joint observations."""
+        assert isinstance(joint, spaces.Box)
+        return joint
+
+    def observed(self, joint: np.ndarray) -> np.ndarray:
+        """Return the rows' observations, float32, (env and row, n_observation), of joint ones, (env, n)."""
+        return joint
+
+    def joint_action(self, joint: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """Return the joint actions, (env, n), that actions of rows mean after joint observations.
+
+        Parameters
+        ----------
+        joint
+            Joint observations, (env, n).
+        actions
+            Actions of the rows, (env and row, n_action).
+        """
+        return self._acting.action(joint, self._outputs(actions))
+
+    def driven(self, joint: np.ndarray, predict: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Return the joint action, where ``predict`` gives the rows' actions for their observations."""
+        return self.joint_action(joint, predict(self.observed(joint)))
+
+    def paid(self, transition: Any) -> np.ndarray:
+        """Return the rewards of a step, (env, row): difference rewards of the rows, or the team's for each."""
+        if self.scenario.cost.reward == "difference":
+            return self._differences(transition)
+        return np.repeat(transition.reward[:, None], self.per_env, axis=1)
+
+    def _differences(self, transition: Any) -> np.ndarray:
+        return transition.reward.sum(-1, keepdims=True)
+
+    def _outputs(self, actions: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the outputs of networks that actions of rows stand for."""
+        return {"joint": actions * self.reach}
+
+
+class AgentRows(Rows):
+    """One row for each agent of each environment, environment by environment, for one policy that drives all.
+
+    Its observation has, in this order: the fields of every kind of agent, each once by name, 0 where an agent has no
+    such field; with ``form.nameplate`` those that ``policy.interface`` adds; 1 for a data centre or 0 for another; a
+    figure for each kind but inverters, 1 for an agent of it. Its action is (clock, q) and then the other channels of
+    the agents, each once by name. Channels that an agent does not have, as an inverter's clock, are ignored.
+
+    Parameters
+    ----------
+    scenario, form, act
+        See :class:`Rows`.
+
+    Raises
+    ------
+    ValueError
+        As of :class:`Rows`. Also if regulators or capacitor banks are among the agents.
+    """
+
+    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both"):
+        if under_own_control(scenario, keep_set_points=True) is not scenario:
+            raise ValueError(
+                f"view is {form.view!r}; {scenario.name!r} has regulators or capacitor banks among its agents, which "
+                "share no policy with the others: choose 'joint', or give under_own_control(scenario, "
+                "keep_set_points=True)"
+            )
+        super().__init__(scenario, form, act)
+        groups = self._acting.groups
+        self._plates = PolicyInterface(scenario, "shared", nameplate=True).plates if form.nameplate else None
+        self._figures = 3 * form.nameplate
+        self.fields = tuple(dict.fromkeys(name for group in groups.values() for name in group.fields))
+        self.kinds = ("inverter", "datacenter", *(kind for kind in groups if kind not in PLAIN_CHANNELS))
+        """Kinds of agents in the order of the rows of ``used``; all but the first have a figure in the observation."""
+        self.members = {kind: np.arange(group.agents.start, group.agents.stop) for kind, group in groups.items()}
+        """Positions of the agents of each kind among all."""
+        self._kind = np.zeros((scenario.n_agents, len(self.kinds) - 1), np.float32)
+        for i, kind in enumerate(self.kinds[1:]):
+            self._kind[self.members.get(kind, []), i] = 1.0
+
+    @property
+    def per_env(self) -> int:
+        """Rows of an environment."""
+        return self.scenario.n_agents
+
+    @property
+    def n_observation(self) -> int:
+        """Number of entries of a row's observation."""
+        return self._sources.shape[1]
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels that rows drive."""
+        of_kinds = self._acting.channels.values()
+        return tuple(dict.fromkeys(("clock", "q", *(name for names in of_kinds for name in names))))
+
+    @property
+    def used(self) -> np.ndarray:
+        """1 for each channel that reaches the grid, else 0, float32, (kind, n_channel), see ``kinds``."""
+        channels_of = PLAIN_CHANNELS | self._acting.channels
+        return np.array(
+            [[name in channels_of[kind] and _in_hand(self.act, name) for name in self.channels] for kind in self.kinds],
+            np.float32,
+        )
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Inactive action as a set point: the mean over the agents that have the channel, float32, (n_channel,)."""
+        resting, layout = at_rest(self.scenario), action_layout(self.scenario)
+        at_rest_values = [resting[layout.is_channel(name)] for name in self.channels]
+        return np.array([values.mean() if len(values) else 0.0 for values in at_rest_values], np.float32)
+
+    def entries(self, kind: str) -> list[int]:
+        """Positions in ``channels`` of the channels of agents of a kind, in their order."""
+        return [self.channels.index(name) for name in self._acting.channels[kind]]
+
+    def columns(self, agent: str) -> np.ndarray:
+        """Where a row's observation holds the agent's own observation, and its nameplate figures if there are any."""
+        field_columns = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
+        return np.array(field_columns + [len(self.fields) + i for i in range(self._figures)])
+
+    def observation_space(self, joint: spaces.Space[Any]) -> spaces.Box:
+        """Return the observations of a row, from the space of joint observations."""
+        whole = super().observation_space(joint)
+        low, high = (self.observed(edge[None]).reshape(self.per_env, -1) for edge in (whole.low, whole.high))
+        low, high = low.min(axis=0), high.max(axis=0)
+        plate = slice(len(self.fields), len(self.fields) + self._figures)
+        low[plate], high[plate] = -np.inf, np.inf
+        low[plate.stop :], high[plate.stop :] = 0.0, 1.0
+        return spaces.Box(low, high, dtype=np.float32)
+
+    def observed(self, joint: np.ndarray) -> np.ndarray:
+        """Return the rows' observations, float32, (env and row, n_observation), of joint ones, (env, n)."""
+        plates = () if self._plates is None else self._plates(joint)
+        ends = np.broadcast_to(np.array([0.0, 1.0], np.float32), (len(joint), 2))
+        rows = np.concatenate((joint, *plates, ends), axis=-1, dtype=np.float32).take(self._sources, axis=1)
+        return rows.reshape(-1, rows.shape[-1])
+
+    @property
+    def _zero(self) -> int:
+        """Where the 0 is that ``_sources`` refers to; the 1 follows."""
+        return sum(len(names) for names in field_names(self.scenario).values()) + self._figures * self.scenario.n_agents
+
+    @cached_property
+    def _sources(self) -> np.ndarray:
+        """Where the figures of a row are in joint observation, nameplate figures, 0 and 1, (row, n_observation)."""
+        scenario, n_agent = self.scenario, self.scenario.n_agents
+        names = [field_names(scenario)[agent] for agent in scenario.agents]
+        first = np.cumsum([0, *map(len, names)])
+        sources = np.full((n_agent, len(self.fields) + self._figures + self._kind.shape[1]), self._zero, np.int64)
+        for i, own in enumerate(names):
+            sources[i, [self.fields.index(name) for name in own]] = first[i] + np.arange(len(own))
+            sources[i, len(self.fields) :][: self._figures] = first[-1] + i + n_agent * np.arange(self._figures)
+        sources[:, len(self.fields) + self._figures :] += self._kind.astype(np.int64)
+        return sources
+
+    def _differences(self, transition: Any) -> np.ndarray:
+        return transition.reward
+
+    def _outputs(self, actions: np.ndarray) -> dict[str, np.ndarray]:
+        each = (actions * self.reach).reshape(-1, self.scenario.n_agents, len(self.channels))
+        return {kind: each[:, members[:, None], self.entries(kind)] for kind, members in self.members.items()}
+
+
+class ChannelRows(AgentRows):
+    """One row for each channel of each agent, in the order of the joint action.
+
+    A row observes what its agent observes in ``AgentRows``, then a figure for each channel, 1 for its own and 0 for the
+    others. Its action is that entry alone. Likelihood and difference reward therefore belong to one channel, without
+    the noise of the others.
+
+    Parameters
+    ----------
+    scenario, form, act
+        See :class:`AgentRows`.
+    """
+
+    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both"):
+        names, agents = action_layout(scenario).names, {agent: i for i, agent in enumerate(scenario.agents)}
+        self._owner = np.array([agents[agent] for agent, _ in names])
+        self._of_names = [name for _, name in names]
+        super().__init__(scenario, form, act)
+
+    @property
+    def per_env(self) -> int:
+        """Rows of an environment."""
+        return len(self._owner)
+
+    @property
+    def n_action(self) -> int:
+        """Number of entries of a row's action: its channel's."""
+        return 1
+
+    @cached_property
+    def _column(self) -> np.ndarray:
+        """Channel of each row of an environment, (row,)."""
+        return np.array([self.channels.index(name) for name in self._of_names])
+
+    @cached_property
+    def _sources(self) -> np.ndarray:
+        code = np.eye(len(self.channels), dtype=np.int64)[self._column]
+        return np.concatenate((super()._sources[self._owner], self._zero + code), axis=1)
+
+    def _differences(self, transition: Any) -> np.ndarray:
+        return transition.reward_vector
+
+    def _outputs(self, actions: np.ndarray) -> dict[str, np.ndarray]:
+        own = actions.reshape(-1, len(self._owner))
+        of_agents = np.zeros((len(own), self.scenario.n_agents, len(self.channels)), np.float32)
+        of_agents[:, self._owner, self._column] = own
+        return super()._outputs(of_agents.reshape(-1, len(self.channels)))
+
+
+def _in_hand(act: str, channel: str) -> bool:
+    """Return whether a policy controls the channels of this name."""
+    return act in ("both", channel)
