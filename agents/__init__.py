@@ -10,6 +10,7 @@ from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.unseen import UnseenScenarioWarning
 from dcgrid_env.agents.training.sb3_settings import ppo_settings, sac_settings
+from dcgrid_env.agents.training.training_env import RowVectorEnv, training_env
 from dcgrid_env.agents.training.vec_env import sb3_vec_env
 from dcgrid_env.baselines import find_controller
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate
@@ -22,6 +23,7 @@ __all__ = [
     "Network",
     "Policy",
     "PolicyError",
+    "RowVectorEnv",
     "UnseenScenarioWarning",
     "evaluate",
     "find_controller",
@@ -29,4 +31,5 @@ __all__ = [
     "ppo_settings",
     "sac_settings",
     "sb3_vec_env",
+    "training_env",
 ]

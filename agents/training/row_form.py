@@ -55,7 +55,8 @@ class RowForm(NamedTuple):
             raise PolicyError(f"action_space: form has gains {stored['gains']!r}; it must be three numbers") from None
         if (gains is None) == (stored["outputs"] == "droop"):
             raise PolicyError("action_space: form has gains exactly if its outputs are 'droop'; save the model again")
-        return cls(**(stored | {"gains": gains}))
+        fields: dict[str, Any] = stored | {"gains": gains}
+        return cls(**fields)
 
     @property
     def stored(self) -> dict[str, Any]:
@@ -80,7 +81,9 @@ class RowActions(spaces.Box):
 
     def __eq__(self, other: object) -> bool:
         """Whether the spaces are equal and actions have the same meaning, so that a model can go on with the other."""
-        meaning = [(space.form["view"], space.form["outputs"]) for space in (self, other) if isinstance(space, RowActions)]
+        meaning = [
+            (space.form["view"], space.form["outputs"]) for space in (self, other) if isinstance(space, RowActions)
+        ]
         return super().__eq__(other) and len(set(meaning)) == 1
 
 

@@ -7,18 +7,26 @@ library, so vector environments of any library and controllers use the same ones
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from gymnasium import spaces
 
-from dcgrid_env import Scenario, action_layout, field_names, under_own_control
+from dcgrid_env import IDS, Scenario, action_layout, field_names, make_scenario, under_own_control
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.training.config import Act
-from dcgrid_env.agents.training.row_form import RowActions, RowForm, droop_gains
+from dcgrid_env.agents.training.row_form import (
+    Outputs,
+    RowActions,
+    RowForm,
+    View,
+    droop_gains,
+    learning_form,
+    pays_differences,
+)
 from dcgrid_env.baselines.equipment_agents import at_rest
 
 REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 0.25), "droop": (0.5, 0.5, 0.25)}
@@ -29,6 +37,31 @@ def make_rows(scenario: Scenario, form: RowForm | None = None, act: Act = "both"
     """Return the rows of a form, see :class:`Rows`; by default those of ``gymnasium.make``."""
     form = form or RowForm()
     return {"joint": Rows, "shared": AgentRows, "channel": ChannelRows}[form.view](scenario, form, act)
+
+
+def learning_rows(
+    scenario: str | Scenario,
+    view: View | None,
+    outputs: Outputs | None,
+    nameplate: bool | None,
+    overrides: Mapping[str, object],
+) -> Rows:
+    """Return the rows with which training is fastest, except for what is given; see :func:`sb3_vec_env`."""
+    for name, value, choices in (("view", view, get_args(View)), ("outputs", outputs, get_args(Outputs))):
+        if value is not None and value not in choices:
+            raise ValueError(f"{name} is {value!r}; choose one of {', '.join(choices)}")
+    chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
+    form = learning_form(chosen, view, outputs, nameplate)
+    if form.nameplate and form.view == "joint":
+        raise ValueError("nameplate is True with view 'joint'; choose view 'shared' or 'channel', or leave it out")
+    cost = overrides.get("cost")
+    named = {*overrides, *(cost if isinstance(cost, Mapping) else ())}
+    is_open = "reward" not in named and chosen.cost.reward == "shared" and chosen.split == "train"
+    if is_open and form.view != "joint" and pays_differences(chosen):
+        chosen = chosen.replace(reward="difference")
+    if chosen.cost.reward == "difference" and (is_open or "reward" in named) and "default_action" not in named:
+        chosen = chosen.replace(cost={"default_action": "droop" if form.outputs == "droop" else "previous"})
+    return make_rows(chosen, form)
 
 
 class Rows:

@@ -15,10 +15,10 @@ from dcgrid_env.agents.policy.neural_network import Network
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import trained_on
+from dcgrid_env.agents.training.observation_scaling import CLIP
 from dcgrid_env.agents.training.rows import AgentRows, Rows
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.sb3 import Config, OffPolicy, episode_seed
-from dcgrid_env.agents.training.torch_modules import CLIP
 from dcgrid_env.agents.training.validation import made_with
 
 SMALLEST_STD = 1e-4

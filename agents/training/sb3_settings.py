@@ -7,19 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from dcgrid_env.agents.training.observation_scaling import observation_scaling
 from dcgrid_env.agents.training.row_form import RowActions
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
     from dcgrid_env.agents.training.batched_envs import RowVecEnv
-
-SCALE_ENVS, SCALE_SEED = 8, 1 << 40
-"""Environments of the episode by which observations are scaled, and the seed of the first."""
-SMALLEST_SPREAD = 1e-2
-"""Least standard deviation that an observation is divided by."""
 
 
 def ppo_settings(envs: VecEnv) -> dict[str, Any]:
@@ -108,18 +102,8 @@ def rows_of(envs: VecEnv) -> RowVecEnv:
 
 
 def scaled_observations(made: RowVecEnv) -> dict[str, Any]:
-    """Return policy arguments that scale observations by their means and standard deviations in one episode each."""
-    from dcgrid_env.agents.training.batched_envs import RowVecEnv
+    """Return policy arguments that scale observations, see :func:`observation_scaling`."""
     from dcgrid_env.agents.training.sb3_models import Normalised
 
-    rows = RowVecEnv(made.rows, SCALE_ENVS)
-    rng = np.random.default_rng(0)
-    rows.seed(SCALE_SEED)
-    seen = [rows.reset()]
-    offset = 0.3 * rng.standard_normal((rows.num_envs, *made.action_space.shape))  # pyright: ignore
-    for _ in range(made.scenario.horizon):
-        action = offset + 0.3 * rng.standard_normal(offset.shape)
-        seen.append(rows.step(np.clip(action, -1.0, 1.0).astype(np.float32))[0])
-    figures = np.concatenate(seen).astype(np.float64)
-    moments = {"mean": figures.mean(0).tolist(), "std": np.maximum(figures.std(0), SMALLEST_SPREAD).tolist()}
+    moments = {name: values.tolist() for name, values in observation_scaling(made.rows)._asdict().items()}
     return {"features_extractor_class": Normalised, "features_extractor_kwargs": moments}

@@ -11,10 +11,9 @@ import numpy as np
 from dcgrid_env.agents.policy.history_network import HistoryNetwork, with_changes
 from dcgrid_env.agents.policy.monotone import UNITS, WIDTH, Head, MonotoneNetwork, head_output
 from dcgrid_env.agents.policy.neural_network import Network
+from dcgrid_env.agents.training.observation_scaling import CLIP
 from dcgrid_env.agents.training.run_folder import torch
 
-CLIP = 10.0
-"""Largest normalised observation."""
 SMALL = 0.1
 """Factor on the last layer's weights at the beginning: actions begin near what an output of 0 means."""
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
-from dcgrid_env import IDS, Scenario, make_scenario
-from dcgrid_env.agents.training.row_form import Outputs, View, learning_form, pays_differences
-from dcgrid_env.agents.training.rows import make_rows
+from dcgrid_env import Scenario
+from dcgrid_env.agents.training.row_form import Outputs, View
+from dcgrid_env.agents.training.rows import learning_rows
 
 if TYPE_CHECKING:
     from dcgrid_env.agents.training.batched_envs import RowVecEnv
@@ -79,24 +78,11 @@ def sb3_vec_env(
         For an unknown view or unknown outputs, nameplate figures in a joint view, or corrections of a droop without
         tuned gains. Also for another view than "joint" if regulators or capacitor banks are among the agents.
     """
-    for name, value, choices in (("view", view, get_args(View)), ("outputs", outputs, get_args(Outputs))):
-        if value is not None and value not in choices:
-            raise ValueError(f"{name} is {value!r}; choose one of {', '.join(choices)}")
-    chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
-    form = learning_form(chosen, view, outputs, nameplate)
-    if form.nameplate and form.view == "joint":
-        raise ValueError("nameplate is True with view 'joint'; choose view 'shared' or 'channel', or leave it out")
-    cost = overrides.get("cost")
-    named = {*overrides, *(cost if isinstance(cost, Mapping) else ())}
-    is_open = "reward" not in named and chosen.cost.reward == "shared" and chosen.split == "train"
-    if is_open and form.view != "joint" and pays_differences(chosen):
-        chosen = chosen.replace(reward="difference")
-    if chosen.cost.reward == "difference" and (is_open or "reward" in named) and "default_action" not in named:
-        chosen = chosen.replace(cost={"default_action": "droop" if form.outputs == "droop" else "previous"})
+    rows = learning_rows(scenario, view, outputs, nameplate, overrides)
     try:
         from dcgrid_env.agents.training.batched_envs import RowVecEnv
     except ImportError as error:
         raise ImportError(
             f"sb3_vec_env needs Stable-Baselines3 ({error}); install it with pip install 'stable-baselines3>=2.7'"
         ) from error
-    return RowVecEnv(make_rows(chosen, form), num_envs, render_mode)
+    return RowVecEnv(rows, num_envs, render_mode)

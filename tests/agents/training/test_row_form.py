@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,11 +29,17 @@ from dcgrid_env.baselines import make_controller
         ("toy6", {"reward": "shared"}, ("channel", "droop", True), "shared", "previous"),
         ("toy6", {"cost": {"reward": "shared"}}, ("channel", "droop", True), "shared", "previous"),
         ("toy6", {"reward": "difference", "split": "test"}, ("channel", "droop", True), "difference", "droop"),
-        ("toy6", {"reward": "difference", "cost": {"default_action": "rest"}}, ("channel", "droop", True), "difference", "rest"),
+        (
+            "toy6",
+            {"reward": "difference", "cost": {"default_action": "rest"}},
+            ("channel", "droop", True),
+            "difference",
+            "rest",
+        ),
     ],
 )
 def test_what_is_not_given_is_chosen_by_scenario_and_split(scenario, fields, form, reward, default_action):
-    made = sb3_vec_env(scenario, 1, **fields)
+    made: Any = sb3_vec_env(scenario, 1, **fields)
     chosen = made.action_space.form
     assert (chosen["view"], chosen["outputs"], chosen["nameplate"]) == form
     assert chosen["scenario"] == made.scenario.name
@@ -50,7 +57,8 @@ def test_what_is_not_given_is_chosen_by_scenario_and_split(scenario, fields, for
 @pytest.mark.slow
 def test_an_action_of_zero_is_that_of_the_tuned_droop(scenario, view):
     chosen = make_scenario(scenario, split="test", horizon=30)
-    made, native, law = sb3_vec_env(chosen, 2, view), DcgridVectorEnv(2, chosen), make_controller("droop-tuned", chosen)
+    made: Any = sb3_vec_env(chosen, 2, view)
+    native, law = DcgridVectorEnv(2, chosen), make_controller("droop-tuned", chosen)
     made.seed(5)
     made.reset()
     law.reset(chosen)
@@ -68,7 +76,7 @@ def test_an_action_of_zero_is_that_of_the_tuned_droop(scenario, view):
 
 
 def test_actions_keep_their_form_in_copies_and_differ_by_it():
-    made = sb3_vec_env("toy6", 1)
+    made: Any = sb3_vec_env("toy6", 1)
     space = made.action_space
     for same in (copy.deepcopy(space), pickle.loads(pickle.dumps(space))):
         assert same == space

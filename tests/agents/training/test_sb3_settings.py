@@ -45,7 +45,9 @@ def test_environments_whose_observations_cannot_be_scaled_are_refused(algorithm,
     foreign.close()
     envs = sb3_vec_env("toy6", 1)
     for changed in (VecNormalize(envs), VecFrameStack(envs, 2)):
-        with pytest.raises(ValueError, match="envs has the wrapper Vec.*make the settings from environments without it"):
+        with pytest.raises(
+            ValueError, match=r"envs has the wrapper Vec.*make the settings from environments without it"
+        ):
             settings(changed)
 
 
