@@ -7,11 +7,15 @@ from functools import partial
 from pathlib import Path
 
 from dcgrid_env import PRESETS, Scenario, make_scenario
+from dcgrid_env.agents.from_sb3.sb3_policy import read_policy
+from dcgrid_env.agents.from_sb3.sb3_zip import SUFFIX as ZIP
+from dcgrid_env.agents.from_sb3.sb3_zip import trained_scenario
 from dcgrid_env.agents.policy.guard import GuardedPolicy, guarded, law_for
 from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.baselines import Controller, ForScenario
+from dcgrid_env.baselines.registry import controller_file, split_prefix
 from dcgrid_env.baselines.scenario_spec import options_of
 from dcgrid_env.baselines.tuning.tuned import grid_difference
 from dcgrid_env.core.plugins import Entry
@@ -65,17 +69,29 @@ def _guarded(controller: Controller, scenario: Scenario, tuned: str | Path | Non
     return guarded(controller, None if isinstance(controller, ModelAidedPolicy) else law_for(scenario, tuned))
 
 
-def _pickled(path: str) -> Policy:
-    """Raise ValueError, because controller files are read without running code and this one contains pickles."""
-    raise ValueError(
-        f"controller {path!r} is a Stable-Baselines3 zip, which contains pickled objects, and unpickling can "
-        f"run any code; convert it once with `dcgrid export-sb3 {path} --scenario SCENARIO`, which does not unpickle it"
-    )
+def trained_on(policy: str) -> str:
+    """Return the scenario that a policy was trained on as its file or its name says; empty if there is none.
+
+    Parameters
+    ----------
+    policy
+        Name or file of a controller, see ``find_controller``.
+    """
+    _, inner = split_prefix(policy)
+    file = controller_file(inner)
+    if file is not None and file.suffix == ZIP:
+        return trained_scenario(file)
+    is_policy = inner in SHIPPED or (file is not None and file.suffix == SUFFIX)
+    return Policy.load(file or inner).trained_on if is_policy else ""
+
+
+def _load_file(path: str, scenario: Scenario | None, _: str | Path | None) -> Policy:
+    return read_policy(path, scenario)
 
 
 ENTRIES: dict[str, Entry] = {
     SUFFIX: ("a saved policy", Policy.load),
-    ".zip": ("a model of Stable-Baselines3, to be converted first", _pickled),
+    ZIP: ForScenario("a model of Stable-Baselines3, of which only weights and text are read", _load_file),
     "guarded:": ("before a policy's name: kept near its law where it was not trained, or does worse", _guarded),
     **{name: (f"the policy {name}, which ships", partial(Policy.load, name)) for name in SHIPPED},
     **{name: ForScenario(f"{name}, trained on the preset that it drives", partial(_load, name)) for name in TRAINED},

@@ -8,10 +8,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import METRICS, Scenario
 from dcgrid_env.baselines import Controller, Published, published, rollout
 from dcgrid_env.baselines.controller import with_figures
-from dcgrid_env.baselines.score import Score, score
+from dcgrid_env.baselines.score import STATIC, Score, score
 
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
 """Hashes of episodes that have been verified, so that many policies on the same episodes need only one check."""
@@ -95,3 +95,25 @@ def evaluate(controller: Controller, scenario: Scenario, seeds: Sequence[int], n
     metrics = with_figures(controller, recorder.metrics())
     means = {name: float(np.mean([m[name] for m in metrics])) for name in metrics[0]}
     return Evaluation(scenario, tuple(seeds), np.array([m["J"] for m in metrics]), means)
+
+
+def below_static(name: str, means: Mapping[str, float], rules: Mapping[str, Evaluation]) -> str | None:
+    """Return a warning if a rule that uses no measurements has a lower cost than a controller; None if not.
+
+    Parameters
+    ----------
+    name
+        Name of the controller; no warning is for one of the rules (``score.STATIC``).
+    means
+        Its mean metrics.
+    rules
+        Results of controllers on the same episodes, by name; others than these rules are ignored.
+    """
+    of_rules = {rule: rules[rule].means for rule in STATIC if rule in rules}
+    if not of_rules or name in STATIC:
+        return None
+    j, best = METRICS["J"], min(of_rules, key=lambda rule: of_rules[rule]["J"])
+    if not j.is_worse(means, of_rules[best]):
+        return None
+    worse = f"J {j.text(means['J'])} is higher than {j.text(of_rules[best]['J'])} of {best}"
+    return f"{name}: {worse}, which uses no measurements"

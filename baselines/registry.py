@@ -123,7 +123,7 @@ class ForScenario(NamedTuple):
 
     about: str
     """Short description of the controller."""
-    make: Callable[[Scenario, str | Path | None], Controller]
+    make: Callable[..., Controller]
     """Function that makes a new controller from the scenario and a file of tuned parameters, or None."""
 
 
@@ -137,8 +137,9 @@ CONTROLLER_REGISTRY = Registry("dcgrid.controllers", "controller", Controller, E
 
 An entry is a pair of a description and a function without arguments that makes a new controller, or a ``ForScenario``.
 A name that begins with a dot, such as ``.safetensors``, matches all files with that ending; its function takes the
-path. A name that ends in a colon, such as ``guarded:``, is a prefix of the text of another controller; its function
-takes that controller, the scenario and the file of tuned parameters.
+path, and that of a ``ForScenario`` also the scenario, None if it is unknown, and the file of tuned parameters. A name
+that ends in a colon, such as ``guarded:``, is a prefix of the text of another controller; its function takes that
+controller, the scenario and the file of tuned parameters.
 """
 
 
@@ -178,8 +179,8 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
         One of three forms. A name, see ``make_controller``. A class, ``package.module:Class`` or
         ``path/to/file.py:Class``, with literals as arguments if it takes any, ``file.py:Class(gain=0.5)``; this runs
         the user's code, and modules of the working directory are found too. A saved policy, as the path of its
-        .safetensors file or of the training run's folder that contains it; this does not run code. The prefix
-        ``guarded:`` may precede a learned policy.
+        .safetensors file, of the training run's folder that contains it, or of a Stable-Baselines3 zip; this does not
+        run code. The prefix ``guarded:`` may precede a learned policy.
     scenario
         Scenario to drive; it selects the gains of a tuned controller.
     tuned
@@ -198,7 +199,7 @@ def find_controller(spec: str, scenario: Scenario, tuned: str | Path | None = No
         return pickle.loads(carried)
     require_known(spec)
     if parse(spec) is not None or controller_file(spec) is not None:
-        return _own_controller(spec)
+        return _own_controller(spec, scenario, tuned)
     return make_controller(spec, scenario, tuned)
 
 
@@ -208,7 +209,7 @@ def require_known(spec: str) -> None:
         raise ValueError(f"{CONTROLLER_REGISTRY.unknown(spec)}; or {_forms()}")
 
 
-def _own_controller(spec: str) -> Controller:
+def _own_controller(spec: str, scenario: Scenario | None = None, tuned: str | Path | None = None) -> Controller:
     """Make a controller from a user's file or code; errors as of ``find_controller``."""
     reference = parse(spec)
     if reference is not None:
@@ -222,7 +223,8 @@ def _own_controller(spec: str) -> Controller:
     assert file is not None
     if not is_file(file, ValueError):
         raise ValueError(f"controller {spec!r}: there is no file {file}; {_forms()}")
-    return CONTROLLER_REGISTRY.make(file.suffix, str(file))
+    further = (scenario, tuned) if isinstance(CONTROLLER_REGISTRY[file.suffix], ForScenario) else ()
+    return CONTROLLER_REGISTRY.make(file.suffix, str(file), *further)
 
 
 def own_controllers(specs: Iterable[str]) -> dict[str, bytes]:

@@ -1,5 +1,8 @@
 """dcgrid: voltage control of distribution feeders with data centres, for reinforcement learning and power systems."""
 
+from importlib import import_module as _import_module
+from typing import Any as _Any
+
 from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices import (
     DataCenters,
@@ -194,6 +197,7 @@ __all__ = [
     "sag_times",
     "scenario_hash",
     "scenario_on",
+    "score",
     "sensitivity",
     "sensitivity_between_agents",
     "sensitivity_by",
@@ -207,3 +211,10 @@ __all__ = [
 ]
 
 _register()
+
+
+def __getattr__(name: str) -> _Any:
+    """Return what a layer below defines; it is imported on first use, so that importing the package stays light."""
+    if name == "score":
+        return _import_module("dcgrid_env.agents.scoring").score
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import stable_baselines3
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_pkl
 from stable_baselines3.common.vec_env import VecNormalize
 
-from dcgrid_env import Scenario, action_layout
-from dcgrid_env.agents.from_sb3.sb3_policy import Normalisation, rows_for
+from dcgrid_env import Scenario
+from dcgrid_env.agents.from_sb3.sb3_policy import BEHIND_VEC_NORMALIZE, Normalisation, rows_for
 from dcgrid_env.agents.from_sb3.sb3_zip import algorithm_of, read_about
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.row_policy import RowPolicy
+from dcgrid_env.agents.training.row_form import RowActions, RowForm
+from dcgrid_env.agents.training.rows import Rows
 from dcgrid_env.baselines import rollout
-from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.baselines.user_code import OwnCodeError, described
 
 TOLERANCE = 1e-4
@@ -26,57 +27,40 @@ EPISODES = 4
 """Episodes of the training split over which the two are compared."""
 
 
-class Sb3Controller:
+class Sb3Controller(RowPolicy):
     """A model of Stable-Baselines3 as a controller: the actions are those of ``predict(deterministic=True)``.
 
     Parameters
     ----------
-    path
-        Zip that ``model.save`` wrote. It is unpickled.
+    model
+        Model of an algorithm without memory.
     normalisation
         That of the VecNormalize which it was trained behind.
+    called
+        Name of the model in errors.
 
     Raises
     ------
     PolicyError
-        If the file is not such a zip, or the algorithm is unknown.
-    OwnCodeError
-        Where Stable-Baselines3 cannot load it.
+        If the model is recurrent.
     """
 
-    def __init__(self, path: Path, normalisation: Normalisation | None = None):
-        self.path, self.normalisation = path, normalisation
-        try:
-            algorithm = getattr(stable_baselines3, algorithm_of(read_about(path)).upper())
-        except PolicyError as error:
-            raise PolicyError(f"{path}: {error}") from None
-        try:
-            self.model = algorithm.load(path, device="cpu", custom_objects={"buffer_size": 1})
-        except Exception as error:  # whatever the pickles run
-            raise OwnCodeError(f"{path}: Stable-Baselines3 cannot load it: {described(error)}") from error
+    def __init__(self, model: BaseAlgorithm, normalisation: Normalisation | None = None, called: str = "model"):
+        super().__init__(self._predicted)
+        self.model, self.normalisation, self.called = model, normalisation, called
+        if hasattr(model.policy, "lstm_actor"):
+            raise PolicyError(
+                f"{called}: it is recurrent; write a controller class with its state (docs/own-policy.md)"
+            )
 
-    def reset(self, env_info: Scenario) -> None:
-        """Begin episodes; PolicyError where the model's spaces are none of the scenario's."""
-        shapes = (self.model.observation_space.shape, self.model.action_space.shape)
+    def _rows_on(self, scenario: Scenario) -> Rows:
+        """Return the rows of the model's spaces; raise PolicyError if they are not of the scenario."""
+        space = self.model.action_space
+        shapes = (self.model.observation_space.shape, space.shape)
         if any(shape is None or len(shape) != 1 for shape in shapes):
-            raise PolicyError(f"{self.path}: spaces have the shapes {shapes}; a model for dcgrid has flat ones")
-        self._rows = rows_for(env_info, (shapes[0][0], shapes[1][0]))
-        self._equipment = EquipmentAgents(env_info, keep_set_points=True)
-        self._layout = action_layout(env_info)
-
-    def act(self, observations: Any) -> Any:
-        """Actions for observations, in the same form: a mapping of agents, or joint, (..., n_observation)."""
-        if self._rows.scenario.agents != self._equipment.scenario.agents:
-            return self._equipment.act(observations, self._joint)
-        if isinstance(observations, Mapping):
-            agents = self._equipment.scenario.agents
-            return self._layout.split(self._joint(np.concatenate([observations[agent] for agent in agents], axis=-1)))
-        return self._joint(np.asarray(observations))
-
-    def _joint(self, joint: np.ndarray) -> np.ndarray:
-        rows = joint.reshape(-1, joint.shape[-1])
-        action = self._rows.driven(rows, self._predicted)
-        return action.reshape(*joint.shape[:-1], -1)
+            raise PolicyError(f"{self.called}: spaces have the shapes {shapes}; a model for dcgrid has flat ones")
+        form = RowForm.read(space.form) if isinstance(space, RowActions) else None
+        return rows_for(scenario, (shapes[0][0], shapes[1][0]), form)
 
     def _predicted(self, rows: np.ndarray) -> np.ndarray:
         if self.normalisation is not None:
@@ -85,18 +69,38 @@ class Sb3Controller:
         return self.model.predict(rows, deterministic=True)[0]
 
 
-def trusted(path: Path) -> Sb3Controller:
-    """A controller that runs a model unchanged.
+def of_model(model: BaseAlgorithm) -> Sb3Controller:
+    """Return the controller of a model in memory, with the VecNormalize around its environment, if any."""
+    envs = model.get_vec_normalize_env()
+    return Sb3Controller(model, None if envs is None else Normalisation.of(envs))
 
-    PolicyError if it was trained behind VecNormalize, without whose statistics its actions are meaningless.
+
+def loaded(path: Path, normalisation: Normalisation | None = None) -> Sb3Controller:
+    """Return the controller of a zip that ``model.save`` wrote. The zip is unpickled.
+
+    Raises PolicyError if the file is not such a zip or the algorithm is unknown, and OwnCodeError if Stable-Baselines3
+    cannot load it.
     """
-    controller = Sb3Controller(path)
+    try:
+        algorithm = getattr(stable_baselines3, algorithm_of(read_about(path)).upper())
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+    try:
+        model = algorithm.load(path, device="cpu", custom_objects={"buffer_size": 1})
+    except Exception as error:  # whatever the pickles run
+        raise OwnCodeError(f"{path}: Stable-Baselines3 cannot load it: {described(error)}") from error
+    return Sb3Controller(model, normalisation, str(path))
+
+
+def trusted(path: Path) -> Sb3Controller:
+    """Return a controller that runs a model unchanged.
+
+    Raises PolicyError if it was trained behind VecNormalize, without whose statistics its actions are meaningless.
+    """
+    controller = loaded(path)
     about = read_about(path)
     if "gae_lambda" in about and about.get("_last_original_obs") is not None:
-        raise PolicyError(
-            f"{path}: it was trained behind VecNormalize, whose statistics are no part of the zip; convert it with "
-            "`dcgrid export-sb3 --normalize FILE.pkl --trust`, FILE.pkl being that of VecNormalize.save"
-        )
+        raise PolicyError(f"{path}: {BEHIND_VEC_NORMALIZE}")
     return controller
 
 
@@ -113,10 +117,7 @@ def read_normalisation(path: Path) -> Normalisation | None:
         raise OwnCodeError(f"{path}: it cannot be unpickled: {described(error)}") from error
     if not isinstance(found, VecNormalize):
         raise PolicyError(f"{path}: holds a {type(found).__name__}; give the file that VecNormalize.save wrote")
-    if not found.norm_obs:
-        return None
-    moments: Any = found.obs_rms
-    return Normalisation(moments.mean, np.sqrt(moments.var + found.epsilon), float(found.clip_obs))
+    return Normalisation.of(found)
 
 
 class _Compared:
@@ -145,7 +146,7 @@ def largest_difference(controller: Sb3Controller, policy: Policy, scenario: Scen
     rollout(scenario, compared, range(EPISODES))
     if compared.largest > TOLERANCE:
         raise PolicyError(
-            f"{controller.path}: its weights as a policy act otherwise than Stable-Baselines3 does, by up to "
+            f"{controller.called}: its weights as a policy act otherwise than Stable-Baselines3 does, by up to "
             f"{compared.largest:.2g}; its class does something of its own: drive it by a controller class"
         )
     return compared.largest

@@ -13,22 +13,29 @@ import zipfile
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.agents.policy.neural_network import Network, PolicyError
+from dcgrid_env.agents.training.row_form import RowForm
 from dcgrid_env.core.user_files import is_file, parse_json
 
 SUFFIX = ".zip"
 MOST_MIB = 256
 """Maximum size of a file in a zip, MiB."""
-REMEDY = "drive it by a controller class of some ten lines (docs/own-policy.md)"
+REMEDY = (
+    "run it with dcgrid evaluate and --trust, or drive it by a controller class of some ten lines (docs/own-policy.md)"
+)
 ACTIVATIONS = {
     f"<class 'torch.nn.modules.activation.{name}'>": name.lower() for name in ("Tanh", "ReLU", "ELU", "SiLU")
 }
 """Activations in ``policy_kwargs`` and their names in dcgrid."""
 FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
+NORMALISED = "<class 'dcgrid_env.agents.training.sb3_models.Normalised'>"
+"""Features extractor of ``ppo_settings`` and ``sac_settings``, whose means and deviations are among the weights."""
+ROW_ACTIONS = "<class 'dcgrid_env.agents.training.row_form.RowActions'>"
+"""Action space of ``sb3_vec_env``, which has the form of the rows."""
 WITHOUT_EFFECT = {
     ":type:", ":serialized:", "net_arch", "optimizer_class", "optimizer_kwargs", "log_std_init", "ortho_init",
     "full_std", "use_expln", "share_features_extractor", "normalize_images", "n_critics", "use_sde",
@@ -44,6 +51,8 @@ class _Form(NamedTuple):
 
     module: str
     """Module of the policy class."""
+    extractor: str
+    """Names of the features extractor's arrays begin so."""
     hidden: str
     last: str
     """Name of the last layer; empty if it is the last one of ``hidden``."""
@@ -54,13 +63,16 @@ class _Form(NamedTuple):
 
 
 _ACTOR_CRITIC = _Form(
-    "stable_baselines3.common.policies", "mlp_extractor.policy_net.", "action_net.", "tanh",
-    ("log_std", "mlp_extractor.value_net.", "value_net."),
+    "stable_baselines3.common.policies", "pi_features_extractor.", "mlp_extractor.policy_net.", "action_net.", "tanh",
+    ("log_std", "mlp_extractor.value_net.", "value_net.", "features_extractor.", "vf_features_extractor."),
 )  # fmt: skip
 _OF_SAC = _Form(
-    "stable_baselines3.sac.policies", "actor.latent_pi.", "actor.mu.", "relu", ("actor.log_std", "critic"),
+    "stable_baselines3.sac.policies", "actor.features_extractor.", "actor.latent_pi.", "actor.mu.", "relu",
+    ("actor.log_std", "critic"),
 )  # fmt: skip
-_OF_TD3 = _Form("stable_baselines3.td3.policies", "actor.mu.", "", "relu", ("actor_target.", "critic"))
+_OF_TD3 = _Form(
+    "stable_baselines3.td3.policies", "actor.features_extractor.", "actor.mu.", "", "relu", ("actor_target.", "critic"),
+)  # fmt: skip
 FORMS = {"ppo": _ACTOR_CRITIC, "a2c": _ACTOR_CRITIC, "sac": _OF_SAC, "td3": _OF_TD3, "ddpg": _OF_TD3}
 
 
@@ -69,23 +81,27 @@ class Actor(NamedTuple):
 
     algorithm: str
     """One of ``FORMS``."""
-    layers: list[tuple[np.ndarray, np.ndarray]]
-    """(weight, bias) of each layer, (n_in, n_out) and (n_out,)."""
-    activation: str
-    squash: str
-    """``clip`` or ``tanh``."""
+    network: Network
+    """Network from the model's observation to its action."""
+    form: RowForm | None
+    """Form of the rows that the model acts on; None if it was not trained on those of ``sb3_vec_env``."""
     is_normalised: bool | None
     """Whether the model was trained with VecNormalize; None if the file does not contain this information."""
     seed: int | None
 
     @property
-    def widths(self) -> tuple[int, int]:
-        """Number of entries in observation and action."""
-        return len(self.layers[0][0]), len(self.layers[-1][1])
+    def card(self) -> dict[str, Any]:
+        """Origin of the policy, see ``Policy.save``."""
+        return {"algorithm": f"sb3-{self.algorithm}", "seed": self.seed}
 
 
-def read_actor(path: Path) -> Actor:
+def read_actor(file: Path | IO[bytes]) -> Actor:
     """Read the actor of a zip that ``model.save`` wrote, without unpickling any object.
+
+    Parameters
+    ----------
+    file
+        The zip: a path, or its open content.
 
     Raises
     ------
@@ -95,36 +111,58 @@ def read_actor(path: Path) -> Actor:
     OSError
         If the file cannot be opened.
     """
+    called = file if isinstance(file, Path) else "model"
     try:
-        about, weights = _contents(path)
+        about, weights = _contents(file)
         algorithm = algorithm_of(about)
-        form = FORMS[algorithm]
+        names = FORMS[algorithm]
         kwargs = about.get("policy_kwargs") or {}
         _check_expressible(about, kwargs, algorithm)
-        layers = _layers(weights, form)
-        activation = ACTIVATIONS[kwargs["activation_fn"]] if "activation_fn" in kwargs else form.activation
-        squash = "tanh" if form is not _ACTOR_CRITIC or kwargs.get("squash_output") else "clip"
-        behind = about.get("_last_original_obs") is not None if form is _ACTOR_CRITIC else None
+        extractor = {} if kwargs.get("features_extractor_class") != NORMALISED else _moments(weights, names.extractor)
+        activation = ACTIVATIONS[kwargs["activation_fn"]] if "activation_fn" in kwargs else names.activation
+        squash = "tanh" if names is not _ACTOR_CRITIC or kwargs.get("squash_output") else "clip"
+        network = Network(_layers(weights, names), activation, squash, **extractor)
+        behind = about.get("_last_original_obs") is not None if names is _ACTOR_CRITIC else None
         seed = about.get("seed")
-        return Actor(algorithm, layers, activation, squash, behind, seed if isinstance(seed, int) else None)
+        return Actor(algorithm, network, form_in(about), behind, seed if isinstance(seed, int) else None)
     except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from None
+        raise PolicyError(f"{called}: {error}") from None
     except (TypeError, AttributeError, KeyError, ValueError) as error:
         raise PolicyError(
-            f"{path}: data is not what Stable-Baselines3 writes ({error!r}); save the model again"
+            f"{called}: data is not what Stable-Baselines3 writes ({error!r}); save the model again"
         ) from None
 
 
-def read_about(path: Path) -> dict[str, Any]:
+def form_in(about: Mapping[str, Any]) -> RowForm | None:
+    """Return the form of the rows from a model's description; None without one, PolicyError if it is invalid."""
+    space = about["action_space"]
+    return RowForm.read(space.get("form")) if space.get(":type:") == ROW_ACTIONS else None
+
+
+def trained_scenario(path: Path) -> str:
+    """Return the name of the scenario that a zip says its model was trained on; empty if it says none.
+
+    Raises PolicyError if the file is not such a zip.
+    """
+    try:
+        form = form_in(read_about(path))
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+    except (TypeError, AttributeError, KeyError):
+        return ""
+    return form.scenario if form else ""
+
+
+def read_about(file: Path | IO[bytes]) -> dict[str, Any]:
     """Return the JSON description of the model, pickles as text; raise PolicyError if the file is not such a zip."""
-    if not is_file(path, PolicyError):
+    if isinstance(file, Path) and not is_file(file, PolicyError):
         raise PolicyError("there is no such file; give the zip that Stable-Baselines3's model.save wrote")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(file) as archive:
             return dict(parse_json(_part(archive, "data"), "data", ValueError, REMEDY))
-    except PolicyError:
+    except (PolicyError, OSError):
         raise
-    except (zipfile.BadZipFile, ValueError, TypeError):
+    except Exception:  # of the zip's reader, whatever the file holds
         raise PolicyError("not a zip that Stable-Baselines3 wrote; give one of model.save") from None
 
 
@@ -139,11 +177,11 @@ def algorithm_of(about: Mapping[str, Any]) -> str:
     raise PolicyError(f"algorithm is none of {', '.join(FORMS)}; {REMEDY}")
 
 
-def _contents(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _contents(file: Path | IO[bytes]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the contents of ``data``, and the weights by name."""
-    about, torch = read_about(path), import_module("torch")
+    about, torch = read_about(file), import_module("torch")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(file) as archive:
             content = _part(archive, "policy.pth")
         state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
         return about, {name: tensor.detach().float().numpy() for name, tensor in state.items()}
@@ -173,7 +211,7 @@ def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algo
         raise PolicyError(f"policy_class is one of {module}, not SB3's MlpPolicy; {REMEDY}")
     for space in ("observation_space", "action_space"):
         kind = about[space].get(":type:", "")
-        if not kind.endswith(".box.Box'>"):
+        if not kind.endswith(".box.Box'>") and kind != ROW_ACTIONS:
             raise PolicyError(f"{space} is {kind}, not a Box; {REMEDY}")
     for edge, value in (("low", -1.0), ("high", 1.0)):
         ends = set(re.findall(r"-?[\d.]+(?:e[-+]?\d+)?|-?inf", about["action_space"][edge].replace("...", " ")))
@@ -190,10 +228,20 @@ def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algo
         names = ", ".join(ACTIVATIONS.values())
         raise PolicyError(f"policy_kwargs: activation_fn is {activation}, a policy has one of {names}; {REMEDY}")
     extractor = kwargs.get("features_extractor_class", FLATTEN)
-    if extractor != FLATTEN:
+    if extractor not in (FLATTEN, NORMALISED):
         raise PolicyError(f"policy_kwargs: features_extractor_class is {extractor}; {REMEDY}")
     if algorithm == "sac" and about.get("use_sde") and kwargs.get("clip_mean", 2.0) > 0.0:
         raise PolicyError(f"use_sde: SAC cuts its mean at clip_mean before tanh, which a policy cannot; {REMEDY}")
+
+
+def _moments(weights: dict[str, np.ndarray], prefix: str) -> dict[str, Any]:
+    """Take the means and deviations of a features extractor from the weights, as arguments of ``Network``."""
+    from dcgrid_env.agents.training.torch_modules import CLIP
+
+    try:
+        return {name: weights.pop(f"{prefix}{name}") for name in ("mean", "std")} | {"clip": CLIP}
+    except KeyError as missing:
+        raise PolicyError(f"policy.pth: {missing.args[0]} is missing; save the model again") from None
 
 
 def _layers(weights: Mapping[str, np.ndarray], form: _Form) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -19,7 +20,7 @@ from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.baselines import Controller, find_controller, published, rollout
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-from dcgrid_env.baselines.score import REFERENCE, SPLIT, score
+from dcgrid_env.baselines.score import REFERENCE, SPLIT, score, static_rules
 
 TUNED = Path(str(files("dcgrid_env.baselines.data") / "tuned.json"))
 """Gains of tuned controllers: the bundled ones, independent of the working directory."""
@@ -103,6 +104,15 @@ def _run(scenario: Scenario, seeds: range, metrics: Sequence[Mapping[str, float]
 @lru_cache(maxsize=4)
 def _droop(scenario: Scenario, seeds: tuple[int, ...]) -> Evaluation:
     return evaluate(controller_of(REFERENCE, scenario), scenario, seeds, REFERENCE)
+
+
+def static_evaluations(scenario: Scenario, seeds: Sequence[int]) -> dict[str, Evaluation]:
+    """Results of the rules without measurements that apply to a scenario and have tuned parameters, by name."""
+    found = {}
+    for name in static_rules(scenario):
+        with suppress(ValueError):
+            found[name] = evaluate(controller_of(name, scenario), scenario, seeds, name)
+    return found
 
 
 def scored(run: Run) -> Score:

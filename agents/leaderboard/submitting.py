@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import platform
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from dcgrid_env import Scenario, scenario_hash
+from dcgrid_env.agents.controllers import trained_on
+from dcgrid_env.agents.from_sb3.sb3_policy import convert
+from dcgrid_env.agents.from_sb3.sb3_zip import SUFFIX as ZIP
 from dcgrid_env.agents.leaderboard.confinement import version
 from dcgrid_env.agents.leaderboard.entry_files import (
     CARD,
@@ -28,7 +32,7 @@ from dcgrid_env.agents.leaderboard.remote import require_system
 from dcgrid_env.agents.leaderboard.running import Runner, controller_of, episodes_hash, run, scenario_of, scored
 from dcgrid_env.agents.leaderboard.scopes import Scope, measured_scope
 from dcgrid_env.agents.policy.guard import GuardedPolicy
-from dcgrid_env.agents.policy.policy import SHIPPED, Policy
+from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy
 from dcgrid_env.agents.shipping import without_horizon
@@ -65,7 +69,8 @@ def submit(
     Parameters
     ----------
     policy
-        Name of the controller, see ``find_controller``; for a user's code ``path/to/file.py:Class``.
+        Name of the controller, see ``find_controller``; for a user's code ``path/to/file.py:Class``. A model of
+        Stable-Baselines3 becomes a policy file.
     name, paper
         What the entry is called on the page, and where it is described.
     out
@@ -86,6 +91,15 @@ def submit(
     """
     require_system()
     check_words(name=name, paper=paper)
+    before, inner = split_prefix(policy)
+    file = controller_file(inner)
+    if file is not None and file.suffix == ZIP:
+        with TemporaryDirectory() as folder:
+            converted = convert(file, Path(folder) / POLICY)
+            return submit(
+                f"{before}{converted}", name, out, paper=paper, scenario=scenario, episodes=episodes,
+                learned_on=learned_on, scope=scope,
+            )  # fmt: skip
     entry = _entry(policy)
     if (entry.kind == CODE) != bool(scope):
         raise SubmissionError(
@@ -173,9 +187,7 @@ def _entry(policy: str) -> _Entry:
 
 def _trained_on(policy: str) -> str:
     """Return the preset that a policy was trained on; raise SubmissionError if there is none."""
-    _, inner = split_prefix(policy)
-    file = controller_file(inner)
-    if inner in SHIPPED or (file is not None and file.suffix == SUFFIX):
-        return without_horizon(Policy.load(file or inner).trained_on)
-    require_known(inner)
+    if where := trained_on(policy):
+        return without_horizon(where)
+    require_known(split_prefix(policy)[1])
     raise SubmissionError(f"policy {policy!r} was not trained on a preset; pass --scenario (dcgrid list)")

@@ -257,6 +257,16 @@ class AgentRows(Rows):
         """Positions in ``channels`` of the channels of agents of a kind, in their order."""
         return [self.channels.index(name) for name in self._acting.channels[kind]]
 
+    def constant(self, kind: str) -> np.ndarray:
+        """Return the entries of observations that are the same for all agents of a kind, 0 for others.
+
+        (1, n_observation), and for rows of channels (channel, n_observation), channels in the order of ``entries``.
+        """
+        rows = np.zeros((1, self.n_observation), np.float32)
+        start = len(self.fields) + self._figures
+        rows[:, start : start + self._kind.shape[1]] = self._kind[self.members[kind][0]]
+        return rows
+
     def columns(self, agent: str) -> np.ndarray:
         """Where a row's observation holds the agent's own observation, and its nameplate figures if there are any."""
         field_columns = [self.fields.index(name) for name in field_names(self.scenario)[agent]]
@@ -333,6 +343,13 @@ class ChannelRows(AgentRows):
     def n_action(self) -> int:
         """Number of entries of a row's action: its channel's."""
         return 1
+
+    def constant(self, kind: str) -> np.ndarray:
+        """Return the entries that are the same for all agents of a kind, (channel, n_observation), 0 for others."""
+        entries = self.entries(kind)
+        rows = np.repeat(super().constant(kind), len(entries), axis=0)
+        rows[:, -len(self.channels) :] = np.eye(len(self.channels), dtype=np.float32)[entries]
+        return rows
 
     @cached_property
     def _column(self) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import trained_on
 from dcgrid_env.agents.training.observation_scaling import CLIP
-from dcgrid_env.agents.training.rows import AgentRows, Rows
+from dcgrid_env.agents.training.row_networks import policy_of_rows
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.sb3 import Config, OffPolicy, episode_seed
 from dcgrid_env.agents.training.validation import made_with
@@ -108,55 +108,9 @@ def export(
     cfg: Config, vec_env: RowVecEnv, normalised: Normalised, layers: Iterable[torch.nn.Module], activation: str,
     squash: str,
 ) -> Policy:  # fmt: skip
-    """The actor as a policy of NumPy arrays: in the shared view a network for each kind of agent."""
+    """Return the actor as a policy of NumPy arrays: in the shared view a network for each kind of agent."""
     mean, std = (buffer.cpu().numpy().astype(np.float64) for buffer in (normalised.mean, normalised.std))
     linear = [module for module in layers if isinstance(module, torch.nn.Linear)]
     weights = [(m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy()) for m in linear]
-    rows = vec_env.rows
-    if rows.form.outputs != "setpoint":
-        weights[-1] = (weights[-1][0] * rows.reach, weights[-1][1] * rows.reach)
-    networks = networks_of(rows, weights, activation, squash, mean, std, CLIP)
-    return Policy(
-        networks, observe=cfg.observe, preview=cfg.preview, act=cfg.act, nameplate=cfg.nameplate,
-        outputs=rows.form.outputs, gains=rows.form.gains,
-        scenario=trained_on(cfg), made_with=made_with(), channels=rows.further_channels,
-    )  # fmt: skip
-
-
-def networks_of(
-    rows: Rows, weights: Sequence[tuple[np.ndarray, np.ndarray]], activation: str, squash: str,
-    mean: np.ndarray | None, std: np.ndarray | None, clip: float | None,
-) -> dict[str, Network]:  # fmt: skip
-    """Make the networks of a policy whose layers act on a row: one, or in the shared view one for each kind of agent.
-
-    The first bias contains the kind of agent and the entries that the agent does not observe: both are constant.
-
-    Parameters
-    ----------
-    rows
-        What a row is.
-    weights
-        (weight, bias) of each layer, (n_in, n_out) and (n_out,).
-    activation, squash
-        See :class:`Network`.
-    mean, std, clip
-        Normalisation of a row's observation, (n_observation,) each and a figure; none of them where there is none.
-    """
-    if not isinstance(rows, AgentRows):
-        return {"joint": Network(weights, activation, squash, mean, std, clip)}
-    networks = {}
-    for name, members in rows.members.items():
-        columns = rows.columns(rows.scenario.agents[members[0]])
-        constant = np.zeros(len(weights[0][0]))
-        constant[-len(rows.kinds) + 1 :] = [name == kind for kind in rows.kinds[1:]]
-        constant = constant if mean is None or std is None else (constant - mean) / std
-        constant = constant if clip is None else np.clip(constant, -clip, clip)
-        constant[columns] = 0.0
-        (first, bias), *rest = weights
-        layered = [(first[columns], bias + constant @ first), *rest]
-        last, last_bias = layered[-1]
-        given = rows.entries(name)
-        layered[-1] = (last[:, given], last_bias[given])
-        own_mean, own_std = (None if moments is None else moments[columns] for moments in (mean, std))
-        networks[name] = Network(layered, activation, squash, own_mean, own_std, clip)
-    return networks
+    row_network = Network(weights, activation, squash, mean, std, CLIP)
+    return policy_of_rows(vec_env.rows, row_network, scenario=trained_on(cfg), made_with=made_with())

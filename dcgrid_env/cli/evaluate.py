@@ -15,7 +15,6 @@ from dcgrid_env.cli.hindsight import kept_episodes, solve_missing
 from dcgrid_env.cli.opening import offer
 from dcgrid_env.cli.runs import draw_first
 from dcgrid_env.cli.sb3_export import SUFFIX as SB3
-from dcgrid_env.cli.sb3_export import require_trusted
 from dcgrid_env.cli.settings import Overrides, check_folder, tuned_from
 from dcgrid_env.cli.terminal import plain_console, say
 from dcgrid_env.cli.workers import OverWorkers
@@ -43,8 +42,8 @@ class Evaluate(OverWorkers):
 
     policy: tyro.conf.Positional[str]
     """Policy to score: a bundled policy or controller (dcgrid list), a training run's folder, a policy file
-    (.safetensors), your class (module:Class or file.py:Class, for example 'file.py:Class(gain=0.5)') or, with --trust,
-    a Stable-Baselines3 model (.zip). The prefix guarded: keeps a policy near the tuned droop outside the conditions
+    (.safetensors), a Stable-Baselines3 model (.zip) or your class (module:Class or file.py:Class, for example
+    'file.py:Class(gain=0.5)'). The prefix guarded: keeps a policy near the tuned droop outside the conditions
     that it was trained in."""
     scenario: str | None = None
     """Scenario: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or package.module:function. Default:
@@ -64,8 +63,8 @@ class Evaluate(OverWorkers):
     """File with the gains of the tuned controllers, written by dcgrid tune. Default: results/tuned.json if it has gains
     for this exact scenario, otherwise the gains bundled with the preset."""
     trust: bool = False
-    """Run code from files: load a Stable-Baselines3 zip, which contains pickled code, or import the scenario code named
-    in a training run's folder. dcgrid export-sb3 converts a zip without running its code."""
+    """Run code from files: let Stable-Baselines3 load a zip, which contains pickled code, or import the scenario code
+    named in a training run's folder. Without it, only weights and text of a zip are read."""
     out: Path = Path("results/evaluate")
     """Folder for figure.png, which shows the first episode under the policy and the tuned droop. Created if missing."""
     open: bool = False
@@ -86,16 +85,15 @@ class Evaluate(OverWorkers):
         from dcgrid_env.baselines.tuning.tuned import require_tuned
 
         require_tuned(self.tuned)
-        place, zipped = self.place, _zipped(self.policy)
-        if zipped is not None:
-            require_trusted(zipped, self.trust, self.scenario or "SCENARIO")
+        place = self.place
         check_folder(self.out)
         spec = _scenario_of(self)
         scenario = spec.make(self.split)
         seeds = range(self.seed, self.seed + self.episodes)
         if self.hindsight:
             kept_episodes(FOLDER, scenario)  # raise ValueError for a file of another scenario before any run
-        controller = find_controller(self.policy, scenario, self.tuned) if zipped is None else _sb3(zipped)
+        zipped = _zipped(self.policy) if self.trust else None
+        controller = _sb3(zipped) if zipped else find_controller(self.policy, scenario, self.tuned)
         controllers = {self.policy: controller}
         left_out = []
         for name in (REFERENCE, *static_rules(scenario)):
@@ -143,7 +141,7 @@ def _sb3(file: Path) -> Controller:
 def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     """Return the scenario of the command line or of the policy's training; raise ValueError if there is neither."""
     from dcgrid_env import PRESETS
-    from dcgrid_env.agents.policy.policy import SHIPPED, SUFFIX, Policy
+    from dcgrid_env.agents.controllers import trained_on
     from dcgrid_env.baselines.registry import controller_file, require_known, split_prefix
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -155,10 +153,7 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
         where, overrides = _of_training(Path(inner) / "config.json", cfg.trust)
         if where and "," not in where:
             return ScenarioSpec(where, (*overrides, *cfg.set))
-    if inner in SHIPPED:
-        where = Policy.load(inner).trained_on
-    else:
-        where = Policy.load(file).trained_on if file is not None and file.suffix == SUFFIX else ""
+    where = trained_on(cfg.policy)
     if where not in PRESETS:
         require_known(inner)
         raise ValueError(
@@ -270,10 +265,11 @@ def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     """Return warnings: a longer delay than under the droop, and better results of rules that use no measurements."""
     from dcgrid_env import METRICS
     from dcgrid_env.agents.policy.guard import guard_line
-    from dcgrid_env.baselines.score import REFERENCE, STATIC
+    from dcgrid_env.baselines.evaluation import below_static
+    from dcgrid_env.baselines.score import REFERENCE
 
     said, means = [], evaluations[policy].means
-    delay, j = METRICS["delay_mean_s"], METRICS["J"]
+    delay = METRICS["delay_mean_s"]
     droop = evaluations[REFERENCE].means if REFERENCE in evaluations else means
     if delay.is_worse(means, droop):
         said.append(
@@ -282,12 +278,6 @@ def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
         )
     if line := guard_line(policy, means):
         said.append(line)
-    best = min(
-        (name for name in STATIC if name in evaluations), key=lambda name: evaluations[name].means["J"], default=policy
-    )
-    if policy not in STATIC and j.is_worse(means, evaluations[best].means):
-        said.append(
-            f"{policy}: J {j.text(means['J'])} is higher than {j.text(evaluations[best].means['J'])} of {best}, which "
-            "uses no measurements"
-        )
+    if line := below_static(policy, means, evaluations):
+        said.append(line)
     return said

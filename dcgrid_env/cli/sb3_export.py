@@ -28,10 +28,10 @@ class ExportSb3(Command):
 
     model: tyro.conf.Positional[Path]
     """Zip file written by model.save of Stable-Baselines3."""
-    scenario: str
+    scenario: str | None = None
     """Scenario of the training: a name (dcgrid list), path/to/file.toml, path/to/file.py:function or
-    package.module:function. The model must use the spaces of gymnasium.make, or of sb3_vec_env in the joint or shared
-    view."""
+    package.module:function. Default: the one that the model contains, if it was trained on sb3_vec_env. Other models
+    must use the spaces of gymnasium.make."""
     set: Overrides = ()
     """Scenario fields to override, for example --set horizon=60 sensing.noise_pu=0.005."""
     out: Path = Path("policy.safetensors")
@@ -58,44 +58,37 @@ class ExportSb3(Command):
             raise ValueError(f"export-sb3 needs {error.name}; {from_clone('agents')}") from None
 
     def _run(self) -> None:
-        from dcgrid_env.agents.from_sb3.sb3_policy import as_policy
+        from dcgrid_env.agents.from_sb3.sb3_policy import as_policy, named_scenario
         from dcgrid_env.agents.from_sb3.sb3_zip import read_actor
-        from dcgrid_env.agents.training.validation import made_with
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
-        spec, actor, normalisation = ScenarioSpec(self.scenario, self.set), read_actor(self.model), None
+        actor, normalisation = read_actor(self.model), None
+        where = self.scenario or named_scenario(actor.form)
+        if where is None:
+            raise ValueError(f"{self.model}: names no scenario of dcgrid list; add --scenario")
+        spec = ScenarioSpec(where, self.set)
         if self.normalize is not None:
             from dcgrid_env.agents.from_sb3.sb3_controller import read_normalisation
 
             normalisation = read_normalisation(self.normalize)
-            actor = actor._replace(is_normalised=normalisation is not None)
+            actor = actor._replace(is_normalised=False)
+        trained = spec.make("train")
         try:
-            policy = as_policy(actor, spec, made_with(), normalisation)
+            policy = as_policy(actor, trained, normalisation, spec.label)
         except ValueError as error:
             raise ValueError(f"{self.model}: {error}") from None
         console = plain_console()
         if self.trust:
-            from dcgrid_env.agents.from_sb3.sb3_controller import EPISODES, Sb3Controller, largest_difference
+            from dcgrid_env.agents.from_sb3.sb3_controller import EPISODES, largest_difference, loaded
 
-            largest = largest_difference(Sb3Controller(self.model, normalisation), policy, spec.make("train"))
+            largest = largest_difference(loaded(self.model, normalisation), policy, trained)
             say(
                 console,
                 f"largest difference from predict(deterministic=True): {largest:.1e} in {EPISODES} episodes",
             )
-        elif actor.is_normalised is None:
+        elif actor.is_normalised is None and actor.network.mean is None:
             say(console, "observations are not normalised; add --normalize if the model was trained with VecNormalize")
-        card = {"algorithm": f"sb3-{actor.algorithm}", "seed": actor.seed}
-        path = policy.save(self.out, card)
+        path = policy.save(self.out, actor.card)
         kinds = ", ".join(f"{name} {net.n_in} -> {net.n_out}" for name, net in policy.networks.items())
         say(console, f"{actor.algorithm} of Stable-Baselines3, networks: {kinds}")
         say(console, f"wrote {path} and .json; next: dcgrid evaluate {path}")
-
-
-def require_trusted(model: Path, trust: bool, scenario: str) -> None:
-    """Raise ValueError with the alternatives unless a Stable-Baselines3 zip is trusted."""
-    if not trust:
-        raise ValueError(
-            f"policy: must be trusted, got the Stable-Baselines3 zip {str(model)!r}; unpickling runs any code in it; "
-            f"convert it without unpickling: `dcgrid export-sb3 {model} --scenario {scenario}`, or add --trust if you "
-            "trust its author"
-        )

@@ -21,8 +21,8 @@ class Submit(Command):
     """
 
     policy: tyro.conf.Positional[str]
-    """Policy: a policy file, a training run's folder, a bundled policy or controller (dcgrid list), or your class
-    (file.py:Class, quoted if it takes arguments). For a class, only its file is copied."""
+    """Policy: a policy file, a Stable-Baselines3 model (.zip), a training run's folder, a bundled policy or controller
+    (dcgrid list), or your class (file.py:Class, quoted if it takes arguments). For a class, only its file is copied."""
     name: str
     """Name of the entry on the leaderboard."""
     paper: str = ""
@@ -41,7 +41,9 @@ class Submit(Command):
 
     def run(self) -> None:
         """Run, write and print; raise ValueError before writing if the policy cannot be an entry."""
+        from dcgrid_env.agents.leaderboard.running import scenario_of, static_evaluations
         from dcgrid_env.agents.leaderboard.submitting import submit
+        from dcgrid_env.baselines.evaluation import below_static
         from dcgrid_env.baselines.file_names import file_name
 
         out = self.out or Path("results/submissions") / file_name("-".join(filter(None, (self.scenario, self.name))))
@@ -51,10 +53,13 @@ class Submit(Command):
                 self.policy, self.name, out, paper=self.paper, scenario=self.scenario, episodes=self.episodes,
                 learned_on=self.learned_on, scope=self.scope,
             )  # fmt: skip
+            rules = static_evaluations(scenario_of(entry.scenario), range(entry.episodes))
         value, low, high = entry.score
         say(
             console,
             f"{entry.name} on {entry.scenario}: J {entry.claimed.J:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f}), "
             f"information: {entry.scope}",
         )
+        if line := below_static(entry.name, {"J": entry.claimed.J}, rules):
+            say(console, line)
         say(console, f"wrote {out}; next: dcgrid verify {out}")

@@ -21,6 +21,9 @@ def test_a_forward_pass_worked_by_hand():
     known = {"mean": [1.0, 0.0], "std": [2.0, 0.5], "clip": 3.0}
     assert Network(layers, "relu", "clip", **known)(seen) == [1.0]
     assert Network(layers, "relu", "tanh", **known)(seen) == pytest.approx([np.tanh(6.1)])
+    assert Network(layers, "relu", "clip", **known, scale=[0.25])(seen) == [0.25]  # after the squash
+    cut = known | {"clip": [[-3.0, 0.5], [-1.0, 3.0]]}  # the first input is -1 instead of 1
+    assert Network(layers, "relu", "none", **cut)(seen) == pytest.approx([2.0 * 1.0 - 2.75 + 0.1])
     small = [(np.array(w) / 10.0, np.array(b) / 10.0) for w, b in layers]
     # 0.3, -0.125 before the activation; out is 0.2 f(0.3) - 0.1 f(-0.125) + 0.01.
     for name, f in {
@@ -40,10 +43,17 @@ def test_activations_of_large_figures_are_finite():
         assert np.isfinite(out).all()
 
 
-@pytest.mark.parametrize("settings", [{}, {"activation": "silu", "squash": "tanh", "clip": 5.0, "std": [0.5] * 3}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"activation": "silu", "squash": "tanh", "clip": 5.0, "std": [0.5] * 3},
+        {"clip": np.array([[-1.0] * 3, [0.5] * 3]), "scale": np.array([0.5, 2.0])},
+    ],
+)
 def test_arrays_and_settings_make_the_same_network(settings):
     one = network(3, 8, 2, **settings)
-    assert set(one.arrays()) == {"w0", "b0", "w1", "b1", *({"std"} & set(settings))}
+    assert set(one.arrays()) == {"w0", "b0", "w1", "b1", *(name for name, value in settings.items() if np.ndim(value))}
     two = Network.read(one.arrays(), one.settings())
     seen = np.random.default_rng(1).normal(size=(4, 3))
     np.testing.assert_array_equal(one(seen), two(seen))
@@ -59,6 +69,8 @@ def test_arrays_and_settings_make_the_same_network(settings):
         (lambda: network(3, 2, activation="sigmoid"), "activation is 'sigmoid'; choose one of tanh, relu, elu, silu"),
         (lambda: network(3, 2, squash="sign"), "squash is 'sign'; choose one of clip, tanh, none"),
         (lambda: network(3, 2, clip=0.0), "clip is 0.0; give a number above 0"),
+        (lambda: network(3, 2, clip=[[1.0] * 3]), r"clip has shape \(1, 3\); it must be \(2, 3\)"),
+        (lambda: network(3, 2, scale=[1.0]), r"scale has shape \(1,\); it must be \(2,\)"),
         (lambda: Network([(np.ones((3, 2)), np.ones(3))]), r"w0 has shape \(3, 2\); with 3 inputs and b0"),
         (lambda: Network([(np.ones((3, 2)), np.ones(2)), (np.ones((3, 1)), [0.0])]), r"w1 has shape \(3, 1\)"),
         (lambda: Network([(np.ones(3), np.ones(3))]), r"w0 has shape \(3,\); give 2 dimensions"),
