@@ -17,11 +17,15 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 
 import dcgrid_env
-from dcgrid_env.agents import Card, Policy, sb3_vec_env
+from dcgrid_env.agents import Card, Policy, PolicyError, ppo_settings, sac_settings, sb3_vec_env, to_policy
 from dcgrid_env.agents.from_sb3.sb3_controller import trusted
+from dcgrid_env.agents.from_sb3.sb3_policy import Normalisation, UnknownNormalisationWarning
 from dcgrid_env.agents.from_sb3.sb3_zip import read_actor
+from dcgrid_env.agents.training.row_form import RowForm
+from dcgrid_env.agents.training.rows import make_rows
 from dcgrid_env.baselines import find_controller
 from dcgrid_env.cli.main import main
+from helpers.storages import toy6_storage
 
 SCENARIO = "toy6"
 SMALL: dict[str, Any] = {"net_arch": {"pi": [8, 6], "vf": [4]}}
@@ -110,43 +114,124 @@ def test_actions_are_those_of_predict(kind, settings, tmp_path):
     assert (card.algorithm, card.seed, card.scenario) == (f"sb3-{kind.__name__.lower()}", 3, SCENARIO)
 
 
-def test_one_shared_policy_behind_vecnormalize(tmp_path, capsys):
-    vec_env = VecNormalize(sb3_vec_env(SCENARIO, 2, "shared", horizon=4), clip_obs=1.5)
-    vec_env.seed(0)
-    model = PPO("MlpPolicy", vec_env, policy_kwargs=SMALL, batch_size=4, **ON_POLICY).learn(24)
-    spread(model).save(tmp_path / "model")
-    vec_env.save(str(tmp_path / "rows.pkl"))
-    file, pkl = str(tmp_path / "model.zip"), str(tmp_path / "rows.pkl")
-    out = ("--scenario", SCENARIO, "--out", str(tmp_path / "policy"))
-    assert "trained behind VecNormalize" in stopped(capsys, "export-sb3", file, *out)
-    assert "must be trusted, got the pickle file" in stopped(capsys, "export-sb3", file, *out, "--normalize", pkl)
-    said = stopped(capsys, "evaluate", file, "--scenario", SCENARIO, "--trust")
-    assert "dcgrid export-sb3 --normalize FILE.pkl --trust" in said
-    assert not list(tmp_path.glob("policy*"))
+FORMS = {"joint": {"outputs": "change"}, "shared": {"outputs": "setpoint", "nameplate": True}, "channel": {}}
+"""Action forms by view; those of the view "channel" are the default, corrections of the tuned droop."""
 
-    policy = exported(file, tmp_path, "--normalize", pkl, "--trust")
-    assert {name: (net.n_in, net.n_out) for name, net in policy.networks.items()} == {
-        "datacenter": (9, 2), "inverter": (7, 1),
-    }  # fmt: skip
-    scenario = dcgrid_env.make_scenario(SCENARIO)
+
+def trained(kind, view, scenario: Any = SCENARIO):
+    """Return a model after a few steps on rows of a view, which scales its observations itself."""
+    envs = sb3_vec_env(scenario, 2, view, **FORMS[view])
+    envs.seed(0)
+    suited = ppo_settings(envs) if kind in (PPO, A2C) else sac_settings(envs)
+    own = (ON_POLICY if kind in (PPO, A2C) else OFF_POLICY | {"learning_starts": 2}) | {
+        "policy_kwargs": suited["policy_kwargs"] | {"net_arch": [8, 6]}
+    }
+    torch.manual_seed(0)
+    model = kind("MlpPolicy", envs, **(own | ({"batch_size": 4} if kind is PPO else {})))
+    return spread(spread(model.learn(4 * envs.num_envs)))
+
+
+def assert_acts_as(policy, model, envs, scenario, joint, atol=2e-6):
+    """Assert that a policy's actions are those of ``predict`` on the rows of joint observations."""
+    seen = []
+
+    def predict(rows):
+        seen.append(model.predict(envs.normalize_obs(rows) if envs else rows, deterministic=True)[0])
+        return seen[-1]
+
+    rows = make_rows(scenario, RowForm.read(model.action_space.form))
+    expected = rows.driven(joint, predict)
+    assert np.ptp(seen[0]) > 0.5
     policy.reset(scenario)
-    joint = observations()
-    plain = sb3_vec_env(SCENARIO, 1, "shared")
-    expected = plain.driven(joint, lambda rows: model.predict(vec_env.normalize_obs(rows), deterministic=True)[0])
-    np.testing.assert_allclose(policy.act(joint), expected, atol=2e-6)
+    np.testing.assert_allclose(policy.act(joint), expected, atol=atol)
+
+
+@pytest.mark.parametrize("view", FORMS)
+@pytest.mark.parametrize("kind", [PPO, A2C, SAC, TD3, DDPG])
+def test_a_zip_of_rows_is_a_controller(kind, view, tmp_path):
+    model, scenario = trained(kind, view), dcgrid_env.make_scenario(SCENARIO, split="test")
+    model.save(tmp_path / "model")
+    policy = find_controller(str(tmp_path / "model.zip"), scenario)
+    assert isinstance(policy, Policy)
+    assert policy.trained_on == SCENARIO
+    assert_acts_as(policy, model, None, scenario, observations())
+    kept = Policy.load(to_policy(model).save(tmp_path / "policy"))
+    kept.reset(scenario)
+    np.testing.assert_array_equal(kept.act(observations()), policy.act(observations()))
+
+
+@pytest.mark.parametrize("view", ["shared", "channel"])
+def test_rows_of_agents_with_further_channels(view):
+    scenario = toy6_storage(4)
+    model = trained(PPO, view, scenario)
+    native = dcgrid_env.DcgridVectorEnv(4, scenario)
+    joint, _ = native.reset(seed=0)
+    policy = to_policy(model, scenario)
+    assert policy.networks["storage"].n_out == 1
+    assert_acts_as(policy, model, None, scenario, joint)
+    with pytest.raises(PolicyError, match="it names no scenario of dcgrid list; give the scenario"):
+        to_policy(model)
+
+
+@pytest.mark.parametrize("view", FORMS)
+@pytest.mark.parametrize("scaled", [False, True], ids=["alone", "before scaled observations"])
+def test_vecnormalize_becomes_part_of_a_policy(view, scaled, tmp_path, capsys):
+    rows = sb3_vec_env(SCENARIO, 2, view, horizon=4, **FORMS[view])
+    envs = VecNormalize(rows, clip_obs=1.5)
+    envs.seed(0)
+    kwargs = ppo_settings(envs)["policy_kwargs"] if scaled else dict(SMALL)
+    model = spread(PPO("MlpPolicy", envs, policy_kwargs=kwargs, batch_size=4, **ON_POLICY).learn(24))
+    model.save(tmp_path / "model")
+    envs.save(str(tmp_path / "rows.pkl"))
+    file, pkl = str(tmp_path / "model.zip"), str(tmp_path / "rows.pkl")
+    remedy = "convert it with `dcgrid export-sb3 --normalize FILE.pkl --trust`"
+    for command in (("export-sb3", file), ("evaluate", file), ("evaluate", file, "--trust")):
+        assert remedy in stopped(capsys, *command)
+    assert "must be trusted, got the pickle file" in stopped(capsys, "export-sb3", file, "--normalize", pkl)
+    scenario = dcgrid_env.make_scenario(SCENARIO)
+    out = ("--out", str(tmp_path / "policy"))
+    main(["export-sb3", file, "--normalize", pkl, "--trust", *out])
+    for policy in (Policy.load(tmp_path / "policy.safetensors"), to_policy(model)):
+        assert_acts_as(policy, model, envs, scenario, observations(), atol=2e-5)
+    with pytest.raises(PolicyError, match="normalize has 3 figures and the observation"):
+        Normalisation(np.zeros(3), np.ones(3), 10.0).before(policy.networks[min(policy.networks)])
 
 
 def test_nothing_is_unpickled_without_trust(tmp_path, capsys):
-    mark = tmp_path / "mark"
-    made(PPO).save(tmp_path / "plain")
+    mark, model = tmp_path / "mark", str(tmp_path / "model.zip")
+    trained(PPO, "channel").save(tmp_path / "plain")
     rewritten(tmp_path / "plain.zip", tmp_path / "model.zip", lambda about: about | {"lr_schedule": pickled(mark)})
-    policy = exported(tmp_path / "model.zip", tmp_path)
-    said = stopped(capsys, "evaluate", str(tmp_path / "model.zip"), "--scenario", SCENARIO)
-    assert "policy: must be trusted, got the Stable-Baselines3 zip" in said
-    assert "dcgrid export-sb3" in said
-    with pytest.raises(ValueError, match="which contains pickled objects"):
-        find_controller(str(tmp_path / "model.zip"), dcgrid_env.make_scenario(SCENARIO))
-    assert policy.n_parameters > 0
+    main(["export-sb3", model, "--out", str(tmp_path / "policy")])
+    main(["evaluate", model, "--episodes", "2", "--out", str(tmp_path)])
+    assert f"{SCENARIO}, test split" in capsys.readouterr().out
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [
+        ({"scenario": "{code}"}, "names no scenario of dcgrid list; add --scenario"),
+        ({"view": "agent"}, "form has view 'agent'; it must be one of joint, shared, channel"),
+        ({"gains": [1.0, 1e400, 0.0]}, "form has gains"),
+        ({"gains": None}, "form has gains exactly if its outputs are 'droop'"),
+        ({"view": "joint", "nameplate": False}, "observation and action have 15 and 1 figures; on toy6 they have"),
+        ({"more": 1}, "form must have the fields view, outputs, nameplate, gains, scenario"),
+    ],
+)
+def test_a_form_is_checked_and_runs_no_code(form, said, tmp_path, capsys):
+    mark = tmp_path / "mark"
+    (tmp_path / "own.py").write_text(f"open({str(mark)!r}, 'w')\n")
+    form = {name: f"{tmp_path}/own.py:make" if value == "{code}" else value for name, value in form.items()}
+    trained(PPO, "channel").save(tmp_path / "plain")
+
+    def change(about):
+        return about | {"action_space": about["action_space"] | {"form": about["action_space"]["form"] | form}}
+
+    rewritten(tmp_path / "plain.zip", tmp_path / "model.zip", change)
+    file = str(tmp_path / "model.zip")
+    assert said in stopped(capsys, "export-sb3", file, "--out", str(tmp_path / "policy"))
+    stopped(capsys, "evaluate", file, "--episodes", "2")
+    assert not list(tmp_path.glob("policy*"))
     assert not mark.exists()
 
 
@@ -217,8 +302,10 @@ def test_files_and_scenarios_that_do_not_fit(tmp_path, capsys):
     )
     assert "there is no such file; give the zip" in stopped(capsys, "export-sb3", "no.zip", "--scenario", SCENARIO)
     guarded = f"guarded:{tmp_path / 'none.zip'}"
-    assert "which contains pickled objects" in stopped(capsys, "evaluate", guarded, "--scenario", SCENARIO, "--trust")
+    assert "not a zip that Stable" in stopped(capsys, "evaluate", guarded, "--scenario", SCENARIO, "--trust")
     made(PPO).save(tmp_path / "model")
+    said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"))
+    assert "names no scenario of dcgrid list; add --scenario" in said
     said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", "ieee33-weak")
     assert "observation and action have 23 and 4 figures; on ieee33-weak they have 55 and 10 (joint), 10 and 2" in said
     said = stopped(capsys, "export-sb3", str(tmp_path / "model.zip"), "--scenario", SCENARIO, "--out", "policy.pt")
@@ -240,7 +327,13 @@ def test_what_acts_otherwise_than_it_says_is_refused(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_trusted_zip_is_evaluated(tmp_path, capsys):
+def test_a_zip_of_gymnasium_is_evaluated(tmp_path, capsys):
+    """A model without a form fits the scenario by its widths; a zip of SAC does not show whether it was normalised."""
     made(SAC).save(tmp_path / "model")
-    main(["evaluate", str(tmp_path / "model.zip"), "--scenario", SCENARIO, "--episodes", "2", "--trust"])
-    assert "unserved at the end" in capsys.readouterr().out
+    options = ("--scenario", SCENARIO, "--episodes", "2", "--out", str(tmp_path))
+    main(["evaluate", str(tmp_path / "model.zip"), *options, "--trust"])
+    trusted_table = capsys.readouterr().out
+    with pytest.warns(UnknownNormalisationWarning, match="a zip of sac does not show whether the model was trained"):
+        main(["evaluate", str(tmp_path / "model.zip"), *options])
+    assert capsys.readouterr().out == trusted_table
+    assert "scenario: must be given for policy" in stopped(capsys, "evaluate", str(tmp_path / "model.zip"))
