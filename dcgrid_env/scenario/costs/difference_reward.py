@@ -14,7 +14,7 @@ COMPARED = ("voltage", "violation", "effort", "grid_request")
 UNASSIGNED = ("switching",)
 """Terms of the grid that are not compared, because they follow from timers over many steps. Taps that save more than
 their price are paid in advance (``engine.cost.tap_credit``)."""
-LATER = ("ride_through", "smoothing", "batching", "cooling")
+LATER = ("smoothing", "batching", "cooling")
 """Features of devices whose effect is mostly on later steps."""
 MOST_NODES = 2000
 """Largest feeder: the sensitivities of all pairs of nodes are stored."""

@@ -10,6 +10,7 @@ from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.engine import simulation as simulations
 from dcgrid_env.engine.cost import difference
 from dcgrid_env.engine.simulation import Simulation, Transition, difference_scale
+from dcgrid_env.scenario.costs import difference_reward
 from helpers.forms import each_preset
 
 N_ENV = 3
@@ -41,23 +42,25 @@ def priced(simulation: Simulation) -> np.ndarray:
         for i, prices in enumerate(difference._prices(scenario))
         for amount, price in prices
     ]
-    grid = [getattr(transition.costs, name) for name in ("voltage", "violation", "effort")]
+    grid = [getattr(transition.costs, name) for name in difference_reward.COMPARED if hasattr(transition.costs, name)]
     return np.sum(grid, axis=0) + np.sum(np.broadcast_arrays(*waiting), axis=0)
 
 
 @pytest.mark.parametrize(
-    ("name", "tolerance"),
+    ("name", "tolerance", "steps"),
     [
-        ("ieee33-weak", 0.3),
-        ("fault", 0.1),
-        ("mixed", 0.15),
-        ("ieee33-weak-ups", 0.4),
-        ("routing", 0.3),
-        ("ieee13-3ph", 0.3),
+        ("ieee33-weak", 0.3, 4),
+        ("fault", 0.1, 4),
+        ("mixed", 0.15, 4),
+        ("ieee33-weak-ups", 0.4, 4),
+        ("routing", 0.3, 4),
+        ("load-target", 0.3, 60),  # within a request
+        ("ride-through", 0.3, 240),  # sites that have disconnected may return
+        ("ieee13-3ph", 0.3, 4),
     ],
 )
 def test_it_is_the_change_of_cost_with_another_power_flow(
-    name: str, tolerance: float, monkeypatch: pytest.MonkeyPatch
+    name: str, tolerance: float, steps: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each entry against a complete step with the default in its place.
 
@@ -65,7 +68,9 @@ def test_it_is_the_change_of_cost_with_another_power_flow(
     """
     monkeypatch.setattr(simulations, "tap_targets", lambda _: None)
     scenario = make_scenario(name, reward="difference", cost={"default_action": "rest"})
-    simulation, action = after_some_steps(scenario)
+    simulation, action = after_some_steps(scenario, steps)
+    if scenario.cost.weights.grid_request:
+        assert simulation.transition.costs.grid_request.min() > 0.0
     before, layout = simulation.now, action_layout(scenario)
     simulation.step(action)
     cost, vector = priced(simulation), vector_of(simulation.transition)

@@ -9,7 +9,7 @@ from dcgrid_env import ScenarioError, make_scenario, scenario_hash
     ("name", "fields", "message"),
     [
         ("zero-shot", {}, "needs the model of one feeder, and feeder is RandomFeeders"),
-        ("ride-through", {}, "compares single steps, and ride_through of kind 'datacenter' acts on later ones"),
+        ("smoothing", {}, "compares single steps, and smoothing of kind 'datacenter' acts on later ones"),
         (
             "ieee33-weak",
             {"weights": {"loss": 2.0}},
