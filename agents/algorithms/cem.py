@@ -8,8 +8,9 @@ The method needs no model and no credit assignment: a candidate's cost is the co
 actions have effects many steps later that gradients and value functions miss, such as the taps of regulators, which
 move 15 to 30 s after the voltage. It is made for networks of few parameters.
 
-Network outputs are changes from the action that keeps the current state (``policy.interface``), or with
-``outputs="constant"`` deviations from a constant reactive power of each agent. They are 0 for the initial mean.
+Network outputs are changes from the action that keeps the current state (``policy.interface``), with
+``outputs="droop"`` corrections of the tuned droop, or with ``outputs="constant"`` deviations from a constant reactive
+power of each agent. They are 0 for the initial mean.
 
 If agents choose set points of regulators and capacitor banks, the candidates also have constant offsets, half bands
 and centres of thresholds. The initial mean is the default, or with ``outputs="constant"`` the tuned law ``static``.
@@ -31,6 +32,7 @@ from dcgrid_env.agents.training.candidates import Candidates
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.episodes import episode_seeds
 from dcgrid_env.agents.training.normalisation import normalisation
+from dcgrid_env.agents.training.row_form import droop_gains
 from dcgrid_env.agents.training.run_folder import Run, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation, made_with, stepped
 from dcgrid_env.baselines.laws.constant_set_points import agents_choose_set_points
@@ -58,12 +60,12 @@ class Cem(Training):
     extra_std: float = 0.03
     """Standard deviation that is added to that of the elites; it decreases linearly to zero at 70 % of the
     iterations."""
-    outputs: Literal["change", "constant"] = "change"
-    """Meaning of the network's q output. change: a change of the current reactive power. constant: a deviation from a
-    constant of each agent, which is searched together with the network. The search then starts from the tuned law
-    static, if agents choose set points, or constant-q."""
+    outputs: Literal["change", "droop", "constant"] = "change"
+    """Meaning of the network's outputs. change: q is a change of the current reactive power. droop: clock and q are
+    corrections of the tuned droop. constant: q is a deviation from a constant of each agent, which is searched together
+    with the network. The search then starts from the tuned law static, if agents choose set points, or constant-q."""
     hidden: tuple[int, ...] = (8,)
-    """Widths of the hidden layers."""
+    """Widths of the hidden layers; empty for an affine function."""
     validate_every: int = 5
     """Iterations between validations."""
 
@@ -86,6 +88,7 @@ class Search:
             "act": cfg.act,
             "nameplate": True,
             "outputs": cfg.outputs,
+            "gains": droop_gains(grid) if cfg.outputs == "droop" else None,
         }
         kind = "shared" if cfg.view == "shared" else "joint"
         self.interface = PolicyInterface(others, kind, **self.chosen)
@@ -130,7 +133,7 @@ class Search:
 
 def _law(cfg: Cem, grid: Scenario) -> ConstantQ | None:
     """Return the tuned law from whose constants the search starts; None to start without one."""
-    if cfg.outputs == "change":
+    if cfg.outputs != "constant":
         return None
     law = tuned_controller("static" if agents_choose_set_points(grid) else "constant-q", grid)
     assert isinstance(law, ConstantQ)
@@ -145,7 +148,7 @@ def grid_of(cfg: Cem) -> Scenario:
     """Return the scenario of the training split; raise ValueError if a setting or the scenario is invalid."""
     check(cfg)
     if cfg.device != "cpu":
-        raise ValueError(f"device is {cfg.device!r}; cem runs on the CPU alone: leave it out")
+        raise ValueError(f"device is {cfg.device!r}; {cfg.algorithm()} runs on the CPU alone: leave it out")
     if cfg.num_envs % cfg.population:
         raise ValueError(f"num_envs is {cfg.num_envs}; give a multiple of the population, {cfg.population}")
     if not 2 <= cfg.elites <= cfg.population:

@@ -86,7 +86,7 @@ class Networks(torch.nn.Module):
         self.group = group
         self.policy_net = torch.nn.Sequential(*create_mlp(features, -1, hidden, torch.nn.Tanh))
         self.value_net = torch.nn.Sequential(*create_mlp(group * features, -1, hidden, torch.nn.Tanh))
-        self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
+        self.latent_dim_pi = self.latent_dim_vf = [features, *hidden][-1]
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         """(row, n_hidden)"""

@@ -53,7 +53,7 @@ class Training:
     num_envs: int = 128
     """Number of environments that are simulated in parallel, each with a separate episode."""
     hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers."""
+    """Widths of the hidden layers; empty for an affine function."""
     validation_episodes: int = 32
     """Number of episodes of the validation split on which a policy is evaluated."""
     validate_every: int = 10

@@ -60,7 +60,7 @@ def check_figures(settings: Mapping[str, Any]) -> None:
             low, high = WITHIN[field]
             raise ValueError(f"{field} is {value}; give at least {low:g} and at most {high:.9g}")
     hidden = settings["hidden"]
-    if not hidden or not all(0 < width <= WIDEST for width in hidden):
+    if not all(0 < width <= WIDEST for width in hidden):
         raise ValueError(f"hidden is {hidden}; give widths from 1 to {WIDEST}")
     if sum(one * other for one, other in pairwise(hidden)) > MOST_WEIGHTS:
         raise ValueError(f"hidden is {hidden}; give widths with at most {MOST_WEIGHTS:,} weights between the layers")

@@ -35,6 +35,9 @@ DOCUMENTS = sorted(
 
 TRAINING = {"--updates": "1", "--num-envs": "2", "--validation-episodes": "2"}
 STEPS = {"--steps": "240", "--num-envs": "2", "--validation-episodes": "2"}
+SEARCH = {
+    "--num-envs": "2", "--population": "2", "--elites": "2", "--iterations": "1", "--validation-episodes": "2",
+}  # fmt: skip
 SHORTER = {
     "dcgrid run": {"--episodes": "2"},
     "dcgrid run --scenario ieee33-weak --horizon 86400": {"--horizon": "40"},
@@ -46,13 +49,8 @@ SHORTER = {
     "dcgrid train analytic": TRAINING,
     "dcgrid train analytic --vary 4": TRAINING | {"--vary": "1"},
     "dcgrid train safe": TRAINING,
-    "dcgrid train cem": {
-        "--num-envs": "2",
-        "--population": "2",
-        "--elites": "2",
-        "--iterations": "1",
-        "--validation-episodes": "2",
-    },
+    "dcgrid train cem": SEARCH,
+    "dcgrid train affine": SEARCH,
     "dcgrid train carry-over": TRAINING | {"--feeders": "1", "--steps": "2", "--validation-feeders": "1"},
     "dcgrid train ppo": STEPS | {"--minibatches": "1"},
     "dcgrid train ppo-counterfactual": STEPS | {"--minibatches": "1"},

@@ -21,6 +21,7 @@ TINY = {
     "analytic": TOY | {"updates": 3, "window": 8},
     "safe": TOY | {"updates": 3, "window": 8},
     "cem": TOY | {"population": 4, "elites": 2, "iterations": 3},
+    "affine": TOY | {"hidden": (), "population": 4, "elites": 2, "iterations": 3},
     "ppo": STEPS | {"minibatches": 1},
     "ppo-counterfactual": STEPS | {"minibatches": 1},
     "sac": STEPS | {"buffer": 500, "batch": 8},

@@ -30,7 +30,7 @@ def test_a_figure_beyond_its_bounds_is_refused_by_name(name, field):
             check(dataclasses.replace(usual, **{field: value}))
 
 
-@pytest.mark.parametrize("hidden", [(), (0,), (64, -1), (10**9,)])
+@pytest.mark.parametrize("hidden", [(0,), (64, -1), (10**9,)])
 def test_widths_that_cannot_be_are_refused(hidden):
     with pytest.raises(ValueError, match=r"^hidden is"):
         check(dataclasses.replace(KINDS["ppo"](), hidden=hidden))
