@@ -24,7 +24,7 @@ def test_the_policy_is_affine_and_better_than_the_droop_on_validation(tmp_path):
     folder = main(dataclasses.replace(TINY, out=tmp_path / "run"))
     policy, card = Policy.load(folder / "policy.safetensors"), Card.load(folder / "policy.json")
     assert (policy.outputs, card.algorithm) == ("droop", "affine")
-    assert all(len(network.layers) == 1 for network in policy.networks.values())
+    assert all(network.settings()["layers"] == 1 for network in policy.networks.values())
     validation = make_scenario("routing", split="validation")
     droop = rollout(validation, make_controller("droop-tuned", validation), range(4)).costs().mean()
     assert card.validation_J < droop
