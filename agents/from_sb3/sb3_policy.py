@@ -42,8 +42,10 @@ class Normalisation(NamedTuple):
     @classmethod
     def of(cls, envs: Any) -> Normalisation | None:
         """Return that of a VecNormalize; None if it does not change observations."""
+        if not envs.norm_obs:
+            return None
         moments = envs.obs_rms
-        return cls(moments.mean, np.sqrt(moments.var + envs.epsilon), float(envs.clip_obs)) if envs.norm_obs else None
+        return cls(moments.mean, np.sqrt(moments.var + envs.epsilon), float(envs.clip_obs))
 
     def before(self, network: Network) -> Network:
         """Return a network that normalises its observation in this way first; PolicyError for another width."""

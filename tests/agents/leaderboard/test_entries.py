@@ -262,7 +262,7 @@ def test_no_code_runs_under_another_kind_s_name(kind, policy, copied, capsys, tm
         (("droop-tuned", "--name", "x"), "was not trained on a preset; pass --scenario"),
         (("json:loads", "--name", "x", "--scenario", PRESET), "give path/to/file.py:Class, whose file goes"),
         (("none.safetensors", "--name", "x", "--scenario", PRESET), "there is no file none.safetensors"),
-        (("model.zip", "--name", "x", "--scenario", PRESET), "which contains pickled objects"),
+        (("model.zip", "--name", "x", "--scenario", PRESET), "not a zip that Stable-Baselines3 wrote"),
         (("toy6-analytic", "--name", "a\nb"), "name is 'a\\nb'; give one line"),
         (("toy6-analytic", "--name", "x", "--episodes", "1"), "episodes is 1; toy6 has 100 published ones"),
         (("toy6-analytic", "--name", "x", "--scope", "local"), "scope is 'local'; leave it out"),
