@@ -14,13 +14,14 @@ from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 
 
 class RowPolicy:
-    """A controller from a function that acts on the rows of ``sb3_vec_env``.
+    """A controller from a function that acts on the rows of ``sb3_vec_env`` and ``training_env``.
 
     Parameters
     ----------
     function
         Returns actions of rows, (row, n_action) in [-1, 1], for their observations, (row, n_observation) float32. There
-        may be any number of rows.
+        may be any number of rows. Observations are not scaled: for a policy trained on ``envs = training_env(...)``,
+        call ``envs.scaling`` on them first.
     view, outputs, nameplate
         Form of the rows in training, with the defaults of :func:`sb3_vec_env`.
 

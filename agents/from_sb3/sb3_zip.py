@@ -18,6 +18,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
+from dcgrid_env.agents.training.observation_scaling import CLIP
 from dcgrid_env.agents.training.row_form import RowForm
 from dcgrid_env.core.user_files import is_file, parse_json
 
@@ -236,8 +237,6 @@ def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algo
 
 def _moments(weights: dict[str, np.ndarray], prefix: str) -> dict[str, Any]:
     """Take the means and deviations of a features extractor from the weights, as arguments of ``Network``."""
-    from dcgrid_env.agents.training.torch_modules import CLIP
-
     try:
         return {name: weights.pop(f"{prefix}{name}") for name in ("mean", "std")} | {"clip": CLIP}
     except KeyError as missing:

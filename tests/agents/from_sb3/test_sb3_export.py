@@ -179,7 +179,7 @@ def test_vecnormalize_becomes_part_of_a_policy(view, scaled, tmp_path, capsys):
     rows = sb3_vec_env(SCENARIO, 2, view, horizon=4, **FORMS[view])
     envs = VecNormalize(rows, clip_obs=1.5)
     envs.seed(0)
-    kwargs = ppo_settings(envs)["policy_kwargs"] if scaled else dict(SMALL)
+    kwargs = ppo_settings(rows)["policy_kwargs"] if scaled else dict(SMALL)
     model = spread(PPO("MlpPolicy", envs, policy_kwargs=kwargs, batch_size=4, **ON_POLICY).learn(24))
     model.save(tmp_path / "model")
     envs.save(str(tmp_path / "rows.pkl"))
