@@ -16,7 +16,9 @@ from dcgrid_env.agents.training.rows import Rows
 class RowVecEnv(VecEnv):
     """The rows of a native batch, environment by environment.
 
-    Environment i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. The last step of an
+    Environment i of a batch seeded with ``seed(n)`` begins with the episode of seed n + i. On the splits "validation"
+    and "test", each further reset begins the same episodes, by default those of seed 0 on. ``EvalCallback`` therefore
+    compares models on the same episodes. The last step of an
     episode has infos: ``infos[row]["terminal_observation"]`` is the last observation,
     ``infos[row]["TimeLimit.truncated"]`` is True at the horizon and False after a voltage collapse, and
     ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are the team's, or the
@@ -37,6 +39,7 @@ class RowVecEnv(VecEnv):
     def __init__(self, rows: Rows, n_envs: int, render_mode: str | None = None):
         self.batch = DcgridVectorEnv(n_envs, rows.scenario, render_mode=render_mode, info="none")
         self.rows, self.scenario, self.n_envs = rows, rows.scenario, n_envs
+        self._repeated = None if self.scenario.split == "train" else 0
         self.physics_s = 0.0
         self.reward_mean, self.reward_scale = 0.0, 1.0
         self.end_as_it_arises = False
@@ -74,10 +77,11 @@ class RowVecEnv(VecEnv):
         return np.repeat(self.batch.transition.truncated, self.rows_per_env)
 
     def reset(self) -> np.ndarray:
-        """Begin episodes: those of the seed given by ``seed``, else each row's next one."""
-        first = self._seeds[0]
+        """Begin episodes: those of the seed given by ``seed``, else the next ones or, outside of training, the same."""
+        first = self._repeated if self._seeds[0] is None else int(self._seeds[0])
         self._reset_seeds()
-        self._observation, _ = self.batch.reset(seed=None if first is None else int(first))
+        self._repeated = None if self.scenario.split == "train" else first
+        self._observation, _ = self.batch.reset(seed=first)
         self._due = self._due_at_rest = self._end_costs()
         return self.rows.observed(self._observation)
 

@@ -29,9 +29,10 @@ def sb3_vec_env(
     the settings of PPO that go with it. ``view="joint", outputs="setpoint", reward="shared"`` is the form of
     ``gymnasium.make``.
 
-    Its algorithms and wrappers (VecNormalize, VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next
-    reset begins the episodes of seeds n, n + 1 and so on, one in each environment. In the last step of an episode
-    ``infos[row]`` has ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
+    Its algorithms and wrappers (VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next reset begins
+    the episodes of seeds n, n + 1 and so on, one in each environment. A further reset begins the next episodes, and on
+    the splits "validation" and "test" the same again, so that evaluations are compared on the same episodes. In the
+    last step of an episode ``infos[row]`` has ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
 
     In the views "shared" and "channel" several rows are one environment, and Stable-Baselines3 counts each row's end as
     an episode. Pass ``n_eval_episodes=envs.n_eval_episodes(10)`` to ``evaluate_policy`` or ``EvalCallback`` for ten

@@ -1,16 +1,15 @@
-"""PPO in a single file, as CleanRL has it, in torch on the native batch of dcgrid.
+"""PPO in a single file, in the style of CleanRL, on the rows of ``training_env``.
 
-``gymnasium.make_vec`` steps all environments by the same array operations. One whose episode ends begins the next
-in the same step (``AutoresetMode.SAME_STEP``): the returned observation is the first of the new episode, and the last
-of the old one is in ``infos["final_obs"]``. The horizon is not a terminal state, so the value of that last observation
-belongs in the advantage; after a collapse of the power flow (``terminated``) there is none.
+A row is a channel of an agent, and an action of 0 is that of the tuned droop. Difference rewards pay a row in each step
+for what its action saves, later costs included. The discount is therefore 0: an advantage is the reward less the value.
 
-    python docs/examples/cleanrl_ppo.py --steps 500000 --save results/cleanrl
+    python docs/examples/cleanrl_ppo.py --save results/cleanrl
 """
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 import tyro
@@ -18,40 +17,43 @@ from torch import nn
 from torch.distributions import Normal
 
 import dcgrid_env
-from dcgrid_env.agents import Network, Policy
-from dcgrid_env.baselines import make_controller, rollout
+from dcgrid_env.agents import Network, Policy, policy_of_rows, training_env
+
+SCENARIO = "ieee33-weak"
 
 
 class Agent(nn.Module):
-    """Actor and critic apart, tanh between; the logarithm of the exploration's spread is free."""
+    """Actor and critic, separate; the logarithm of the exploration's spread is free."""
 
-    def __init__(self, n_observation: int, n_action: int, width: int = 64):
+    def __init__(self, envs: Any):
         super().__init__()
+        (n_observation,), (n_action,) = envs.single_observation_space.shape, envs.single_action_space.shape
 
         def layers(n_out: int, gain: float) -> nn.Sequential:
-            sizes = [(n_observation, width, 2**0.5), (width, width, 2**0.5), (width, n_out, gain)]
-            linear = [nn.Linear(n_in, n_next) for n_in, n_next, _ in sizes]
-            for layer, (*_, g) in zip(linear, sizes, strict=True):
-                nn.init.orthogonal_(layer.weight, g)
+            linear = [nn.Linear(n_observation, 64), nn.Linear(64, 64), nn.Linear(64, n_out)]
+            for layer, layer_gain in zip(linear, (2**0.5, 2**0.5, gain), strict=True):
+                nn.init.orthogonal_(layer.weight, layer_gain)
                 nn.init.zeros_(layer.bias)
             return nn.Sequential(linear[0], nn.Tanh(), linear[1], nn.Tanh(), linear[2])
 
         self.actor, self.critic = layers(n_action, 0.01), layers(1, 1.0)
-        self.log_std = nn.Parameter(torch.full((n_action,), -0.5))
+        self.log_std = nn.Parameter(torch.full((n_action,), -1.0))
 
     def value(self, observation: torch.Tensor) -> torch.Tensor:
         """Value of observations, (..., n_observation) to (...)."""
         return self.critic(observation).squeeze(-1)
 
     def distribution(self, observation: torch.Tensor) -> Normal:
-        """Of actions, (..., n_action), before they are cut to [-1, 1]."""
+        """Distribution of actions, (..., n_action), before they are clipped to [-1, 1]."""
         return Normal(self.actor(observation), self.log_std.exp())
 
-    def policy(self) -> Policy:
-        """The mean action as a policy of NumPy arrays, which dcgrid drives, saves and benchmarks without torch."""
+    def policy(self, envs: Any) -> Policy:
+        """Return the mean action as a policy of NumPy arrays, which dcgrid runs without torch."""
         linear = [layer for layer in self.actor if isinstance(layer, nn.Linear)]
         arrays = [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in linear]
-        return Policy({"joint": Network(arrays, activation="tanh", squash="clip")}, scenario="ieee33-weak")
+        clip = float(envs.single_observation_space.high[0])
+        network = Network(arrays, "tanh", "clip", envs.scaling.mean, envs.scaling.std, clip)
+        return policy_of_rows(envs.rows, network, scenario=envs.scenario.name)
 
 
 def tensor(array: np.ndarray) -> torch.Tensor:
@@ -59,85 +61,51 @@ def tensor(array: np.ndarray) -> torch.Tensor:
     return torch.as_tensor(array, dtype=torch.float32)
 
 
-def led_to(returned: np.ndarray, done: np.ndarray, infos: dict) -> torch.Tensor:
-    """Observations that the actions led to: those returned, but the old episode's last where one ended."""
-    last = tensor(returned).clone()
-    if done.any():
-        last[torch.as_tensor(done)] = tensor(np.stack(list(infos["final_obs"][done])))
-    return last
-
-
-def advantages(rewards, values, next_values, ended, gamma: float, gae_lambda: float) -> torch.Tensor:
-    """Generalised advantage estimates; all arrays (step, row). Nothing passes from an episode to the next."""
-    found, running = torch.zeros_like(rewards), torch.zeros_like(rewards[0])
-    for t in reversed(range(len(rewards))):
-        surprise = rewards[t] + gamma * next_values[t] - values[t]
-        running = found[t] = surprise + gamma * gae_lambda * (1.0 - ended[t]) * running
-    return found
-
-
-def main(
-    steps: int = 500_000,
-    num_envs: int = 256,
-    rollout_steps: int = 16,
-    learning_rate: float = 1e-3,
-    gamma: float = 0.5,
-    gae_lambda: float = 0.95,
-    epochs: int = 4,
-    minibatches: int = 8,
-    clip: float = 0.2,
-    episodes: int = 20,
-    seed: int = 0,
-    save: Path | None = None,
-) -> tuple[float, float]:
-    """Train for so many environment steps, and give the mean J of validation episodes before and after."""
-    torch.manual_seed(seed)
-    envs = gymnasium.make_vec("dcgrid/IEEE33Weak-v0", num_envs=num_envs)
-    n_observation, n_action = (space.shape[-1] for space in (envs.observation_space, envs.action_space))
-    agent = Agent(n_observation, n_action)
-    optimizer = torch.optim.Adam(agent.parameters(), lr=learning_rate, eps=1e-5)
-    validation = dcgrid_env.make_scenario("ieee33-weak", split="validation")
-    before = float(rollout(validation, agent.policy(), range(episodes)).costs().mean())
-
-    shape = (rollout_steps, num_envs)
-    seen, acted = torch.zeros(*shape, n_observation), torch.zeros(*shape, n_action)
-    log_probs, rewards, values, next_values, ended = (torch.zeros(shape) for _ in range(5))
-    observation = tensor(envs.reset(seed=seed)[0])
-    updates = max(steps // (rollout_steps * num_envs), 1)
+def train(agent: Agent, envs: Any, updates: int, seed: int, before_update: Callable[[float], None]) -> None:
+    """Train an agent; ``before_update`` is called with the share of updates done."""
+    optimizer = torch.optim.Adam(agent.parameters(), lr=3e-3, eps=1e-5)
+    observation, horizon = tensor(envs.reset(seed=seed)[0]), envs.scenario.horizon
     for update in range(updates):
-        optimizer.param_groups[0]["lr"] = learning_rate * (1.0 - update / updates)
-        with torch.no_grad():
-            for t in range(rollout_steps):
+        before_update(update / updates)
+        optimizer.param_groups[0]["lr"] = 3e-3 * (1.0 - update / updates)
+        steps = []
+        for _ in range(horizon):
+            with torch.no_grad():
                 distribution = agent.distribution(observation)
                 action = distribution.sample()
-                seen[t], acted[t], values[t] = observation, action, agent.value(observation)
-                log_probs[t] = distribution.log_prob(action).sum(-1)
-                after_reset, reward, terminated, truncated, infos = envs.step(action.clamp(-1.0, 1.0).numpy())
-                observation, rewards[t] = tensor(after_reset), tensor(reward)
-                done = terminated | truncated
-                next_values[t] = agent.value(led_to(after_reset, done, infos)) * ~torch.as_tensor(terminated)
-                ended[t] = tensor(done)
-        gained = advantages(rewards, values, next_values, ended, gamma, gae_lambda)
-        flat = [x.flatten(0, 1) for x in (seen, acted, log_probs, gained, gained + values)]
-        for _ in range(epochs):
-            for batch in torch.randperm(rollout_steps * num_envs).chunk(minibatches):
-                observed, action, old_log_prob, advantage, target = (x[batch] for x in flat)
+                log_prob = distribution.log_prob(action).sum(-1)
+            after, reward, *_ = envs.step(action.numpy())
+            steps.append((observation, action, log_prob, tensor(reward)))
+            observation = tensor(after)
+        flat = [torch.cat(each) for each in zip(*steps, strict=True)]
+        for _ in range(3):
+            for batch in torch.randperm(len(flat[0])).chunk(8):
+                observed, action, old_log_prob, reward = (x[batch] for x in flat)
+                value = agent.value(observed)
+                advantage = (reward - value).detach()
                 advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-                distribution = agent.distribution(observed)
-                ratio = (distribution.log_prob(action).sum(-1) - old_log_prob).exp()
-                gain = torch.minimum(advantage * ratio, advantage * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
-                value_loss = 0.5 * (agent.value(observed) - target).square().mean()
+                ratio = (agent.distribution(observed).log_prob(action).sum(-1) - old_log_prob).exp()
+                gain = torch.minimum(advantage * ratio, advantage * ratio.clamp(0.8, 1.2)).mean()
                 optimizer.zero_grad()
-                (0.5 * value_loss - gain).backward()
+                (0.5 * (value - reward).square().mean() - gain).backward()
                 nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
                 optimizer.step()
 
-    after = float(rollout(validation, agent.policy(), range(episodes)).costs().mean())
-    droop = rollout(validation, make_controller("droop-tuned", validation), range(episodes)).costs().mean()
-    print(f"mean J of {episodes} validation episodes: {before:.3f} before, {after:.3f} after, tuned droop {droop:.3f}")
+
+def main(
+    steps: int = 100_000, num_envs: int = 32, episodes: int = 32, seed: int = 0, save: Path | None = None
+) -> float:
+    """Train for a number of environment steps, and return the score on test episodes."""
+    torch.set_num_threads(1)  # more threads slow down networks of this size
+    torch.manual_seed(seed)
+    envs = training_env(SCENARIO, num_envs)
+    agent = Agent(envs)
+    train(agent, envs, max(1, steps // (num_envs * envs.scenario.horizon)), seed, lambda share: None)
+    result = dcgrid_env.score(agent.policy(envs), SCENARIO, range(episodes))
+    print(result)
     if save:
-        agent.policy().save(save)
-    return before, after
+        agent.policy(envs).save(save)
+    return result.score.value
 
 
 if __name__ == "__main__":

@@ -235,7 +235,7 @@ def main(
     torch.set_num_threads(1)  # more threads slow down networks of this size
 
     def constrained(split: str, n: int) -> Constrained:
-        rows = sb3_vec_env(scenario, n, view="shared", outputs="droop", nameplate=True, split=split)
+        rows = sb3_vec_env(scenario, n, view="shared", outputs="droop", nameplate=True, reward="shared", split=split)
         rows.end_as_it_arises = True
         if method == "saute":
             return Saute(rows, budget, penalty)

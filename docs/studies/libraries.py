@@ -14,9 +14,9 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from gymnasium import spaces
 
 from dcgrid_env import scenario_hash
+from dcgrid_env.agents import ppo_settings, sac_settings, sb3_vec_env
 from dcgrid_env.baselines.evaluation import hindsight_costs
 from dcgrid_env.baselines.score import Estimate, mean_over_seeds, score, score_error
 from dcgrid_env.cli.command import Command
@@ -25,47 +25,43 @@ from dcgrid_env.cli.settings import at_least, check_file
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import versions
 from docs.studies.learning_tables import estimate
-from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Batches, Setting, batches, example
+from docs.studies.library_batches import DISCOUNTS, BestOnValidation, Setting
 from docs.studies.scored import droop_on_test, on_test
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv
 
 DATA, PAGE = Path("docs/rl-libraries.json"), Path("docs/rl-libraries.md")
 MOST_EPISODES = 32
 """Test episodes whose hindsight is published for every preset."""
 
 
-def sb3(model_class: str, policy: str, settings: Callable[[int], dict[str, Any]], on: Setting) -> np.ndarray:
+def sb3(model_class: str, settings: Callable[[VecEnv], dict[str, Any]], on: Setting) -> np.ndarray:
     """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
-    of = batches(on)
-    chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(of.train.num_envs)
-    return learned(resolve_name(model_class)(policy, of.train, **chosen), of, on)
+    envs = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
+    model = resolve_name(model_class)(env=envs, seed=on.seed, **settings(envs))
+    best, steps = BestOnValidation(model.policy, predicted(model), on), on.steps * envs.rows_per_env
+
+    def on_step(found: dict[str, Any], _: Any) -> bool:
+        best.evaluate(found["self"].num_timesteps / steps)
+        return True
+
+    model.learn(steps, on_step)
+    return best.tested()
 
 
-def sb3_off_policy(model_class: str, settings: Callable[[int], dict[str, Any]], on: Setting) -> np.ndarray:
-    """Train an algorithm with a replay buffer, and return J of the test episodes, (episode,).
+def predicted(model: BaseAlgorithm) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the mean actions of a model for rows, from the first step of an episode on; it may be recurrent."""
+    state: Any = None
 
-    The actor maps to the whole action space, which is reduced to [-1, 1], and starts near the default action.
-    """
-    from docs.studies.library_loops import LOG_STD, initialise
+    def act(rows: np.ndarray) -> np.ndarray:
+        nonlocal state
+        first = np.full(len(rows), state is None)
+        actions, state = model.predict(rows, state, episode_start=first, deterministic=True)
+        return actions
 
-    of = batches(on)
-    of.train.action_space = spaces.Box(-1.0, 1.0, of.train.action_space.shape)
-    chosen = {"gamma": DISCOUNTS[on.reward], "seed": on.seed, "device": "cpu"} | settings(of.train.num_envs)
-    model = resolve_name(model_class)("MlpPolicy", of.train, **chosen)
-    initialise(model.actor.mu, 0.01)
-    if hasattr(model.actor, "log_std"):
-        model.actor.log_std.bias.data.fill_(LOG_STD)
-    return learned(model, of, on)
-
-
-def learned(model: BaseAlgorithm, of: Batches, on: Setting) -> np.ndarray:
-    """Train a model of Stable-Baselines3, and return J of the test episodes, (episode,)."""
-    script, steps = example("difference_reward"), on.steps * of.train.num_envs // on.num_envs
-    model.learn(steps, script.BestOnValidation(of.validation, every=steps // EVALUATIONS))
-    of.test.obs_rms = of.validation.obs_rms
-    return script.costs(model, of.test)
+    return act
 
 
 def loop(function: str, *arguments: Any) -> np.ndarray:
@@ -85,15 +81,16 @@ class Library(NamedTuple):
     num_envs: int
 
     glue: tuple[str, ...] = ()
-    """Further functions and classes of the same module that connect the library."""
+    """Further functions and classes that connect the library: names in the same module, or "module:name"."""
 
     @property
     def glue_lines(self) -> int:
-        """Lines of code that connect the library: its function, ``glue`` and ``batches``, without docstrings."""
+        """Lines of code that connect the library: its function and ``glue``, without docstrings."""
         train: Any = self.train
         place = train.args[0] if train.func is loop else f"{train.func.__module__}:{train.func.__name__}"
-        module, function = place.split(":")
-        return code_lines(module, function, *self.glue) + code_lines(batches.__module__, batches.__name__)
+        module = place.split(":")[0]
+        places = (place, *(name if ":" in name else f"{module}:{name}" for name in self.glue))
+        return sum(code_lines(*each.split(":")) for each in places)
 
 
 def code_lines(module: str, *names: str) -> int:
@@ -112,67 +109,49 @@ def code_lines(module: str, *names: str) -> int:
     return sum(1 for number, line in enumerate(text.splitlines(), 1) if number in lines and line.strip())
 
 
-def on_policy(n_rows: int) -> dict[str, Any]:
-    """Return settings of PPO for a batch of rows: an episode in each, eight minibatches, a falling learning rate."""
-    return {
-        "n_steps": 120, "batch_size": 15 * n_rows, "n_epochs": 3, "gae_lambda": 0.0,
-        "learning_rate": lambda left: 3e-3 * left, "policy_kwargs": {"log_std_init": -1.0},
-    }  # fmt: skip
-
-
-def recurrent(n_rows: int) -> dict[str, Any]:
+def recurrent(envs: VecEnv) -> dict[str, Any]:
     """Return settings of PPO with small recurrent networks."""
-    networks = {"log_std_init": -1.0, "lstm_hidden_size": 32, "net_arch": [64]}
-    return on_policy(n_rows) | {"policy_kwargs": networks}
+    settings = ppo_settings(envs)
+    settings["policy_kwargs"] |= {"lstm_hidden_size": 32, "net_arch": [64]}
+    return settings | {"policy": "MlpLstmPolicy"}
 
 
-def off_policy(learning_rate: float, batch_size: int, n_rows: int, **networks: Any) -> dict[str, Any]:
-    """Return settings of algorithms with a replay buffer: small networks, large batches, a falling learning rate."""
-    return {
-        "learning_rate": lambda left: learning_rate * left, "batch_size": batch_size, "buffer_size": 2000 * n_rows,
-        "learning_starts": 0, "gradient_steps": 1, "policy_kwargs": {"net_arch": [64, 64], **networks},
-    }  # fmt: skip
+def tqc(envs: VecEnv) -> dict[str, Any]:
+    """Return settings of TQC: those of SAC with smaller batches."""
+    return sac_settings(envs) | {"batch_size": 1024}
 
 
-def maximum_entropy(batch_size: int, n_rows: int) -> dict[str, Any]:
-    """Return settings of SAC and TQC; the weight of the entropy starts near its final value.
-
-    One critic is enough, because at a discount of 0 no overestimated value enters the targets. The target entropy is
-    that of a deviation of 0.3; the default of -1 would be one of 0.09.
-    """
-    return off_policy(3e-3, batch_size, n_rows, n_critics=1) | {"ent_coef": "auto_0.01", "target_entropy": 0.2}
-
-
-def td3(n_rows: int) -> dict[str, Any]:
+def td3(envs: VecEnv) -> dict[str, Any]:
     """Return settings of TD3: noise for exploration, and networks as those of PPO."""
     from stable_baselines3.common.noise import NormalActionNoise
     from torch.nn import Tanh
 
-    noise = {"action_noise": NormalActionNoise(np.zeros(1), np.full(1, 0.2)), "policy_delay": 1}
-    return off_policy(2e-3, 2048, n_rows, n_critics=1, activation_fn=Tanh) | noise
+    settings = {name: value for name, value in sac_settings(envs).items() if name not in ("ent_coef", "target_entropy")}
+    settings["policy_kwargs"] |= {"activation_fn": Tanh}
+    n_action = envs.action_space.shape
+    noise = NormalActionNoise(np.zeros(n_action), np.full(n_action, 0.2))  # pyright: ignore
+    return settings | {"learning_rate": lambda left: 2e-3 * left, "action_noise": noise, "policy_delay": 1}
 
 
-SB3, CONTRIB, LEARNED = "stable-baselines3", "sb3-contrib", ("learned",)
+SB3, CONTRIB, PREDICTED = "stable-baselines3", "sb3-contrib", ("predicted",)
 LOOPS, BENCHMARL = "docs.studies.library_loops", "docs.studies.library_benchmarl:benchmarl_ppo"
-TASK = ("Channels", "ChannelsTask")
+ROWS, TASK = (f"{LOOPS}:train_rows", f"{LOOPS}:best_mean"), ("Channels", "ChannelsTask")
 LIBRARIES = {
-    "sb3-ppo": Library(SB3, partial(sb3, "stable_baselines3:PPO", "MlpPolicy", on_policy), 600_000, 32, LEARNED),
-    "sb3-sac": Library(
-        SB3, partial(sb3_off_policy, "stable_baselines3:SAC", partial(maximum_entropy, 2048)), 160_000, 16, LEARNED
-    ),
-    "sb3-td3": Library(SB3, partial(sb3_off_policy, "stable_baselines3:TD3", td3), 100_000, 16, LEARNED),
-    "sb3-contrib-tqc": Library(
-        CONTRIB, partial(sb3_off_policy, "sb3_contrib:TQC", partial(maximum_entropy, 1024)), 100_000, 16, LEARNED
-    ),
+    "sb3-ppo": Library(SB3, partial(sb3, "stable_baselines3:PPO", ppo_settings), 600_000, 32, PREDICTED),
+    "sb3-sac": Library(SB3, partial(sb3, "stable_baselines3:SAC", sac_settings), 160_000, 16, PREDICTED),
+    "sb3-td3": Library(SB3, partial(sb3, "stable_baselines3:TD3", td3), 100_000, 16, PREDICTED),
+    "sb3-contrib-tqc": Library(CONTRIB, partial(sb3, "sb3_contrib:TQC", tqc), 100_000, 16, PREDICTED),
     "sb3-contrib-recurrent-ppo": Library(
-        CONTRIB, partial(sb3, "sb3_contrib:RecurrentPPO", "MlpLstmPolicy", recurrent), 50_000, 16, LEARNED
+        CONTRIB, partial(sb3, "sb3_contrib:RecurrentPPO", recurrent), 50_000, 16, PREDICTED
     ),
-    "torchrl-ppo": Library("torchrl", partial(loop, f"{LOOPS}:torchrl_ppo"), 100_000, 32),
-    "skrl-ppo": Library("skrl", partial(loop, f"{LOOPS}:skrl_ppo"), 100_000, 32),
-    "cleanrl-ppo": Library("torch", partial(loop, f"{LOOPS}:cleanrl_ppo"), 100_000, 32),
-    "rllib-ppo": Library("ray", partial(loop, "docs.studies.library_rllib:rllib_ppo"), 100_000, 32, ("Rows",)),
-    "benchmarl-ippo": Library("benchmarl", partial(loop, BENCHMARL, "ippo"), 100_000, 32, TASK),
-    "benchmarl-mappo": Library("benchmarl", partial(loop, BENCHMARL, "mappo"), 100_000, 32, TASK),
+    "torchrl-ppo": Library("torchrl", partial(loop, f"{LOOPS}:torchrl_ppo"), 100_000, 32, ROWS),
+    "skrl-ppo": Library("skrl", partial(loop, f"{LOOPS}:skrl_ppo"), 100_000, 32, ROWS),
+    "cleanrl-ppo": Library(
+        "torch", partial(loop, f"{LOOPS}:cleanrl_ppo"), 100_000, 32, (*ROWS, "docs.examples.cleanrl_ppo:train")
+    ),
+    "rllib-ppo": Library("ray", partial(loop, "docs.studies.library_rllib:rllib_ppo"), 100_000, 32, ROWS),
+    "benchmarl-ippo": Library("benchmarl", partial(loop, BENCHMARL, "ippo"), 100_000, 32, (*ROWS, *TASK)),
+    "benchmarl-mappo": Library("benchmarl", partial(loop, BENCHMARL, "mappo"), 100_000, 32, (*ROWS, *TASK)),
 }
 
 

@@ -1,20 +1,24 @@
-"""Environments on which libraries are trained, validated and tested; every row is a channel of an agent."""
+"""What libraries are trained on, and how their policies are selected on validation and tested."""
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from pathlib import Path
 from runpy import run_path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dcgrid_env.agents import sb3_vec_env
+import numpy as np
+
+from dcgrid_env import make_scenario
+from dcgrid_env.agents import RowPolicy
+from dcgrid_env.baselines import rollout
 
 if TYPE_CHECKING:
-    from stable_baselines3.common.vec_env import VecNormalize
+    from torch import nn
 
-CORRECTED = ("ieee33-weak",)
-"""Scenarios in which actions correct the tuned droop; elsewhere they are changes of reactive power."""
-DISCOUNTS = {"difference": 0.0, "shared": 0.5}
+DISCOUNTS = {"difference": 0.0, "shared": 0.9}
 """Discount for each reward. A difference reward charges later costs at once."""
 VALIDATION_EPISODES, EVALUATIONS = 32, 15
 
@@ -37,34 +41,38 @@ class Setting(NamedTuple):
     """Number of test episodes."""
 
 
-class Batches(NamedTuple):
-    """Batches with normalised observations; those of the training have normalised rewards too."""
+class BestOnValidation:
+    """Keep the parameters of the policy with the lowest mean J on validation.
 
-    train: VecNormalize
-    validation: VecNormalize
-    test: VecNormalize
+    Parameters
+    ----------
+    network
+        Network that is trained.
+    act
+        Function from observations of rows to the network's actions, see :class:`RowPolicy`.
+    on
+        What is trained.
+    """
 
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Lengths of an observation and an action of a row."""
-        observations, actions = (space.shape for space in (self.train.observation_space, self.train.action_space))
-        assert observations is not None
-        assert actions is not None
-        return observations[0], actions[0]
+    def __init__(self, network: nn.Module, act: Callable[[np.ndarray], Any], on: Setting):
+        self.network, self.act, self.on, self.best, self._due = network, act, on, np.inf, 0.0
 
+    def evaluate(self, share: float) -> None:
+        """Evaluate the network after a share of the training, unless it is too soon."""
+        if share < self._due:
+            return
+        self._due = share + 1.0 / EVALUATIONS
+        j = float(self._costs("validation", VALIDATION_EPISODES).mean())
+        if j < self.best:
+            self.best, self._kept = j, copy.deepcopy(self.network.state_dict())
 
-def batches(on: Setting) -> Batches:
-    """Make the environments of a training."""
-    from stable_baselines3.common.vec_env import VecNormalize
+    def tested(self) -> np.ndarray:
+        """Evaluate once more, and return J of each test episode of the best network."""
+        self._due = 0.0
+        self.evaluate(1.0)
+        self.network.load_state_dict(self._kept)
+        return self._costs("test", self.on.episodes)
 
-    outputs, default = ("droop", "droop") if on.scenario in CORRECTED else ("change", "previous")
-    rows: dict[str, Any] = {"view": "channel", "outputs": outputs, "nameplate": True}
-    cost = {"default_action": default} if on.reward == "difference" else {}
-    made = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward, cost=cost, **rows)
-    train = VecNormalize(made, gamma=DISCOUNTS[on.reward])
-    train.seed(on.seed * on.num_envs)
-    held_out = (
-        VecNormalize(sb3_vec_env(on.scenario, n, split=split, **rows), training=False, norm_reward=False)
-        for n, split in ((VALIDATION_EPISODES, "validation"), (on.episodes, "test"))
-    )
-    return Batches(train, *held_out)
+    def _costs(self, split: str, episodes: int) -> np.ndarray:
+        scenario = make_scenario(self.on.scenario, split=split)
+        return rollout(scenario, RowPolicy(self.act), range(episodes)).costs()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from torch import nn
 from torchrl.data import Bounded, Categorical, Composite, Unbounded  # pyright: ignore[reportMissingImports]
 from torchrl.envs import EnvBase, ExplorationType, set_exploration_type  # pyright: ignore[reportMissingImports]
 
-from docs.studies.library_batches import DISCOUNTS, Setting, batches
+from docs.studies.library_batches import DISCOUNTS, Setting
 from docs.studies.library_loops import (
     EPOCHS,
     GRADIENT_NORM,
@@ -25,13 +25,12 @@ from docs.studies.library_loops import (
     LEARNING_RATE,
     LOG_STD,
     MINIBATCHES,
-    BestMean,
+    best_mean,
     initialise,
+    n_updates,
     tensor,
+    train_rows,
 )
-
-if TYPE_CHECKING:
-    from stable_baselines3.common.vec_env import VecNormalize
 
 GROUP = "channels"
 ALGORITHMS = {"ippo": IppoConfig, "mappo": MappoConfig}
@@ -40,14 +39,11 @@ ALGORITHMS = {"ippo": IppoConfig, "mappo": MappoConfig}
 class Channels(EnvBase):
     """A batch as an environment of TorchRL: (environment, channel) in place of rows."""
 
-    def __init__(self, envs: VecNormalize):
-        made: Any = envs.venv
-        self.n_channel = made.rows_per_env
-        n = envs.num_envs // self.n_channel
+    def __init__(self, envs: Any):
+        self.n_channel, n = envs.rows.per_env, envs.n_envs
         super().__init__(device="cpu", batch_size=torch.Size([n]))
         self.envs, shape = envs, torch.Size([n, self.n_channel])
-        spaces: Any = (envs.observation_space, envs.action_space)
-        n_observation, n_action = (space.shape[0] for space in spaces)
+        (n_observation,), (n_action,) = envs.single_observation_space.shape, envs.single_action_space.shape
 
         def grouped(**entries: Any) -> Composite:
             return Composite({GROUP: Composite(entries, shape=shape)}, shape=self.batch_size)
@@ -65,14 +61,14 @@ class Channels(EnvBase):
 
     def _reset(self, tensordict: Any = None, **_: Any) -> TensorDict:
         """Return the first observations; the batch begins the next episodes by itself."""
-        self.now = self.envs.reset() if self.now is None else self.now
+        self.now = self.envs.reset()[0] if self.now is None else self.now
         return self._grouped(observation=self.now)
 
     def _step(self, tensordict: Any) -> TensorDict:
-        action = tensordict[GROUP, "action"].clamp(-1.0, 1.0).flatten(0, 1).numpy()
-        self.now, reward, done, _ = self.envs.step(action)
+        action = tensordict[GROUP, "action"].flatten(0, 1).numpy()
+        self.now, reward, terminated, truncated, _ = self.envs.step(action)
         after = self._grouped(observation=self.now, reward=reward)
-        ends = torch.tensor(done).reshape(*self.batch_size, -1)[:, :1]
+        ends = torch.tensor(terminated | truncated).reshape(*self.batch_size, -1)[:, :1]
         return after.update({"done": ends, "terminated": ends})
 
     def _grouped(self, **rows: Any) -> TensorDict:
@@ -84,10 +80,9 @@ class Channels(EnvBase):
 class ChannelsTask(TaskClass):
     """The batch as a task of BenchMARL."""
 
-    def __init__(self, name: str, envs: VecNormalize):
+    def __init__(self, name: str, envs: Any):
         super().__init__(name, {})
-        made: Any = envs.venv
-        self.envs, self.n_channel = envs, made.rows_per_env
+        self.envs, self.n_channel = envs, envs.rows.per_env
 
     def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable:
         """Return a function that makes the environment."""
@@ -153,39 +148,40 @@ class _Mean(nn.Module):
 class _Updates(Callback):
     """Validation before each update, and the falling learning rate."""
 
-    def __init__(self):
+    def __init__(self, updates: int):
         super().__init__()
+        self.updates = updates
         self.best: Any = None
 
     def on_batch_collected(self, batch: Any) -> None:
-        update = self.experiment.n_iters_performed
-        self.best.evaluate(update)
+        share = self.experiment.n_iters_performed / self.updates
+        self.best.evaluate(share)
         for optimizer in self.experiment.optimizers[GROUP].values():
-            optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - update / self.best.updates)
+            optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - share)
 
 
 def benchmarl_ppo(algorithm: str, on: Setting) -> np.ndarray:
     """Train IPPO or MAPPO of BenchMARL, and return J of the test episodes, (episode,)."""
-    of = batches(on)
+    envs = train_rows(on)
     frames = on.num_envs * HORIZON
     config = ExperimentConfig.get_from_yaml()
     config.gamma, config.lr, config.clip_grad_val = DISCOUNTS[on.reward], LEARNING_RATE, GRADIENT_NORM
-    config.max_n_frames = frames * max(1, on.steps // frames)
+    config.max_n_frames = frames * n_updates(on)
     config.on_policy_collected_frames_per_batch, config.on_policy_n_envs_per_worker = frames, on.num_envs
     config.on_policy_minibatch_size, config.on_policy_n_minibatch_iters = frames // MINIBATCHES, EPOCHS
     config.loggers, config.evaluation, config.create_json = [], False, False
     settings = ALGORITHMS[algorithm].get_from_yaml()
     settings.lmbda, settings.critic_coef = 0.0, 0.5
     settings.scale_mapping, settings.use_tanh_normal = f"biased_softplus_{np.exp(LOG_STD):.3f}", False
-    network, updates = MlpConfig(num_cells=[64, 64], layer_class=nn.Linear, activation_class=nn.Tanh), _Updates()
+    network = MlpConfig(num_cells=[64, 64], layer_class=nn.Linear, activation_class=nn.Tanh)
+    updates = _Updates(n_updates(on))
     with tempfile.TemporaryDirectory() as config.save_folder:
         experiment = Experiment(
-            task=ChannelsTask(on.scenario, of.train), algorithm_config=settings, model_config=network,
+            task=ChannelsTask(on.scenario, envs), algorithm_config=settings, model_config=network,
             critic_model_config=network, seed=on.seed, config=config, callbacks=[updates],
         )  # fmt: skip
         policy = experiment.group_policies[GROUP]
         initialise(policy, 0.01)
-        made: Any = of.train.venv
-        updates.best = BestMean(_Mean(policy, made.rows_per_env), of, on)
+        updates.best = best_mean(_Mean(policy, envs.rows.per_env), envs, on)
         experiment.run()
     return updates.best.tested()

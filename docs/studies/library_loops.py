@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
-from docs.studies.library_batches import DISCOUNTS, EVALUATIONS, Batches, Setting, batches, example
-
-costs = example("difference_reward").costs
+from dcgrid_env.agents import training_env
+from docs.studies.library_batches import DISCOUNTS, BestOnValidation, Setting, example
 
 HORIZON, EPOCHS, MINIBATCHES = 120, 3, 8
 """Steps between updates, passes over them, and minibatches of a pass."""
@@ -19,44 +17,25 @@ LEARNING_RATE, LOG_STD, GRADIENT_NORM = 3e-3, -1.0, 0.5
 """Initial learning rate, which falls to zero, initial logarithm of exploration, and largest norm of the gradient."""
 
 
-class BestMean:
-    """Keep the network of mean actions with the lowest mean J on validation.
+def train_rows(on: Setting, **fields: Any) -> Any:
+    """Seed torch and return the rows of a training, with fields of ``training_env``."""
+    torch.manual_seed(on.seed)
+    return training_env(on.scenario, on.num_envs, reward=on.reward, **fields)
 
-    Parameters
-    ----------
-    network
-        Network that is trained: observations (row, n_observation) to mean actions (row, n_action).
-    of
-        Environments of the training, the validation and the test.
-    on
-        What is trained.
-    """
 
-    def __init__(self, network: nn.Module, of: Batches, on: Setting):
-        self.network, self.of, self.best = network, of, np.inf
-        self.updates = max(1, on.steps // (on.num_envs * HORIZON))
-        self._every = max(1, self.updates // EVALUATIONS)
+def n_updates(on: Setting) -> int:
+    """Return the number of updates of a training, each after ``HORIZON`` steps."""
+    return max(1, on.steps // (on.num_envs * HORIZON))
 
-    def predict(self, observations: np.ndarray, state: Any, **_: Any) -> tuple[np.ndarray, Any]:
-        """Return the mean actions, in the form of Stable-Baselines3."""
+
+def best_mean(network: nn.Module, envs: Any, on: Setting) -> BestOnValidation:
+    """Return the selection of a network from scaled observations to mean actions."""
+
+    def act(rows: np.ndarray) -> np.ndarray:
         with torch.no_grad():
-            return self.network(tensor(observations)).clamp(-1.0, 1.0).numpy(), state
+            return network(tensor(envs.scaling(rows))).numpy()
 
-    def evaluate(self, update: int) -> None:
-        """Evaluate the network before an update, unless it is too soon."""
-        if update % self._every and update < self.updates:
-            return
-        self.of.validation.obs_rms = self.of.train.obs_rms.copy()
-        j = float(costs(self, self.of.validation).mean())
-        if j < self.best:
-            self.best, self._kept = j, (copy.deepcopy(self.network.state_dict()), self.of.validation.obs_rms)
-
-    def tested(self) -> np.ndarray:
-        """Evaluate once more, and return J of each test episode of the best network."""
-        self.evaluate(self.updates)
-        state, self.of.test.obs_rms = self._kept
-        self.network.load_state_dict(state)
-        return costs(self, self.of.test)
+    return BestOnValidation(network, act, on)
 
 
 def initialise(network: nn.Module, last_gain: float) -> None:
@@ -84,38 +63,10 @@ def check_no_discount(library: str, on: Setting) -> None:
 def cleanrl_ppo(on: Setting) -> np.ndarray:
     """Train the agent of docs/examples/cleanrl_ppo.py; advantages are those of a discount of 0."""
     check_no_discount("cleanrl-ppo", on)
-    torch.manual_seed(on.seed)
-    of = batches(on)
-    envs, n_row = of.train, of.train.num_envs
-    agent = example("cleanrl_ppo").Agent(*of.sizes)
-    nn.init.constant_(agent.log_std, LOG_STD)
-    optimizer = torch.optim.Adam(agent.parameters(), lr=LEARNING_RATE, eps=1e-5)
-    best = BestMean(agent.actor, of, on)
-    observation = tensor(envs.reset())
-    for update in range(best.updates):
-        best.evaluate(update)
-        optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - update / best.updates)
-        course: list[tuple[torch.Tensor, ...]] = []
-        with torch.no_grad():
-            for _ in range(HORIZON):
-                distribution = agent.distribution(observation)
-                action = distribution.sample()
-                after, reward, _, _ = envs.step(action.clamp(-1.0, 1.0).numpy())
-                course.append((observation, action, distribution.log_prob(action).sum(-1), tensor(reward)))
-                observation = tensor(after)
-        parts = [torch.cat(each) for each in zip(*course, strict=True)]
-        for _ in range(EPOCHS):
-            for batch in torch.randperm(n_row * HORIZON).chunk(MINIBATCHES):
-                observed, acted, old_log_prob, reward = (part[batch] for part in parts)
-                value = agent.value(observed)
-                advantage = (reward - value).detach()
-                advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-                ratio = (agent.distribution(observed).log_prob(acted).sum(-1) - old_log_prob).exp()
-                gain = torch.minimum(advantage * ratio, advantage * ratio.clamp(0.8, 1.2)).mean()
-                optimizer.zero_grad()
-                (0.5 * (value - reward).square().mean() - gain).backward()
-                nn.utils.clip_grad_norm_(agent.parameters(), GRADIENT_NORM)
-                optimizer.step()
+    envs, script = train_rows(on), example("cleanrl_ppo")
+    agent = script.Agent(envs)
+    best = best_mean(agent.actor, envs, on)
+    script.train(agent, envs, n_updates(on), on.seed, best.evaluate)
     return best.tested()
 
 
@@ -128,9 +79,8 @@ def torchrl_ppo(on: Setting) -> np.ndarray:
     from torchrl.objectives import ClipPPOLoss  # pyright: ignore[reportMissingImports]
     from torchrl.objectives.value import GAE  # pyright: ignore[reportMissingImports]
 
-    torch.manual_seed(on.seed)
-    of = batches(on)
-    envs, (n_observation, n_action) = of.train, of.sizes
+    envs = train_rows(on)
+    (n_observation,), (n_action,) = envs.single_observation_space.shape, envs.single_action_space.shape
     layers: dict[str, Any] = {"num_cells": [64, 64], "activation_class": nn.Tanh}
     mean: Any = MLP(n_observation, n_action, **layers)
     value: Any = MLP(n_observation, 1, **layers)
@@ -145,17 +95,17 @@ def torchrl_ppo(on: Setting) -> np.ndarray:
     advantage = GAE(gamma=DISCOUNTS[on.reward], lmbda=0.0, value_network=critic)
     loss = ClipPPOLoss(actor, critic, entropy_coeff=0.0, normalize_advantage=True)
     optimizer = torch.optim.Adam(loss.parameters(), LEARNING_RATE)
-    best = BestMean(mean, of, on)
-    observation = tensor(envs.reset())
-    for update in range(best.updates):
-        best.evaluate(update)
-        optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - update / best.updates)
+    best, updates = best_mean(mean, envs, on), n_updates(on)
+    observation = tensor(envs.reset(seed=on.seed)[0])
+    for update in range(updates):
+        best.evaluate(update / updates)
+        optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - update / updates)
         course = []
         with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
             for _ in range(HORIZON):
                 step = actor(TensorDict({"observation": observation}, [envs.num_envs]))
-                after, reward, done, _ = envs.step(step["action"].clamp(-1.0, 1.0).numpy())
-                observation, ends = tensor(after), torch.tensor(done)[:, None]
+                after, reward, terminated, truncated, _ = envs.step(step["action"].numpy())
+                observation, ends = tensor(after), torch.tensor(terminated | truncated)[:, None]
                 results = {"observation": observation, "reward": tensor(reward)[:, None], "done": ends}
                 step["next"] = TensorDict({**results, "terminated": ends}, [envs.num_envs])
                 course.append(step)
@@ -176,10 +126,8 @@ def skrl_ppo(on: Setting) -> np.ndarray:
     from skrl.memories.torch import RandomMemory  # pyright: ignore[reportMissingImports]
     from skrl.utils.model_instantiators.torch import deterministic_model, gaussian_model  # pyright: ignore[reportMissingImports]
 
-    torch.manual_seed(on.seed)
-    of = batches(on)
-    envs: Any = of.train
-    spaces: dict[str, Any] = {"observation_space": envs.observation_space, "action_space": envs.action_space}
+    envs = train_rows(on)
+    spaces = {"observation_space": envs.single_observation_space, "action_space": envs.single_action_space}
     network = [{"name": "net", "input": "OBSERVATIONS", "layers": [64, 64], "activations": "tanh"}]
     common = {**spaces, "device": "cpu", "network": network}
     policy: Any = gaussian_model(**common, output="ACTIONS", initial_log_std=LOG_STD)
@@ -187,11 +135,11 @@ def skrl_ppo(on: Setting) -> np.ndarray:
     for model, role, last_gain in ((policy, "policy", 0.01), (critic, "value", 1.0)):
         model.init_state_dict(role=role)
         initialise(model, last_gain)
-    best = BestMean(_SkrlMean(policy), of, on)
+    best, updates = best_mean(_SkrlMean(policy), envs, on), n_updates(on)
     settings = PPO_CFG(
         rollouts=HORIZON, learning_epochs=EPOCHS, mini_batches=MINIBATCHES, discount_factor=DISCOUNTS[on.reward],
         gae_lambda=0.0, learning_rate=LEARNING_RATE, learning_rate_scheduler=torch.optim.lr_scheduler.LinearLR,
-        learning_rate_scheduler_kwargs={"start_factor": 1.0, "end_factor": 0.01, "total_iters": EPOCHS * best.updates},
+        learning_rate_scheduler_kwargs={"start_factor": 1.0, "end_factor": 0.01, "total_iters": EPOCHS * updates},
         grad_norm_clip=GRADIENT_NORM, value_clip=0.0, value_loss_scale=0.5,
     )  # fmt: skip
     settings.experiment.write_interval = settings.experiment.checkpoint_interval = 0
@@ -199,15 +147,15 @@ def skrl_ppo(on: Setting) -> np.ndarray:
     agent: Any = PPO(models={"policy": policy, "value": critic}, memory=memory, cfg=settings, device="cpu", **spaces)
     agent.init(trainer_cfg=None)
     agent.enable_training_mode(True)
-    observation, steps = tensor(envs.reset()), best.updates * HORIZON
+    observation, steps = tensor(envs.reset(seed=on.seed)[0]), updates * HORIZON
     for step in range(steps):
         if step % HORIZON == 0:
-            best.evaluate(step // HORIZON)
+            best.evaluate(step / steps)
         at: dict[str, int] = {"timestep": step, "timesteps": steps}
         with torch.no_grad():
             action, _ = agent.act(observation, None, **at)
-            after, reward, done, infos = envs.step(action.clamp(-1.0, 1.0).numpy())
-            following, ends = tensor(after), torch.tensor(done)[:, None]
+            after, reward, terminated, truncated, infos = envs.step(action.numpy())
+            following, ends = tensor(after), torch.tensor(terminated | truncated)[:, None]
             agent.record_transition(
                 observations=observation, states=None, actions=action, rewards=tensor(reward)[:, None],
                 next_observations=following, next_states=None, terminated=ends, truncated=torch.zeros_like(ends),

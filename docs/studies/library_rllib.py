@@ -8,14 +8,11 @@ import gymnasium
 import numpy as np
 import ray  # pyright: ignore[reportMissingImports]
 import torch
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from ray.rllib.algorithms.ppo import PPOConfig  # pyright: ignore[reportMissingImports]
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig  # pyright: ignore[reportMissingImports]
 from torch import nn
 
-from docs.studies.library_batches import DISCOUNTS, Setting, batches
+from docs.studies.library_batches import DISCOUNTS, Setting
 from docs.studies.library_loops import (
     EPOCHS,
     GRADIENT_NORM,
@@ -23,36 +20,16 @@ from docs.studies.library_loops import (
     LEARNING_RATE,
     LOG_STD,
     MINIBATCHES,
-    BestMean,
+    best_mean,
     check_no_discount,
     initialise,
+    n_updates,
+    train_rows,
 )
 
 MODEL = DefaultModelConfig(fcnet_hiddens=[64, 64], fcnet_activation="tanh", vf_share_layers=False, free_log_std=True)
 NAME = "DcgridRows-v0"
 WITHOUT_DASHBOARD = {"include_dashboard": False, "num_cpus": 1, "log_to_driver": False}
-
-
-class Rows(VectorEnv):
-    """A batch as a vector environment of Gymnasium whose episodes do not end: a discount of 0 ignores their ends."""
-
-    def __init__(self, envs: Any):
-        self.envs, self.num_envs = envs, envs.num_envs
-        self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
-        self.single_observation_space = envs.observation_space
-        self.single_action_space = spaces.Box(-1.0, 1.0, envs.action_space.shape)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-
-    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin the next episodes of the batch, which is seeded."""
-        return self.envs.reset(), {}
-
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step the batch."""
-        observations, rewards, _, _ = self.envs.step(actions)
-        never = np.zeros(self.num_envs, bool)
-        return observations, rewards, never, never, {}
 
 
 class _Mean(nn.Module):
@@ -69,10 +46,10 @@ class _Mean(nn.Module):
 def rllib_ppo(on: Setting) -> np.ndarray:
     """Train PPO of RLlib in this process, and return J of the test episodes, (episode,)."""
     check_no_discount("rllib-ppo", on)
-    of = batches(on)
-    n_row, batch = of.train.num_envs, HORIZON * of.train.num_envs
+    envs = train_rows(on, autoreset_mode="next_step")
+    n_row, batch = envs.num_envs, HORIZON * envs.num_envs
     ray.init(**WITHOUT_DASHBOARD)
-    gymnasium.register(NAME, vector_entry_point=lambda **_: Rows(of.train))
+    gymnasium.register(NAME, vector_entry_point=lambda **_: envs)
     config = (
         PPOConfig()
         .environment(NAME)
@@ -99,9 +76,9 @@ def rllib_ppo(on: Setting) -> np.ndarray:
 
     algorithm.learner_group.foreach_learner(prepare)
     algorithm.env_runner_group.sync_weights(from_worker_or_learner_group=algorithm.learner_group)
-    best = BestMean(_Mean(algorithm.get_module()), of, on)
-    for update in range(best.updates):
-        best.evaluate(update)
+    best, updates = best_mean(_Mean(algorithm.get_module()), envs, on), n_updates(on)
+    for update in range(updates):
+        best.evaluate(update / updates)
         algorithm.train()
     j = best.tested()
     algorithm.stop()

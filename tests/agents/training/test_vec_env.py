@@ -213,6 +213,19 @@ def test_a_number_of_episodes_that_cannot_be_evaluated_is_refused():
             sb3_vec_env("toy6", 1).n_eval_episodes(episodes)  # pyright: ignore[reportArgumentType]
 
 
+def test_only_training_goes_on_with_other_episodes():
+    for split in ("train", "validation", "test"):
+        env = sb3_vec_env("toy6", 2, split=split)
+        begun: list[Any] = [env.reset()]
+        for seed in (None, 5, None):
+            env.step(np.zeros((env.num_envs, 1)))
+            if seed is not None:
+                env.seed(seed)
+            begun.append(env.reset())
+        same = [np.array_equal(*pair) for pair in ((begun[0], begun[1]), (begun[2], begun[3]), (begun[1], begun[2]))]
+        assert same == [split != "train", split != "train", False]
+
+
 @VIEWS
 def test_what_helpers_ask_of_it(view):
     env = sb3_vec_env("toy6", 2, view)
