@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from dcgrid_env import DcgridVectorEnv, end_costs
+from dcgrid_env import end_costs
+from dcgrid_env.agents.training.row_batch import RowBatch
 from dcgrid_env.agents.training.rows import Rows
 
 
@@ -21,15 +22,15 @@ class RowVecEnv(VecEnv):
     compares models on the same episodes. The last step of an
     episode has infos: ``infos[row]["terminal_observation"]`` is the last observation,
     ``infos[row]["TimeLimit.truncated"]`` is True at the horizon and False after a voltage collapse, and
-    ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are the team's, or the
-    difference rewards of the rows, less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in
+    ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are those of
+    ``Rows.paid``, less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in
     steps. With ``end_as_it_arises`` each step pays for the change of the end charge that it causes, and the last step
     pays no more. The sum is the same.
 
     Parameters
     ----------
     rows
-        What a row is, with the scenario; its reward must be the shared one or a difference.
+        What a row is, with the scenario.
     n_envs
         Environments in the batch.
     render_mode
@@ -37,7 +38,7 @@ class RowVecEnv(VecEnv):
     """
 
     def __init__(self, rows: Rows, n_envs: int, render_mode: str | None = None):
-        self.batch = DcgridVectorEnv(n_envs, rows.scenario, render_mode=render_mode, info="none")
+        self.batch = RowBatch(rows, n_envs, render_mode=render_mode)
         self.rows, self.scenario, self.n_envs = rows, rows.scenario, n_envs
         self._repeated = None if self.scenario.split == "train" else 0
         self.physics_s = 0.0
@@ -92,9 +93,8 @@ class RowVecEnv(VecEnv):
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Observation, reward, done and infos of the rows."""
         began_s = time.perf_counter()
-        joint = self.rows.joint_action(self._observation, self._actions)
-        self._observation, _, terminated, truncated, _ = self.batch.step(joint)
-        reward, each = self.rows.paid(self.batch.transition), self.rows_per_env
+        self._observation, reward, terminated, truncated, _ = self.batch.advance(self._observation, self._actions)
+        each = self.rows_per_env
         if self.end_as_it_arises:
             due = self._end_costs()
             reward = reward + (self._due - due + due * truncated)[:, None]

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env import DcgridVectorEnv
-from dcgrid_env.agents.training.rows import Rows
+from dcgrid_env.agents.training.row_batch import RowBatch
+from dcgrid_env.agents.training.rows import Rows, make_rows
 
 CLIP = 10.0
 """Largest absolute value of a scaled observation."""
@@ -33,13 +33,14 @@ def observation_scaling(rows: Rows) -> Scaling:
 
     It is the same for each split of a scenario, so that a policy is tested with the scaling of its training.
     """
-    batch, rng = DcgridVectorEnv(ENVS, rows.scenario.replace(split="train"), info="none"), np.random.default_rng(0)
+    rows = make_rows(rows.scenario.replace(split="train", reward="shared"), rows.form, action_repeat=rows.action_repeat)
+    batch, rng = RowBatch(rows, ENVS), np.random.default_rng(0)
     joint, _ = batch.reset(seed=SEED)
     seen = [rows.observed(joint)]
     offset = 0.3 * rng.standard_normal((len(seen[0]), rows.n_action))
-    for _ in range(rows.scenario.horizon):
+    for _ in range(rows.n_decisions):
         action = np.clip(offset + 0.3 * rng.standard_normal(offset.shape), -1.0, 1.0).astype(np.float32)
-        joint, *_ = batch.step(rows.joint_action(joint, action))
+        joint, *_ = batch.advance(joint, action)
         seen.append(rows.observed(joint))
     figures = np.concatenate(seen).astype(np.float64)
     return Scaling(figures.mean(0), np.maximum(figures.std(0), SMALLEST_SPREAD))

@@ -122,10 +122,22 @@ def learning_form(
     return RowForm(view, outputs, view != "joint" if nameplate is None else nameplate, gains, scenario.name)
 
 
-def pays_differences(scenario: Scenario) -> bool:
-    """Return whether a difference reward is defined for a scenario."""
+def learning_reward(scenario: Scenario) -> Scenario:
+    """Return a scenario with the reward with which agents that are paid each learn fastest.
+
+    It is the difference reward, or where that is not defined the local one, by which agents pay for their own voltage,
+    work and effort.
+    """
     try:
-        scenario.replace(reward="difference")
+        return scenario.replace(reward="difference")
     except ScenarioError:
-        return False
-    return True
+        return scenario.replace(reward="local")
+
+
+def decision_steps(scenario: Scenario) -> int:
+    """Return the steps for which settings of power smoothing hold that agents choose, 1 without such agents."""
+    smoothing = scenario.datacenters.smoothing
+    if smoothing is None or smoothing.control != "agent":
+        return 1
+    steps = max(1, round(smoothing.change_every_s / scenario.dt_s))
+    return steps if scenario.horizon % steps == 0 else 1

@@ -24,19 +24,20 @@ from dcgrid_env.agents.training.row_form import (
     RowForm,
     View,
     droop_gains,
+    decision_steps,
     learning_form,
-    pays_differences,
+    learning_reward,
 )
 from dcgrid_env.baselines.equipment_agents import at_rest
 
-REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 0.25), "droop": (0.5, 0.5, 0.25)}
+REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 1.0), "droop": (0.5, 0.5, 1.0)}
 """Network output for an action of 1: clock, reactive set point and other channel."""
 
 
-def make_rows(scenario: Scenario, form: RowForm | None = None, act: Act = "both") -> Rows:
+def make_rows(scenario: Scenario, form: RowForm | None = None, act: Act = "both", action_repeat: int = 1) -> Rows:
     """Return the rows of a form, see :class:`Rows`; by default those of ``gymnasium.make``."""
     form = form or RowForm()
-    return {"joint": Rows, "shared": AgentRows, "channel": ChannelRows}[form.view](scenario, form, act)
+    return {"joint": Rows, "shared": AgentRows, "channel": ChannelRows}[form.view](scenario, form, act, action_repeat)
 
 
 def learning_rows(
@@ -44,6 +45,7 @@ def learning_rows(
     view: View | None,
     outputs: Outputs | None,
     nameplate: bool | None,
+    action_repeat: int | None,
     overrides: Mapping[str, object],
 ) -> Rows:
     """Return the rows with which training is fastest, except for what is given; see :func:`sb3_vec_env`."""
@@ -57,11 +59,11 @@ def learning_rows(
     cost = overrides.get("cost")
     named = {*overrides, *(cost if isinstance(cost, Mapping) else ())}
     is_open = "reward" not in named and chosen.cost.reward == "shared" and chosen.split == "train"
-    if is_open and form.view != "joint" and pays_differences(chosen):
-        chosen = chosen.replace(reward="difference")
+    if is_open and form.view != "joint":
+        chosen = learning_reward(chosen)
     if chosen.cost.reward == "difference" and (is_open or "reward" in named) and "default_action" not in named:
         chosen = chosen.replace(cost={"default_action": "droop" if form.outputs == "droop" else "previous"})
-    return make_rows(chosen, form)
+    return make_rows(chosen, form, action_repeat=decision_steps(chosen) if action_repeat is None else action_repeat)
 
 
 class Rows:
@@ -76,14 +78,23 @@ class Rows:
     act
         Channels that a policy drives: both, or the clock or the reactive power alone. The other is at the top clock or
         at zero reactive power.
+    action_repeat
+        Steps of the environment for which an action holds.
 
     Raises
     ------
     ValueError
-        If a droop without gains has no tuned ones for the scenario.
+        If a droop without gains has no tuned ones for the scenario, an environment is paid as agents alone, or
+        ``action_repeat`` does not divide the horizon.
     """
 
-    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both"):
+    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
+        if form.view == "joint" and scenario.cost.reward == "local":
+            raise ValueError("reward is 'local', which pays each agent, with view 'joint'; choose 'shared' or 'channel'")
+        whole = isinstance(action_repeat, int | np.integer) and not isinstance(action_repeat, bool)
+        if not whole or not 1 <= action_repeat <= scenario.horizon or scenario.horizon % action_repeat:
+            raise ValueError(f"action_repeat is {action_repeat!r}; give a divisor of the horizon {scenario.horizon}")
+        self.action_repeat = int(action_repeat)
         gains = (form.gains or droop_gains(scenario)) if form.outputs == "droop" else None
         if gains is not None and scenario.cost.default_action == "droop":
             scenario = scenario.replace(cost={"default_gains": tuple(gains)})
@@ -96,6 +107,11 @@ class Rows:
     def per_env(self) -> int:
         """Number of rows of an environment."""
         return 1
+
+    @property
+    def n_decisions(self) -> int:
+        """Actions of a row in an episode."""
+        return self.scenario.horizon // self.action_repeat
 
     @property
     def n_observation(self) -> int:
@@ -169,9 +185,11 @@ class Rows:
         return self.joint_action(joint, predict(self.observed(joint)))
 
     def paid(self, transition: Any) -> np.ndarray:
-        """Return the rewards of a step, (env, row): difference rewards of the rows, or the team's for each."""
+        """Return the rewards of a step, (env, row): those of the scenario's ``cost.reward`` for each row."""
         if self.scenario.cost.reward == "difference":
             return self._differences(transition)
+        if self.scenario.cost.reward == "local":
+            return transition.reward[:, self._owner]
         return np.repeat(transition.reward[:, None], self.per_env, axis=1)
 
     def _differences(self, transition: Any) -> np.ndarray:
@@ -192,7 +210,7 @@ class AgentRows(Rows):
 
     Parameters
     ----------
-    scenario, form, act
+    scenario, form, act, action_repeat
         See :class:`Rows`.
 
     Raises
@@ -201,14 +219,16 @@ class AgentRows(Rows):
         As of :class:`Rows`. Also if regulators or capacitor banks are among the agents.
     """
 
-    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both"):
+    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
         if under_own_control(scenario, keep_set_points=True) is not scenario:
             raise ValueError(
                 f"view is {form.view!r}; {scenario.name!r} has regulators or capacitor banks among its agents, which "
                 "share no policy with the others: choose 'joint', or give under_own_control(scenario, "
                 "keep_set_points=True)"
             )
-        super().__init__(scenario, form, act)
+        super().__init__(scenario, form, act, action_repeat)
+        self._owner = np.arange(scenario.n_agents)
+        """Agent of each row of an environment, (row,)."""
         groups = self._acting.groups
         self._plates = PolicyInterface(scenario, "shared", nameplate=True).plates if form.nameplate else None
         self._figures = 3 * form.nameplate
@@ -324,15 +344,15 @@ class ChannelRows(AgentRows):
 
     Parameters
     ----------
-    scenario, form, act
+    scenario, form, act, action_repeat
         See :class:`AgentRows`.
     """
 
-    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both"):
+    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
+        super().__init__(scenario, form, act, action_repeat)
         names, agents = action_layout(scenario).names, {agent: i for i, agent in enumerate(scenario.agents)}
         self._owner = np.array([agents[agent] for agent, _ in names])
         self._of_names = [name for _, name in names]
-        super().__init__(scenario, form, act)
 
     @property
     def per_env(self) -> int:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     """Return keyword arguments for Stable-Baselines3's PPO, as in ``PPO(env=envs, **ppo_settings(envs))``.
 
-    A rollout is an episode of each environment. The policy scales its observations itself, by the means and standard
+    A rollout has 480 decisions of all environments together, or 960 where rewards of later steps count. The policy scales its observations itself, by the means and standard
     deviations in one episode of eight environments with small random actions. A saved model therefore needs no file of
     VecNormalize.
 
@@ -38,14 +38,15 @@ def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     """
     from stable_baselines3.common.utils import LinearSchedule
 
-    made = rows_of(envs)
-    steps = made.scenario.horizon
+    made, gamma = rows_of(envs), discount(rows_of(envs))
+    decisions = 480 if gamma == 0.0 else 960
+    n_steps = min(max(2, decisions // made.n_envs), made.rows.n_decisions)
     return {
         "policy": "MlpPolicy",
-        "gamma": discount(made),
-        "gae_lambda": 0.0 if discount(made) == 0.0 else 0.9,
-        "n_steps": steps,
-        "batch_size": -(-steps * made.num_envs // 8),
+        "gamma": gamma,
+        "gae_lambda": gamma,
+        "n_steps": n_steps,
+        "batch_size": -(-n_steps * made.num_envs // 4),
         "n_epochs": 3,
         "learning_rate": LinearSchedule(3e-3, 0.0, 1.0),
         "policy_kwargs": {"log_std_init": -1.0, **scaled_observations(made)},

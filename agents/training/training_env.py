@@ -10,9 +10,10 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
-from dcgrid_env import DcgridVectorEnv, Scenario
+from dcgrid_env import Scenario
 from dcgrid_env.agents.training.observation_scaling import CLIP, Scaling, observation_scaling
 from dcgrid_env.agents.training.row_form import Outputs, View
+from dcgrid_env.agents.training.row_batch import RowBatch
 from dcgrid_env.agents.training.rows import Rows, learning_rows
 
 
@@ -24,6 +25,7 @@ def training_env(
     outputs: Outputs | None = None,
     nameplate: bool | None = None,
     scale_observations: bool = True,
+    action_repeat: int | None = None,
     autoreset_mode: Literal["same_step", "next_step"] = "same_step",
     render_mode: str | None = None,
     **overrides: object,
@@ -40,7 +42,7 @@ def training_env(
         Registered id, name of a preset, or a Scenario.
     num_envs
         Environments in the batch. The attribute ``num_envs`` of the result is the number of rows, as Gymnasium has it.
-    view, outputs, nameplate
+    view, outputs, nameplate, action_repeat
         What a row is and what its action means, see :func:`sb3_vec_env`.
     scale_observations
         Whether observations are scaled to mean 0 and standard deviation 1, by the numbers of :func:`ppo_settings`. They
@@ -71,7 +73,7 @@ def training_env(
     """
     if autoreset_mode not in ("same_step", "next_step"):
         raise ValueError(f"autoreset_mode is {autoreset_mode!r}; choose same_step or next_step")
-    rows = learning_rows(scenario, view, outputs, nameplate, overrides)
+    rows = learning_rows(scenario, view, outputs, nameplate, action_repeat, overrides)
     scaling = observation_scaling(rows) if scale_observations else None
     return RowVectorEnv(rows, num_envs, scaling, autoreset_mode, render_mode)
 
@@ -96,9 +98,7 @@ class RowVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray
     """
 
     def __init__(self, rows: Rows, n_envs: int, scaling: Scaling | None, autoreset_mode: str, render_mode: str | None):
-        self.batch = DcgridVectorEnv(
-            n_envs, rows.scenario, render_mode=render_mode, info="none", autoreset_mode=autoreset_mode
-        )
+        self.batch = RowBatch(rows, n_envs, render_mode=render_mode, autoreset_mode=autoreset_mode)
         self.rows, self.scenario, self.n_envs, self.scaling = rows, rows.scenario, n_envs, scaling
         self.num_envs, self.metadata, self.render_mode = n_envs * rows.per_env, self.batch.metadata, render_mode
         observed = rows.observation_space(self.batch.single_observation_space)
@@ -131,12 +131,8 @@ class RowVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray
         actions = np.asarray(actions, np.float32)
         if actions.shape != self.action_space.shape:
             raise ValueError(f"actions has the shape {actions.shape}; give {self.action_space.shape}")
-        joint = self.rows.joint_action(self._joint, actions.clip(-1.0, 1.0))
-        self._joint, _, terminated, truncated, ends = self.batch.step(joint)
-        rewards, (terminated, truncated) = (
-            self.rows.paid(self.batch.transition),
-            map(self._each, (terminated, truncated)),
-        )
+        self._joint, rewards, *over, ends = self.batch.advance(self._joint, actions.clip(-1.0, 1.0))
+        terminated, truncated = map(self._each, over)
         infos: dict[str, Any] = {}
         if (done := terminated | truncated).any():
             costs = {"J": np.where(done, self._each(self.batch.transition.j_so_far), 0.0), "_J": done}

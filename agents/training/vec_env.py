@@ -19,6 +19,7 @@ def sb3_vec_env(
     *,
     outputs: Outputs | None = None,
     nameplate: bool | None = None,
+    action_repeat: int | None = None,
     render_mode: str | None = None,
     **overrides: object,
 ) -> RowVecEnv:
@@ -62,12 +63,16 @@ def sb3_vec_env(
     nameplate
         Whether to observe the effect of full demand and of full reactive power on the agent's voltage. The share of
         the latter that corrects the voltage is observed too. Not in the joint view. Default: in the other views.
+    action_repeat
+        Steps of the environment for which an action holds, a divisor of the horizon. Default: 1, or where agents choose
+        the settings of power smoothing, the time for which these hold.
     render_mode
         None, "rgb_array" (an image of each environment) or "human" (a window shows the first environment).
     **overrides
         Any field of the Scenario, for instance ``horizon=60, split="validation"``. Default of ``reward`` on the split
-        "train": "difference" where it is defined, with the action of 0 as ``cost.default_action``. On other splits the
-        reward is minus the cost, so that ``EvalCallback`` selects by J.
+        "train": "difference" with the action of 0 as ``cost.default_action``, or "local" where a difference reward is
+        not defined; in the joint view "shared". On other splits the reward is minus the cost, so that ``EvalCallback``
+        selects by J.
 
     Raises
     ------
@@ -79,7 +84,7 @@ def sb3_vec_env(
         For an unknown view or unknown outputs, nameplate figures in a joint view, or corrections of a droop without
         tuned gains. Also for another view than "joint" if regulators or capacitor banks are among the agents.
     """
-    rows = learning_rows(scenario, view, outputs, nameplate, overrides)
+    rows = learning_rows(scenario, view, outputs, nameplate, action_repeat, overrides)
     try:
         from dcgrid_env.agents.training.batched_envs import RowVecEnv
     except ImportError as error:

@@ -71,6 +71,8 @@ class BaseEnvironment:
     scenario: Scenario
     render_mode: str | None
     info_level: InfoLevel
+    pays_team = True
+    """Whether the environment of all agents has one reward, so that agents cannot be paid alone."""
     _viewer: Any = None
 
     def _setup(
@@ -98,7 +100,7 @@ class BaseEnvironment:
         self._drawn_on: Scenario | None = None  # what the viewer shows
         if render_mode is not None and n_env > 1 and isinstance(self.scenario.feeder, RandomFeeders):
             raise ScenarioError("render_mode: environments on random feeders are not drawn together; give num_envs=1")
-        if joint and self.scenario.cost.reward == "local":
+        if joint and self.pays_team and self.scenario.cost.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
         if self.scenario.sensing.observe == "feeder":
             what = f"scenario {self.scenario.name!r}: observe is 'feeder', so that each observation"
