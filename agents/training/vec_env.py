@@ -33,7 +33,7 @@ def sb3_vec_env(
     Its algorithms and wrappers (VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next reset begins
     the episodes of seeds n, n + 1 and so on, one in each environment. A further reset begins the next episodes, and on
     the splits "validation" and "test" the same again, so that evaluations are compared on the same episodes. In the
-    last step of an episode ``infos[row]`` has ``terminal_observation``, ``TimeLimit.truncated`` and the episode's cost ``J``.
+    last step of an episode ``infos[row]`` has ``terminal_observation``, ``TimeLimit.truncated`` and the cost ``J``.
 
     In the views "shared" and "channel" several rows are one environment, and Stable-Baselines3 counts each row's end as
     an episode. Pass ``n_eval_episodes=envs.n_eval_episodes(10)`` to ``evaluate_policy`` or ``EvalCallback`` for ten
