@@ -117,6 +117,7 @@ ELSEWHERE = {
     "python -m docs.studies.first_step": "tests/docs/studies/test_first_step.py",
     "python docs/examples/sb3_plain.py": "tests/docs/test_examples.py",
     "python docs/examples/sb3_vec_env.py": "tests/docs/test_examples.py",
+    "python docs/examples/custom_training.py": "tests/docs/test_examples.py",
     "dcgrid export-sb3": "tests/agents/from_sb3",
     "dcgrid evaluate rllib_policy.py:FromRllib": "tests/docs/test_frameworks.py",
     "dcgrid evaluate torchrl_policy.py:FromTorchRl": "tests/docs/test_frameworks.py",

@@ -45,3 +45,15 @@ def test_a_notebook_is_kept_without_outputs_and_every_cell_is_whole(path):
             missing = [at for at in LINK.findall(text_of(cell)) if "://" not in at and not (FOLDER / at).exists()]
             assert missing == []
     assert any("plt.show()" in text_of(cell) for cell in cells if cell["cell_type"] == "code")
+
+
+@pytest.mark.slow
+def test_the_tutorial_of_ppo_runs_and_scores_its_policy(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("matplotlib.pyplot.show", lambda: None)
+    cells = json.loads((FOLDER / "ppo-sb3.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = "\n\n".join(text_of(cell) for cell in cells if cell["cell_type"] == "code")
+    exec(compile(code.replace("STEPS = 60_000", "STEPS = 10_000"), "ppo-sb3.ipynb", "exec"), {"__name__": "__main__"})
+    score = float(re.findall(r"score (-?\d\.\d+)", capsys.readouterr().out)[0])
+    assert score > 0.3
+    assert (tmp_path / "my-ppo.safetensors").exists()

@@ -18,7 +18,7 @@ from dcgrid_env.baselines import make_controller
     [
         ("ieee33-weak", {}, ("channel", "droop", True), "difference", "droop"),
         ("toy6", {"name": "without-gains"}, ("channel", "change", True), "difference", "previous"),
-        ("ride-through", {}, ("channel", "droop", True), "shared", "previous"),  # difference is not defined
+        ("smoothing", {}, ("channel", "droop", True), "shared", "previous"),  # difference is not defined
         ("ieee13-3ph", {"grid_control": {"regulators": "agent"}}, ("joint", "droop", False), "shared", "previous"),
         ("toy6", {"split": "validation"}, ("channel", "droop", True), "shared", "previous"),
         ("toy6", {"split": "test"}, ("channel", "droop", True), "shared", "previous"),
