@@ -23,6 +23,10 @@ Outputs = Literal["setpoint", "change", "droop"]
 """Meaning of an action: set points, changes from the action that keeps the state, or corrections of the tuned droop."""
 
 
+PAID_ALONE = ("ieee13-3ph",)
+"""Presets on which policies trained by difference rewards cost more than the droop on validation (decision 51)."""
+
+
 class RowForm(NamedTuple):
     """What a row is and what its action means, see :func:`sb3_vec_env`."""
 
@@ -126,8 +130,10 @@ def learning_reward(scenario: Scenario) -> Scenario:
     """Return a scenario with the reward with which agents that are paid each learn fastest.
 
     It is the difference reward, or where that is not defined the local one, by which agents pay for their own voltage,
-    work and effort.
+    work and effort. On the presets ``PAID_ALONE`` it is the local one too.
     """
+    if scenario.name in PAID_ALONE:
+        return scenario.replace(reward="local")
     try:
         return scenario.replace(reward="difference")
     except ScenarioError:

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     """Return keyword arguments for Stable-Baselines3's PPO, as in ``PPO(env=envs, **ppo_settings(envs))``.
 
-    A rollout has 480 decisions of all environments together, or 960 where rewards of later steps count. The policy scales its observations itself, by the means and standard
-    deviations in one episode of eight environments with small random actions. A saved model therefore needs no file of
-    VecNormalize.
+    A rollout has 480 decisions of all environments together, so that the policy is improved often. Where rewards of
+    later steps count it has 960, and the policy changes more slowly. The policy scales its observations itself, by the
+    means and standard deviations in one episode of eight environments with small random actions. A saved model
+    therefore needs no file of VecNormalize.
 
     Parameters
     ----------
@@ -38,9 +39,10 @@ def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     """
     from stable_baselines3.common.utils import LinearSchedule
 
-    made, gamma = rows_of(envs), discount(rows_of(envs))
-    decisions = 480 if gamma == 0.0 else 960
-    n_steps = min(max(2, decisions // made.n_envs), made.rows.n_decisions)
+    made = rows_of(envs)
+    gamma = discount(made)
+    is_single = gamma < 0.5  # what follows a decision hardly counts
+    n_steps = min(max(2, (480 if is_single else 960) // made.n_envs), made.rows.n_decisions)
     return {
         "policy": "MlpPolicy",
         "gamma": gamma,
@@ -48,8 +50,8 @@ def ppo_settings(envs: VecEnv) -> dict[str, Any]:
         "n_steps": n_steps,
         "batch_size": -(-n_steps * made.num_envs // 4),
         "n_epochs": 3,
-        "learning_rate": LinearSchedule(3e-3, 0.0, 1.0),
-        "policy_kwargs": {"log_std_init": -1.0, **scaled_observations(made)},
+        "learning_rate": LinearSchedule(3e-3 if is_single else 1e-3, 0.0, 1.0),
+        "policy_kwargs": {"log_std_init": -1.0 if is_single else -2.0, **scaled_observations(made)},
         "device": "cpu",
     }
 
@@ -79,8 +81,10 @@ def sac_settings(envs: VecEnv) -> dict[str, Any]:
 
 
 def discount(made: RowVecEnv) -> float:
-    """Return the discount: 0 for a difference reward, which charges later costs at once, else 0.9."""
-    return 0.0 if made.scenario.cost.reward == "difference" else 0.9
+    """Return the discount: 0 for a difference reward, which charges later costs at once, else 0.9 for each second."""
+    if made.scenario.cost.reward == "difference":
+        return 0.0
+    return 0.9 ** (made.scenario.dt_s * made.rows.action_repeat)
 
 
 def rows_of(envs: VecEnv) -> RowVecEnv:
