@@ -33,7 +33,7 @@ def observation_scaling(rows: Rows) -> Scaling:
 
     It is the same for each split of a scenario, so that a policy is tested with the scaling of its training.
     """
-    rows = make_rows(rows.scenario.replace(split="train", reward="shared"), rows.form, action_repeat=rows.action_repeat)
+    rows = make_rows(rows.scenario.replace(split="train"), rows.form, action_repeat=rows.action_repeat)
     batch, rng = RowBatch(rows, ENVS), np.random.default_rng(0)
     joint, _ = batch.reset(seed=SEED)
     seen = [rows.observed(joint)]
