@@ -20,6 +20,7 @@ from dcgrid_env import (
 )
 from dcgrid_env.baselines.controller import Controller, NeedsPlacement, NeedsRegulators
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
+from dcgrid_env.scenario.cost import TEAM_REWARD
 
 AnyRecorder = TypeVar("AnyRecorder", Recorder, StreamingRecorder)
 
@@ -156,10 +157,10 @@ def as_driven(scenario: Scenario, controller: Controller) -> Scenario:
 
     Actions and metrics do not depend on how the reward is divided among agents.
     """
-    reward, observe = "shared", getattr(controller, "observe", scenario.sensing.observe)
-    if (scenario.cost.reward, scenario.sensing.observe) == (reward, observe):
+    observe = getattr(controller, "observe", scenario.sensing.observe)
+    if (scenario.cost.reward, scenario.sensing.observe) == ("shared", observe):
         return scenario
-    return scenario.replace(reward=reward, observe=observe)
+    return scenario.replace(cost=TEAM_REWARD, observe=observe)
 
 
 def transitions(

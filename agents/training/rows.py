@@ -90,7 +90,9 @@ class Rows:
 
     def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
         if form.view == "joint" and scenario.cost.reward == "local":
-            raise ValueError("reward is 'local', which pays each agent, with view 'joint'; choose 'shared' or 'channel'")
+            raise ValueError(
+                "reward is 'local', which pays each agent, with view 'joint'; choose 'shared' or 'channel'"
+            )
         whole = isinstance(action_repeat, int | np.integer) and not isinstance(action_repeat, bool)
         if not whole or not 1 <= action_repeat <= scenario.horizon or scenario.horizon % action_repeat:
             raise ValueError(f"action_repeat is {action_repeat!r}; give a divisor of the horizon {scenario.horizon}")

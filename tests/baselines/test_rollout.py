@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dcgrid_env import make_scenario
-from dcgrid_env.baselines import ConstantQ, rollout
+from dcgrid_env.baselines import ConstantQ, make_controller, rollout
 from dcgrid_env.baselines.rollout import ControllerError
 
 TOY6 = make_scenario("toy6", horizon=3)
@@ -78,3 +78,12 @@ def test_what_is_no_action(action, message):
     with pytest.raises(ControllerError, match=f"^controller 'Still' fails in act: .*{message}") as raised:
         rollout(TOY6, Still(action), [0, 1])
     assert len(str(raised.value).splitlines()) == 1
+
+
+def test_the_reward_of_training_changes_nothing():
+    paid = {"reward": "difference", "default_action": "droop", "default_gains": (1.0, 1.0, 1.0)}
+    plain, trained_on = (make_scenario("toy6", horizon=5, **fields) for fields in ({}, {"cost": paid}))
+    costs = [
+        rollout(scenario, make_controller("droop-tuned", plain), range(2)).costs() for scenario in (plain, trained_on)
+    ]
+    np.testing.assert_array_equal(*costs)

@@ -377,9 +377,7 @@ def add_saved_costs(
     over_rows(lambda begin, end: add_saved_costs_rows(begin, end, *given), len(saved))
 
 
-def _saved_requests(
-    scenario: Scenario, state: State, drawn_kw: np.ndarray, available: np.ndarray | None
-) -> np.ndarray:
+def _saved_requests(scenario: Scenario, state: State, drawn_kw: np.ndarray, available: np.ndarray | None) -> np.ndarray:
     """Return the cost of the utility's requests that each entry saves, (row, n_action); see ``add_saved_costs``."""
     of, asked, cut = changes(scenario), columns(state.request), sites(scenario)
     is_draw = ~of.is_reactive & (of.agent >= cut.start) & (of.agent < cut.stop)
