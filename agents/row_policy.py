@@ -42,7 +42,9 @@ class RowPolicy:
         outputs: Outputs | None = None,
         nameplate: bool | None = None,
     ):
-        self._function, self._view, self._outputs, self._nameplate = function, view, outputs, nameplate
+        self._function, self._nameplate = function, nameplate
+        self._view: View | None = view
+        self._outputs: Outputs | None = outputs
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes; raise ValueError if the form does not apply to the scenario."""

@@ -197,7 +197,7 @@ __all__ = [
     "sag_times",
     "scenario_hash",
     "scenario_on",
-    "score",
+    "score",  # pyright: ignore[reportUnsupportedDunderAll]
     "sensitivity",
     "sensitivity_between_agents",
     "sensitivity_by",

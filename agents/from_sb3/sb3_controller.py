@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import stable_baselines3
@@ -56,7 +57,7 @@ class Sb3Controller(RowPolicy):
     def _rows_on(self, scenario: Scenario) -> Rows:
         """Return the rows of the model's spaces; raise PolicyError if they are not of the scenario."""
         space = self.model.action_space
-        shapes = (self.model.observation_space.shape, space.shape)
+        shapes: tuple[Any, ...] = (self.model.observation_space.shape, space.shape)
         if any(shape is None or len(shape) != 1 for shape in shapes):
             raise PolicyError(f"{self.called}: spaces have the shapes {shapes}; a model for dcgrid has flat ones")
         form = RowForm.read(space.form) if isinstance(space, RowActions) else None
@@ -72,7 +73,7 @@ class Sb3Controller(RowPolicy):
 def of_model(model: BaseAlgorithm) -> Sb3Controller:
     """Return the controller of a model in memory, with the VecNormalize around its environment, if any."""
     envs = model.get_vec_normalize_env()
-    return Sb3Controller(model, None if envs is None else Normalisation.of(envs))
+    return Sb3Controller(model, None if envs is None else Normalisation.from_envs(envs))
 
 
 def loaded(path: Path, normalisation: Normalisation | None = None) -> Sb3Controller:
@@ -117,7 +118,7 @@ def read_normalisation(path: Path) -> Normalisation | None:
         raise OwnCodeError(f"{path}: it cannot be unpickled: {described(error)}") from error
     if not isinstance(found, VecNormalize):
         raise PolicyError(f"{path}: holds a {type(found).__name__}; give the file that VecNormalize.save wrote")
-    return Normalisation.of(found)
+    return Normalisation.from_envs(found)
 
 
 class _Compared:

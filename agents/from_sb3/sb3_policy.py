@@ -14,7 +14,7 @@ from dcgrid_env.agents.from_sb3.sb3_zip import REMEDY, Actor, read_actor
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.row_form import RowForm
-from dcgrid_env.agents.training.row_networks import policy_of_rows
+from dcgrid_env.agents.training.row_networks import policy_from_rows
 from dcgrid_env.agents.training.rows import Rows, make_rows
 from dcgrid_env.agents.training.validation import made_with
 from dcgrid_env.core.install import from_clone
@@ -40,7 +40,7 @@ class Normalisation(NamedTuple):
     clip: float
 
     @classmethod
-    def of(cls, envs: Any) -> Normalisation | None:
+    def from_envs(cls, envs: Any) -> Normalisation | None:
         """Return that of a VecNormalize; None if it does not change observations."""
         if not envs.norm_obs:
             return None
@@ -86,7 +86,7 @@ def to_policy(model: BaseAlgorithm, scenario: str | Scenario | None = None) -> P
     actor, normalised = read_actor(content), model.get_vec_normalize_env()
     if normalised is None:
         return as_policy(actor, scenario)
-    return as_policy(actor._replace(is_normalised=False), scenario, Normalisation.of(normalised))
+    return as_policy(actor._replace(is_normalised=False), scenario, Normalisation.from_envs(normalised))
 
 
 def read_policy(path: str | Path, scenario: str | Scenario | None = None) -> Policy:
@@ -173,7 +173,7 @@ def as_policy(
             f"it drives the regulators or capacitor banks of {trained.name} too, which a policy leaves under their "
             f"own control; {REMEDY}"
         )
-    return policy_of_rows(rows, network, scenario=label or trained.name, made_with=made_with())
+    return policy_from_rows(rows, network, scenario=label or trained.name, made_with=made_with())
 
 
 def training_scenario(form: RowForm | None, scenario: str | Scenario | None) -> Scenario:
@@ -201,14 +201,14 @@ def rows_for(scenario: Scenario, widths: tuple[int, int], form: RowForm | None =
     Without a form they are those of ``gymnasium.make``, of all agents or without regulators and capacitor banks, or
     the shared view. Raises PolicyError, with the widths that there are, if none fits.
     """
-    others, found = under_own_control(scenario, keep_set_points=True), []
+    others, widths_there = under_own_control(scenario, keep_set_points=True), []
     for each in (RowForm("joint"), RowForm("shared")) if form is None else (form,):
-        for seen in (scenario, others) if each.view == "joint" and others is not scenario else (others,):
-            rows = make_rows(seen, each)
+        for candidate in (scenario, others) if each.view == "joint" and others is not scenario else (others,):
+            rows = make_rows(candidate, each)
             if (rows.n_observation, rows.n_action) == widths:
                 return rows
-            found.append(f"{rows.n_observation} and {rows.n_action} ({each.view})")
+            widths_there.append(f"{rows.n_observation} and {rows.n_action} ({each.view})")
     raise PolicyError(
         f"observation and action have {widths[0]} and {widths[1]} figures; on {scenario.name} they have "
-        f"{', '.join(found)}: name the scenario that it was trained on, or {REMEDY}"
+        f"{', '.join(widths_there)}: name the scenario that it was trained on, or {REMEDY}"
     )

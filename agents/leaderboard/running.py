@@ -108,11 +108,11 @@ def _droop(scenario: Scenario, seeds: tuple[int, ...]) -> Evaluation:
 
 def static_evaluations(scenario: Scenario, seeds: Sequence[int]) -> dict[str, Evaluation]:
     """Results of the rules without measurements that apply to a scenario and have tuned parameters, by name."""
-    found = {}
+    evaluations = {}
     for name in static_rules(scenario):
         with suppress(ValueError):
-            found[name] = evaluate(controller_of(name, scenario), scenario, seeds, name)
-    return found
+            evaluations[name] = evaluate(controller_of(name, scenario), scenario, seeds, name)
+    return evaluations
 
 
 def scored(run: Run) -> Score:

@@ -157,8 +157,8 @@ class Network:
         if self.std is not None:
             x = x / self.std
         if self.clip is not None:
-            low, high = self.clip if isinstance(self.clip, np.ndarray) else np.float32([-self.clip, self.clip])
-            x = np.clip(x, low, high)
+            low, high = self.clip if isinstance(self.clip, np.ndarray) else (-self.clip, self.clip)
+            x = np.clip(x, np.float32(low), np.float32(high))
         return x
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:

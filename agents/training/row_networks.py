@@ -11,7 +11,7 @@ from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.rows import AgentRows, ChannelRows, Rows
 
 
-def policy_of_rows(rows: Rows, network: Network, *, scenario: str = "", made_with: str = "") -> Policy:
+def policy_from_rows(rows: Rows, network: Network, *, scenario: str = "", made_with: str = "") -> Policy:
     """Return the policy that acts as a network does on rows: one network, or one for each kind of agent.
 
     Parameters
@@ -41,15 +41,15 @@ def _of_kind(rows: AgentRows, network: Network, kind: str) -> Network:
     """
     columns, entries = rows.columns(rows.scenario.agents[rows.members[kind][0]]), rows.entries(kind)
     (first, bias), *rest = network.layers
-    seen, fixed = first[columns], [_normalised(network, row, columns) for row in rows.constant(kind)]
+    observed, fixed = first[columns], [_normalised(network, row, columns) for row in rows.constant(kind)]
     biases = [(bias.astype(np.float64) + constant @ first).astype(np.float32) for constant in fixed]
     if not isinstance(rows, ChannelRows):
-        layers = [(seen, biases[0]), *rest]
+        layers = [(observed, biases[0]), *rest]
         last, last_bias = layers[-1]
         layers[-1] = (last[:, entries], last_bias[entries])
     else:
         n = len(biases)
-        layers = [(np.tile(seen, n), np.concatenate(biases))]
+        layers = [(np.tile(observed, n), np.concatenate(biases))]
         layers += [(np.kron(np.eye(n), weight), np.tile(b, n)) for weight, b in rest]
     return _arranged(network, layers, columns, rows.reach[entries])
 

@@ -387,9 +387,9 @@ class ChannelRows(AgentRows):
         return transition.reward_vector
 
     def _outputs(self, actions: np.ndarray) -> dict[str, np.ndarray]:
-        own = actions.reshape(-1, len(self._owner))
-        of_agents = np.zeros((len(own), self.scenario.n_agents, len(self.channels)), np.float32)
-        of_agents[:, self._owner, self._column] = own
+        entries = actions.reshape(-1, len(self._owner))
+        of_agents = np.zeros((len(entries), self.scenario.n_agents, len(self.channels)), np.float32)
+        of_agents[:, self._owner, self._column] = entries
         return super()._outputs(of_agents.reshape(-1, len(self.channels)))
 
 

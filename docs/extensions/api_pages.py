@@ -72,6 +72,7 @@ GROUPS = (
         "Score and compare",
         "Evaluate controllers, compute scores and metrics, and record episodes (:doc:`definitions <../results>`).",
         (
+            "agents.scoring",
             "baselines.evaluation",
             "baselines.score",
             "baselines.sanity",

@@ -28,6 +28,7 @@ PACKAGES = (
 FROM_THEIR_MODULE: tuple[str, ...] = (
     "dcgrid_env.agents.policy.law_interface.FEATURES",
     "dcgrid_env.agents.policy.law_interface.OUTPUTS",
+    "dcgrid_env.agents.scoring.PolicyScore",
     "dcgrid_env.baselines.hosting_capacity.capacity_study.Study",
     "dcgrid_env.baselines.hosting_capacity.hosting.Capacities",
     "dcgrid_env.baselines.hosting_capacity.hosting.hosting_capacity",
@@ -55,7 +56,9 @@ def origins(package: str) -> dict[str, str]:
 
 
 def defined_in(module: ModuleType, name: str) -> str:
-    """Name of the module that defines what a module imports under a name."""
+    """Name of the module that defines what a module imports under a name, or gives by ``__getattr__``."""
+    if name not in vars(module):
+        return getattr(module, name).__module__
     for node in ast.walk(ast.parse(inspect.getsource(module))):
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dcgrid_env
-from dcgrid_env import DcgridEnv, DcgridVectorEnv, make_scenario, parallel_env
+from dcgrid_env import DcgridEnv, DcgridVectorEnv, action_layout, make_scenario, parallel_env
 from dcgrid_env.agents import RowPolicy, sb3_vec_env
 from dcgrid_env.baselines import Controller, rollout
 from dcgrid_env.baselines.rollout import ControllerError
@@ -72,7 +72,7 @@ def test_regulators_are_under_own_control_unless_a_row_is_an_environment(view):
 
 
 def scenario_rows(scenario, view):
-    return DcgridVectorEnv(1, scenario).single_action_space.shape[0] if view == "joint" else 1
+    return action_layout(scenario).n if view == "joint" else 1
 
 
 def test_what_a_function_returns_is_checked():

@@ -17,7 +17,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 
 import dcgrid_env
-from dcgrid_env.agents import Card, Policy, PolicyError, ppo_settings, sac_settings, sb3_vec_env, to_policy
+from dcgrid_env.agents import Card, Network, Policy, PolicyError, ppo_settings, sac_settings, sb3_vec_env, to_policy
 from dcgrid_env.agents.from_sb3.sb3_controller import trusted
 from dcgrid_env.agents.from_sb3.sb3_policy import Normalisation, UnknownNormalisationWarning
 from dcgrid_env.agents.from_sb3.sb3_zip import read_actor
@@ -118,16 +118,16 @@ FORMS = {"joint": {"outputs": "change"}, "shared": {"outputs": "setpoint", "name
 """Action forms by view; those of the view "channel" are the default, corrections of the tuned droop."""
 
 
-def trained(kind, view, scenario: Any = SCENARIO):
+def trained(kind: Any, view: Any, scenario: Any = SCENARIO):
     """Return a model after a few steps on rows of a view, which scales its observations itself."""
     envs = sb3_vec_env(scenario, 2, view, **FORMS[view])
     envs.seed(0)
     suited = ppo_settings(envs) if kind in (PPO, A2C) else sac_settings(envs)
-    own = (ON_POLICY if kind in (PPO, A2C) else OFF_POLICY | {"learning_starts": 2}) | {
-        "policy_kwargs": suited["policy_kwargs"] | {"net_arch": [8, 6]}
-    }
+    own: dict[str, Any] = {"policy_kwargs": suited["policy_kwargs"] | {"net_arch": [8, 6]}}
+    own |= ON_POLICY if kind in (PPO, A2C) else OFF_POLICY | {"learning_starts": 2}
+    own |= {"batch_size": 4} if kind is PPO else {}
     torch.manual_seed(0)
-    model = kind("MlpPolicy", envs, **(own | ({"batch_size": 4} if kind is PPO else {})))
+    model = kind("MlpPolicy", envs, **own)
     return spread(spread(model.learn(4 * envs.num_envs)))
 
 
@@ -194,7 +194,7 @@ def test_vecnormalize_becomes_part_of_a_policy(view, scaled, tmp_path, capsys):
     for policy in (Policy.load(tmp_path / "policy.safetensors"), to_policy(model)):
         assert_acts_as(policy, model, envs, scenario, observations(), atol=2e-5)
     with pytest.raises(PolicyError, match="normalize has 3 figures and the observation"):
-        Normalisation(np.zeros(3), np.ones(3), 10.0).before(policy.networks[min(policy.networks)])
+        Normalisation(np.zeros(3), np.ones(3), 10.0).before(Network([(np.zeros((2, 1)), [0.0])]))
 
 
 def test_nothing_is_unpickled_without_trust(tmp_path, capsys):
