@@ -57,14 +57,12 @@ def origins(package: str) -> dict[str, str]:
 
 def defined_in(module: ModuleType, name: str) -> str:
     """Name of the module that defines what a module imports under a name, or gives by ``__getattr__``."""
-    if name not in vars(module):
-        return getattr(module, name).__module__
     for node in ast.walk(ast.parse(inspect.getsource(module))):
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
                 if (alias.asname or alias.name) == name:
                     return defined_in(import_module(node.module), alias.name)
-    return module.__name__
+    return module.__name__ if name in vars(module) else getattr(module, name).__module__
 
 
 def text_of_data(origin: str, name: str) -> list[str]:
