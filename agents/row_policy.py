@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env import Scenario, action_layout, under_own_control
 from dcgrid_env.agents.training.row_form import Outputs, View, learning_form
-from dcgrid_env.agents.training.rows import Rows, make_rows
+from dcgrid_env.agents.training.row_views import Rows, make_rows
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 
 

@@ -39,7 +39,7 @@ from dcgrid_env.agents.training.agent_networks import AgentNetworks
 from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.counterfactual import Counterfactual, require_one_step
-from dcgrid_env.agents.training.rows import make_rows
+from dcgrid_env.agents.training.row_views import make_rows
 from dcgrid_env.agents.training.run_folder import device_of, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import made_with

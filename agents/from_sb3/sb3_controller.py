@@ -18,7 +18,7 @@ from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.row_policy import RowPolicy
 from dcgrid_env.agents.training.row_form import RowActions, RowForm
-from dcgrid_env.agents.training.rows import Rows
+from dcgrid_env.agents.training.row_views import Rows
 from dcgrid_env.baselines import rollout
 from dcgrid_env.baselines.user_code import OwnCodeError, described
 

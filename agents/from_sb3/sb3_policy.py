@@ -14,8 +14,8 @@ from dcgrid_env.agents.from_sb3.sb3_zip import REMEDY, Actor, read_actor
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.row_form import RowForm
-from dcgrid_env.agents.training.row_networks import policy_from_rows
-from dcgrid_env.agents.training.rows import Rows, make_rows
+from dcgrid_env.agents.training.row_networks import policy_of_rows
+from dcgrid_env.agents.training.row_views import Rows, make_rows
 from dcgrid_env.agents.training.validation import made_with
 from dcgrid_env.core.install import from_clone
 
@@ -173,7 +173,7 @@ def as_policy(
             f"it drives the regulators or capacitor banks of {trained.name} too, which a policy leaves under their "
             f"own control; {REMEDY}"
         )
-    return policy_from_rows(rows, network, scenario=label or trained.name, made_with=made_with())
+    return policy_of_rows(rows, network, scenario=label or trained.name, made_with=made_with())
 
 
 def training_scenario(form: RowForm | None, scenario: str | Scenario | None) -> Scenario:

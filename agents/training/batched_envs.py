@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from dcgrid_env import end_costs
 from dcgrid_env.agents.training.row_batch import RowBatch
-from dcgrid_env.agents.training.rows import Rows
+from dcgrid_env.agents.training.row_views import Rows
 
 
 class RowVecEnv(VecEnv):

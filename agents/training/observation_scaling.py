@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.agents.training.row_batch import RowBatch
-from dcgrid_env.agents.training.rows import Rows, make_rows
+from dcgrid_env.agents.training.row_views import Rows, make_rows
 
 CLIP = 10.0
 """Largest absolute value of a scaled observation."""

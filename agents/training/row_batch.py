@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import DcgridVectorEnv
-from dcgrid_env.agents.training.rows import Rows
+from dcgrid_env.agents.training.row_views import Rows
 
 
 class RowBatch(DcgridVectorEnv):

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcgrid_env.agents.policy.neural_network import Network
+from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.rows import AgentRows, ChannelRows, Rows
+from dcgrid_env.agents.training.row_views import AgentRows, ChannelRows, Rows
 
 
-def policy_from_rows(rows: Rows, network: Network, *, scenario: str = "", made_with: str = "") -> Policy:
+def policy_of_rows(rows: Rows, network: Network, *, scenario: str = "", made_with: str = "") -> Policy:
     """Return the policy that acts as a network does on rows: one network, or one for each kind of agent.
 
     Parameters
@@ -19,10 +19,22 @@ def policy_from_rows(rows: Rows, network: Network, *, scenario: str = "", made_w
     rows
         What a row is; its scenario defines what the agents observe.
     network
-        Network from a row's observation to its action.
+        Network from a row's observation to its action, without ``skip`` and ``scale``.
     scenario, made_with
         See :class:`Policy`.
+
+    Raises
+    ------
+    PolicyError
+        If the widths of the network are not those of the rows, or it has ``skip`` or ``scale``.
     """
+    widths, needed = (network.n_in, network.n_out), (rows.n_observation, rows.n_action)
+    if widths != needed:
+        raise PolicyError(
+            f"network takes {widths[0]} figures and gives {widths[1]}; rows have {needed[0]} and {needed[1]}"
+        )
+    if network.skip is not None or network.scale is not None:
+        raise PolicyError("network has skip or scale; give one of layers alone")
     networks = {name: _of_kind(rows, network, name) for name in rows.members} if isinstance(rows, AgentRows) else {}
     sensing, form = rows.scenario.sensing, rows.form
     return Policy(

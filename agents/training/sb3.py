@@ -25,7 +25,7 @@ from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import Training, check
 from dcgrid_env.agents.training.row_form import Outputs, RowForm
-from dcgrid_env.agents.training.rows import make_rows
+from dcgrid_env.agents.training.row_views import make_rows
 from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
 from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.baselines import make_controller

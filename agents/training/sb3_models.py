@@ -16,7 +16,7 @@ from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import trained_on
 from dcgrid_env.agents.training.observation_scaling import CLIP
-from dcgrid_env.agents.training.row_networks import policy_from_rows
+from dcgrid_env.agents.training.row_networks import policy_of_rows
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.sb3 import Config, OffPolicy, episode_seed
 from dcgrid_env.agents.training.validation import made_with
@@ -113,4 +113,4 @@ def export(
     linear = [module for module in layers if isinstance(module, torch.nn.Linear)]
     weights = [(m.weight.detach().cpu().numpy().T, m.bias.detach().cpu().numpy()) for m in linear]
     row_network = Network(weights, activation, squash, mean, std, CLIP)
-    return policy_from_rows(vec_env.rows, row_network, scenario=trained_on(cfg), made_with=made_with())
+    return policy_of_rows(vec_env.rows, row_network, scenario=trained_on(cfg), made_with=made_with())

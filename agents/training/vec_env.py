@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.training.row_form import Outputs, View
-from dcgrid_env.agents.training.rows import learning_rows
+from dcgrid_env.agents.training.row_views import learning_rows
 
 if TYPE_CHECKING:
     from dcgrid_env.agents.training.batched_envs import RowVecEnv

@@ -22,7 +22,7 @@ from dcgrid_env.agents.from_sb3.sb3_controller import trusted
 from dcgrid_env.agents.from_sb3.sb3_policy import Normalisation, UnknownNormalisationWarning
 from dcgrid_env.agents.from_sb3.sb3_zip import read_actor
 from dcgrid_env.agents.training.row_form import RowForm
-from dcgrid_env.agents.training.rows import make_rows
+from dcgrid_env.agents.training.row_views import make_rows
 from dcgrid_env.baselines import find_controller
 from dcgrid_env.cli.main import main
 from helpers.storages import toy6_storage

@@ -4,7 +4,7 @@ from typing import Any
 
 from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.row_form import RowForm
-from dcgrid_env.agents.training.rows import make_rows
+from dcgrid_env.agents.training.row_views import make_rows
 
 
 def joint_envs(scenario: Any, n_envs: int, act: Any = "both") -> Any:

@@ -23,8 +23,8 @@ from dcgrid_env.agents.training.row_form import (
     RowActions,
     RowForm,
     View,
-    droop_gains,
     decision_steps,
+    droop_gains,
     learning_form,
     learning_reward,
 )
