@@ -188,7 +188,7 @@ def training_scenario(form: RowForm | None, scenario: str | Scenario | None) -> 
 
 
 def named_scenario(form: RowForm | None) -> str | None:
-    """Return the name of the scenario that a form was trained on; None if it is no registered name.
+    """Return the name of the scenario that a form was trained on; None if the name is not registered.
 
     Text of a file must not select code, as ``file.py:function`` would.
     """

@@ -1,4 +1,4 @@
-"""Rows of training environments: what a row observes, what its action does, and what it is paid.
+"""Rows of training environments, with their observations, actions and rewards.
 
 A row is an environment (``Rows``), an agent of one (``AgentRows``) or a channel of an agent (``ChannelRows``). The
 classes convert joint observations to those of rows, and actions of rows to joint actions. They step nothing and need no
@@ -198,7 +198,7 @@ class Rows:
         return transition.reward.sum(-1, keepdims=True)
 
     def _outputs(self, actions: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the outputs of networks that actions of rows stand for."""
+        """Return actions of rows as outputs of networks."""
         return {"joint": actions * self.reach}
 
 
@@ -313,12 +313,12 @@ class AgentRows(Rows):
 
     @property
     def _zero(self) -> int:
-        """Where the 0 is that ``_sources`` refers to; the 1 follows."""
+        """Position of the 0 that ``_sources`` refers to; the 1 follows."""
         return sum(len(names) for names in field_names(self.scenario).values()) + self._figures * self.scenario.n_agents
 
     @cached_property
     def _sources(self) -> np.ndarray:
-        """Where the figures of a row are in joint observation, nameplate figures, 0 and 1, (row, n_observation)."""
+        """Positions of a row's figures in joint observation, nameplate figures, 0 and 1, (row, n_observation)."""
         scenario, n_agent = self.scenario, self.scenario.n_agents
         names = [field_names(scenario)[agent] for agent in scenario.agents]
         first = np.cumsum([0, *map(len, names)])

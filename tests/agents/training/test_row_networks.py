@@ -1,4 +1,4 @@
-"""Networks of rows as policies: what cannot be arranged is refused. Actions are compared in tests/agents/from_sb3."""
+"""Networks of rows as policies: errors. Actions are compared in tests/agents/from_sb3."""
 
 import numpy as np
 import pytest
