@@ -64,7 +64,7 @@ def tensor(array: np.ndarray) -> torch.Tensor:
 def train(agent: Agent, envs: Any, updates: int, seed: int, before_update: Callable[[float], None]) -> None:
     """Train an agent; ``before_update`` is called with the share of updates done."""
     optimizer = torch.optim.Adam(agent.parameters(), lr=3e-3, eps=1e-5)
-    observation, horizon = tensor(envs.reset(seed=seed)[0]), envs.scenario.horizon
+    observation, horizon = tensor(envs.reset(seed=seed)[0]), envs.unwrapped.scenario.horizon
     for update in range(updates):
         before_update(update / updates)
         optimizer.param_groups[0]["lr"] = 3e-3 * (1.0 - update / updates)

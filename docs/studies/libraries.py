@@ -41,7 +41,7 @@ def sb3(model_class: str, settings: Callable[[VecEnv], dict[str, Any]], on: Sett
     """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
     envs = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
     model = resolve_name(model_class)(env=envs, seed=on.seed, **settings(envs))
-    best, steps = BestOnValidation(model.policy, predicted(model), on), on.steps * envs.rows_per_env
+    best, steps = BestOnValidation(model.policy, partial(predicted, model), on), on.steps * envs.rows_per_env
 
     def on_step(found: dict[str, Any], _: Any) -> bool:
         best.evaluate(found["self"].num_timesteps / steps)

@@ -48,14 +48,14 @@ class BestOnValidation:
     ----------
     network
         Network that is trained.
-    act
-        Function from observations of rows to the network's actions, see :class:`RowPolicy`.
+    begin
+        Begins episodes: returns a function from observations of rows to the network's actions, see :class:`RowPolicy`.
     on
         What is trained.
     """
 
-    def __init__(self, network: nn.Module, act: Callable[[np.ndarray], Any], on: Setting):
-        self.network, self.act, self.on, self.best, self._due = network, act, on, np.inf, 0.0
+    def __init__(self, network: nn.Module, begin: Callable[[], Callable[[np.ndarray], Any]], on: Setting):
+        self.network, self.begin, self.on, self.best, self._due = network, begin, on, np.inf, 0.0
 
     def evaluate(self, share: float) -> None:
         """Evaluate the network after a share of the training, unless it is too soon."""
@@ -75,4 +75,4 @@ class BestOnValidation:
 
     def _costs(self, split: str, episodes: int) -> np.ndarray:
         scenario = make_scenario(self.on.scenario, split=split)
-        return rollout(scenario, RowPolicy(self.act), range(episodes)).costs()
+        return rollout(scenario, RowPolicy(self.begin()), range(episodes)).costs()

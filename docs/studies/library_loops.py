@@ -35,7 +35,7 @@ def best_mean(network: nn.Module, envs: Any, on: Setting) -> BestOnValidation:
         with torch.no_grad():
             return network(tensor(envs.scaling(rows))).numpy()
 
-    return BestOnValidation(network, act, on)
+    return BestOnValidation(network, lambda: act, on)
 
 
 def initialise(network: nn.Module, last_gain: float) -> None:
