@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 class DcgridEnv(PlainSpec, BaseEnvironment, gymnasium.Env[np.ndarray, np.ndarray]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """Voltage control of a distribution feeder as a Gymnasium environment, whose agent controls every device.
 
+    {training}
+
     Problem
     -------
     {problem}

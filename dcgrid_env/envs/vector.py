@@ -38,6 +38,8 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
 ):
     """Voltage control of distribution feeders as a Gymnasium vector environment: a batch that is stepped together.
 
+    {training}
+
     Problem
     -------
     {problem}

@@ -26,6 +26,7 @@ COMMANDS = Group(
             "ablate": _entry("Train a policy without some of its parts and score each.", "ablate:Ablate"),
             "circuits": _entry("Import every OpenDSS circuit in a folder.", "circuits:Circuits"),
             "corpus": _entry("Compare imports of public grids with their programs.", "corpus:Corpus"),
+            "first-training": _entry("Train PPO by the README's lines on presets.", "first_training:FirstTraining"),
             "fit-paper": _entry("Search for the values that the paper does not state.", "fit_paper:FitPaper"),
             "generalise": _entry("Train on all scenarios but one and score on that one.", "generalise:Generalise"),
             "gradient-cosine": _entry("Compare two estimates of PPO's gradient.", "gradient_cosine:GradientCosine"),

@@ -389,6 +389,10 @@ def test_python_runs(name, tmp_path, monkeypatch, capsys):
     # Blocks of other frameworks run in test_frameworks.py, where those are installed.
     for i, block in enumerate(b for b in READ[name].python if not re.search(r"^from (ray|torchrl)\b", b, re.MULTILINE)):
         exec(compile(block, f"{name}, block {i}", "exec"), {"__name__": "__main__"})
+    if name == "README.md":
+        found = re.search(r"^score (\S+) ", capsys.readouterr().out, re.MULTILINE)
+        assert found is not None
+        assert float(found[1]) > 0.5
     if name == "docs/environments.md":
         printed = capsys.readouterr().out.split()
         assert [round(float(x), 4) for x in printed[:2]] == [0.9131, 202.6771]

@@ -38,8 +38,8 @@ from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.grid import Feeder
 from dcgrid_env.scenario.cost import Cost
+from dcgrid_env.scenario.costs import load_requests
 from dcgrid_env.scenario.costs.grid_terms import voltage_cost
-from dcgrid_env.scenario.costs.load_requests import columns, missed_share, rated_kw, sites_share
 from dcgrid_env.scenario.costs.utility_limits import sites
 from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
 from dcgrid_env.scenario.scenario import Scenario
@@ -379,14 +379,15 @@ def add_saved_costs(
 
 def _saved_requests(scenario: Scenario, state: State, drawn_kw: np.ndarray, available: np.ndarray | None) -> np.ndarray:
     """Return the cost of the utility's requests that each entry saves, (row, n_action); see ``add_saved_costs``."""
-    of, asked, cut = changes(scenario), columns(state.request), sites(scenario)
+    of, asked, cut = changes(scenario), load_requests.columns(state.request), sites(scenario)
     is_draw = ~of.is_reactive & (of.agent >= cut.start) & (of.agent < cut.stop)
     p_kw = drawn_kw if available is None else drawn_kw * available[:, of.agent]
     moved_kw = np.add.reduceat(np.where(is_draw, p_kw - state.p_kw[:, of.agent], 0.0), of.first[:-1], axis=1)
-    draw, moved = sites_share(scenario, state.p_kw)[:, None], moved_kw / rated_kw(scenario)
+    draw = load_requests.sites_share(scenario, state.p_kw)[:, None]
+    with_default = draw + moved_kw / load_requests.rated_kw(scenario)
     lower, upper = asked.lower[:, None], asked.upper[:, None]
-    missed = missed_share(draw + moved, lower, upper) - missed_share(draw, lower, upper)
-    return scenario.cost.weights.grid_request * missed
+    more = load_requests.missed_share(with_default, lower, upper) - load_requests.missed_share(draw, lower, upper)
+    return scenario.cost.weights.grid_request * more
 
 
 def _saved_costs_arrays(
