@@ -102,8 +102,7 @@ def learning_form(
 ) -> RowForm:
     """Return the form with which training is fastest, with fields that are given unchanged.
 
-    An action of 0 is the tuned droop, or where it has no gains the action that serves all work and keeps reactive
-    power as it is. Decision 51 has the measurements.
+    An action of 0 serves all work and keeps reactive power as it is. Decision 51 has the measurements.
 
     Parameters
     ----------
@@ -115,15 +114,10 @@ def learning_form(
     """
     of_equipment = under_own_control(scenario, keep_set_points=True) is not scenario
     view = view or ("joint" if of_equipment else "channel")
-    gains = None
-    if outputs in (None, "droop"):
-        try:
-            gains = droop_gains(scenario)
-        except ValueError:
-            if outputs:
-                raise
-    outputs = outputs or ("change" if gains is None else "droop")
-    return RowForm(view, outputs, view != "joint" if nameplate is None else nameplate, gains, scenario.name)
+    gains = droop_gains(scenario) if outputs == "droop" else None
+    return RowForm(
+        view, outputs or "change", view != "joint" if nameplate is None else nameplate, gains, scenario.name
+    )
 
 
 def learning_reward(scenario: Scenario) -> Scenario:

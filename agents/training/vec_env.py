@@ -26,7 +26,7 @@ def sb3_vec_env(
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
 
     By default rows, actions and reward have the form with which training is fastest: a row is a channel of an agent,
-    an action of 0 is that of the tuned droop, and training is paid by difference rewards. :func:`ppo_settings` returns
+    an action of 0 is no control, and training is paid by difference rewards. :func:`ppo_settings` returns
     the settings of PPO that go with it. ``view="joint", outputs="setpoint", reward="shared"`` is the form of
     ``gymnasium.make``.
 
@@ -59,7 +59,7 @@ def sb3_vec_env(
     outputs
         "setpoint": actions are set points, as in ``gymnasium.make``. "change": reactive power is a change from the
         present one, and a clock is reduced from the one that serves all work. "droop": actions are corrections of the
-        tuned droop. Default: "droop", or "change" if the droop has no tuned gains for the scenario.
+        tuned droop. Default: "change".
     nameplate
         Whether to observe the effect of full demand and of full reactive power on the agent's voltage. The share of
         the latter that corrects the voltage is observed too. Not in the joint view. Default: in the other views.

@@ -131,7 +131,7 @@ An action of 0 is a clock half-way between the lowest and the highest, and no
 reactive power, so that an untrained policy throttles every site. With this form and
 one reward for all agents, PPO with its default settings stays far below the droop
 law. For training start from ``dcgrid_env.agents.sb3_vec_env``, or for other libraries
-``training_env``, whose untrained policy is the droop law (docs/first-training.md).""",
+``training_env``, whose untrained policy is no control (docs/first-training.md).""",
     "problem": """\
 Data centres and inverters are connected to a distribution feeder. The load of the
 data centres changes within seconds, and the voltages of the feeder follow it. Each

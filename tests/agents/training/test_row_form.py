@@ -16,23 +16,24 @@ from dcgrid_env.baselines import make_controller
 @pytest.mark.parametrize(
     ("scenario", "fields", "form", "reward", "default_action"),
     [
-        ("ieee33-weak", {}, ("channel", "droop", True), "difference", "droop"),
-        ("toy6", {"name": "without-gains"}, ("channel", "change", True), "difference", "previous"),
-        ("smoothing", {}, ("channel", "droop", True), "shared", "previous"),  # difference is not defined
-        ("ieee13-3ph", {"grid_control": {"regulators": "agent"}}, ("joint", "droop", False), "shared", "previous"),
-        ("toy6", {"split": "validation"}, ("channel", "droop", True), "shared", "previous"),
-        ("toy6", {"split": "test"}, ("channel", "droop", True), "shared", "previous"),
+        ("ieee33-weak", {}, ("channel", "change", True), "difference", "previous"),
+        ("ieee33-weak", {"outputs": "droop"}, ("channel", "droop", True), "difference", "droop"),
+        ("smoothing", {}, ("channel", "change", True), "local", "previous"),  # difference is not defined
+        ("ieee13-3ph", {}, ("channel", "change", True), "local", "previous"),
+        ("ieee13-3ph", {"grid_control": {"regulators": "agent"}}, ("joint", "change", False), "shared", "previous"),
+        ("toy6", {"split": "validation"}, ("channel", "change", True), "shared", "previous"),
+        ("toy6", {"split": "test"}, ("channel", "change", True), "shared", "previous"),
         # What is given wins.
-        ("toy6", {"view": "joint"}, ("joint", "droop", False), "shared", "previous"),
-        ("toy6", {"view": "shared", "nameplate": False}, ("shared", "droop", False), "difference", "droop"),
+        ("toy6", {"view": "joint"}, ("joint", "change", False), "shared", "previous"),
+        ("toy6", {"view": "shared", "nameplate": False}, ("shared", "change", False), "difference", "previous"),
         ("toy6", {"outputs": "setpoint"}, ("channel", "setpoint", True), "difference", "previous"),
-        ("toy6", {"reward": "shared"}, ("channel", "droop", True), "shared", "previous"),
-        ("toy6", {"cost": {"reward": "shared"}}, ("channel", "droop", True), "shared", "previous"),
-        ("toy6", {"reward": "difference", "split": "test"}, ("channel", "droop", True), "difference", "droop"),
+        ("toy6", {"reward": "shared"}, ("channel", "change", True), "shared", "previous"),
+        ("toy6", {"cost": {"reward": "shared"}}, ("channel", "change", True), "shared", "previous"),
+        ("toy6", {"reward": "difference", "split": "test"}, ("channel", "change", True), "difference", "previous"),
         (
             "toy6",
             {"reward": "difference", "cost": {"default_action": "rest"}},
-            ("channel", "droop", True),
+            ("channel", "change", True),
             "difference",
             "rest",
         ),
@@ -54,11 +55,12 @@ def test_what_is_not_given_is_chosen_by_scenario_and_split(scenario, fields, for
     "scenario", ["ieee33-weak", "ieee13-3ph", "ieee33-weak-ups", "ride-through", "routing", "smoothing"]
 )
 @pytest.mark.parametrize("view", ["channel", "joint"])
+@pytest.mark.parametrize(("outputs", "same_as"), [("droop", "droop-tuned"), ("change", "none")])
 @pytest.mark.slow
-def test_an_action_of_zero_is_that_of_the_tuned_droop(scenario, view):
+def test_an_action_of_zero_is_the_droop_or_no_control(scenario, view, outputs, same_as):
     chosen = make_scenario(scenario, split="test", horizon=30)
-    made: Any = sb3_vec_env(chosen, 2, view)
-    native, law = DcgridVectorEnv(2, chosen), make_controller("droop-tuned", chosen)
+    made: Any = sb3_vec_env(chosen, 2, view, outputs=outputs, action_repeat=1)
+    native, law = DcgridVectorEnv(2, chosen), make_controller(same_as, chosen)
     made.seed(5)
     made.reset()
     law.reset(chosen)
@@ -85,4 +87,4 @@ def test_actions_keep_their_form_in_copies_and_differ_by_it():
     assert pickle.loads(pickle.dumps(made.observation_space)) == made.observation_space
     assert space == sb3_vec_env("ieee33-weak", 1).action_space  # so that a model goes on elsewhere
     assert space == spaces.Box(-1.0, 1.0, (1,), np.float32)
-    assert space != sb3_vec_env("toy6", 1, outputs="change").action_space
+    assert space != sb3_vec_env("toy6", 1, outputs="droop").action_space
