@@ -23,8 +23,10 @@ Outputs = Literal["setpoint", "change", "droop"]
 """Meaning of an action: set points, changes from the action that keeps the state, or corrections of the tuned droop."""
 
 
+CORRECTS_DROOP = ("ieee13-3ph", "routing", "smoothing", "zero-shot")
+"""Presets on which corrections of the tuned droop cost less on validation than changes (decision 51)."""
 PAID_ALONE = ("ieee13-3ph",)
-"""Presets on which policies trained by difference rewards cost more than the droop on validation (decision 51)."""
+"""Presets on which policies trained by difference rewards cost more than the droop on validation."""
 
 
 class RowForm(NamedTuple):
@@ -109,15 +111,25 @@ def learning_form(
     scenario
         Scenario to train on.
     view, outputs, nameplate
-        Fields that the user gives. By default a row is a channel of an agent, or an environment if regulators or
-        capacitor banks are among the agents, since these share no policy with the others.
+        Fields that the user gives. By default a row is a channel of an agent. If regulators or capacitor banks are
+        among the agents, it is an environment, and actions are set points.
     """
-    of_equipment = under_own_control(scenario, keep_set_points=True) is not scenario
-    view = view or ("joint" if of_equipment else "channel")
+    has_equipment = under_own_control(scenario) is not scenario
+    view = view or ("joint" if has_equipment else "channel")
+    if outputs is None:
+        outputs = "setpoint" if has_equipment else "droop" if _corrects_droop(scenario) else "change"
     gains = droop_gains(scenario) if outputs == "droop" else None
-    return RowForm(
-        view, outputs or "change", view != "joint" if nameplate is None else nameplate, gains, scenario.name
-    )
+    return RowForm(view, outputs, view != "joint" if nameplate is None else nameplate, gains, scenario.name)
+
+
+def _corrects_droop(scenario: Scenario) -> bool:
+    """Return whether corrections of the droop are the default, which needs its gains for this scenario."""
+    if scenario.name not in CORRECTS_DROOP:
+        return False
+    try:
+        return droop_gains(scenario) is not None
+    except ValueError:
+        return False
 
 
 def learning_reward(scenario: Scenario) -> Scenario:

@@ -59,7 +59,8 @@ def sb3_vec_env(
     outputs
         "setpoint": actions are set points, as in ``gymnasium.make``. "change": reactive power is a change from the
         present one, and a clock is reduced from the one that serves all work. "droop": actions are corrections of the
-        tuned droop. Default: "change".
+        tuned droop. Default: "change", on a few presets "droop", and "setpoint" if regulators or capacitor banks are
+        among the agents.
     nameplate
         Whether to observe the effect of full demand and of full reactive power on the agent's voltage. The share of
         the latter that corrects the voltage is observed too. Not in the joint view. Default: in the other views.

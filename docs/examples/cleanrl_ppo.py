@@ -1,6 +1,6 @@
 """PPO in a single file, in the style of CleanRL, on the rows of ``training_env``.
 
-A row is a channel of an agent, and an action of 0 is that of the tuned droop. Difference rewards pay a row in each step
+A row is a channel of an agent, and an action of 0 is no control. Difference rewards pay a row in each step
 for what its action saves, later costs included. The discount is therefore 0: an advantage is the reward less the value.
 
     python docs/examples/cleanrl_ppo.py --save results/cleanrl

@@ -1,7 +1,7 @@
 """Stable-Baselines3 on the native batch: PPO with VecMonitor and EvalCallback, then the score of the best model.
 
 ``sb3_vec_env`` steps all environments with the same array operations. A row is a channel of an agent, an action of 0 is
-that of the tuned droop, and training is paid by difference rewards. ``ppo_settings`` are the settings that go with it.
+no control, and training is paid by difference rewards. ``ppo_settings`` are the settings that go with it.
 
     python docs/examples/sb3_vec_env.py --scenario ieee33-weak --steps 200000
 """

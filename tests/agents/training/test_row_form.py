@@ -18,9 +18,10 @@ from dcgrid_env.baselines import make_controller
     [
         ("ieee33-weak", {}, ("channel", "change", True), "difference", "previous"),
         ("ieee33-weak", {"outputs": "droop"}, ("channel", "droop", True), "difference", "droop"),
-        ("smoothing", {}, ("channel", "change", True), "local", "previous"),  # difference is not defined
-        ("ieee13-3ph", {}, ("channel", "change", True), "local", "previous"),
-        ("ieee13-3ph", {"grid_control": {"regulators": "agent"}}, ("joint", "change", False), "shared", "previous"),
+        ("smoothing", {}, ("channel", "droop", True), "local", "previous"),  # difference is not defined
+        ("ieee13-3ph", {}, ("channel", "droop", True), "local", "previous"),
+        ("ieee13-3ph", {"grid_control": {"regulators": "agent"}}, ("joint", "setpoint", False), "shared", "previous"),
+        ("ieee123-3ph-day", {}, ("joint", "setpoint", False), "shared", "previous"),
         ("toy6", {"split": "validation"}, ("channel", "change", True), "shared", "previous"),
         ("toy6", {"split": "test"}, ("channel", "change", True), "shared", "previous"),
         # What is given wins.
