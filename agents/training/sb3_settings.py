@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     """Return keyword arguments for Stable-Baselines3's PPO, as in ``PPO(env=envs, **ppo_settings(envs))``.
 
-    A rollout has 480 decisions of all environments together, so that the policy is improved often. Where rewards of
-    later steps count it has 960, and the policy changes more slowly. The policy scales its observations itself, by the
+    A rollout has 480 decisions of all environments together, so that the policy is improved often, and 320 where a
+    decision lasts for 10 s or more. Where rewards of later steps count it has 960, and the policy changes more slowly.
+    The policy scales its observations itself, by the
     means and standard deviations in one episode of eight environments with small random actions. A saved model
     therefore needs no file of VecNormalize.
 
@@ -42,7 +43,8 @@ def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     made = rows_of(envs)
     gamma = discount(made)
     is_single = gamma < 0.5  # what follows a decision hardly counts
-    n_steps = min(max(2, (480 if is_single else 960) // made.n_envs), made.rows.n_decisions)
+    decisions = 480 if gamma == 0.0 else 320 if is_single else 960
+    n_steps = min(max(2, decisions // made.n_envs), made.rows.n_decisions)
     return {
         "policy": "MlpPolicy",
         "gamma": gamma,
