@@ -34,6 +34,8 @@ class RowBatch(DcgridVectorEnv):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Apply actions of rows for ``rows.action_repeat`` steps, or until an episode ends.
 
+        A step that begins episodes, with ``autoreset_mode`` "next_step", is one alone.
+
         Parameters
         ----------
         joint
@@ -46,10 +48,11 @@ class RowBatch(DcgridVectorEnv):
         tuple
             Joint observations after, mean rewards of the rows, (env, row), terminated and truncated, (env,), and infos.
         """
+        begins_episodes = self._simulation.now.over.any()
         paid: Any = 0.0
         for steps in range(1, self.rows.action_repeat + 1):  # noqa: B007 (read below)
             joint, _, terminated, truncated, infos = self.step(self.rows.joint_action(joint, actions))
             paid = paid + self.rows.paid(self.transition)
-            if (terminated | truncated).any():
+            if begins_episodes or (terminated | truncated).any():
                 break
         return joint, paid / steps, terminated, truncated, infos  # pyright: ignore[reportPossiblyUnbound]

@@ -84,8 +84,10 @@ def test_only_the_rows_of_a_collapsed_environment_begin_anew():
     assert np.abs(seen - first)[terminated].max() > 1e-3  # of another episode
 
 
-def test_the_next_step_begins_an_episode_in_that_mode():
-    envs: Any = training_env("toy6", 2, horizon=2, autoreset_mode="next_step")
+@pytest.mark.parametrize("action_repeat", [1, 3])
+def test_the_next_step_begins_an_episode_in_that_mode(action_repeat):
+    horizon = 2 * action_repeat
+    envs: Any = training_env("toy6", 2, horizon=horizon, action_repeat=action_repeat, autoreset_mode="next_step")
     first, _ = envs.reset(seed=0)
     envs.step(normal(envs))
     last, _, _, truncated, infos = envs.step(normal(envs))
@@ -98,6 +100,9 @@ def test_the_next_step_begins_an_episode_in_that_mode():
     assert (paid == 0.0).all()
     assert np.abs(after - last).max() > 1e-3
     assert after.shape == first.shape
+    envs.step(normal(envs))
+    assert not envs.batch.transition.truncated.any()
+    assert envs.step(normal(envs))[3].all()  # the action of the step before was ignored for all of its time
 
 
 def test_wrappers_of_gymnasium_count_episodes():
