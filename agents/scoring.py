@@ -83,7 +83,7 @@ def score(
     scenario
         Name of a preset, or a Scenario.
     seeds
-        Seeds of the episodes, at least two.
+        Seeds of the episodes, at least two different ones.
     split
         Split of the episodes.
 
@@ -96,10 +96,10 @@ def score(
     Raises
     ------
     ValueError
-        If there are no hindsight costs of these episodes, the droop has no tuned gains, or the policy does not fit the
+        If there are no hindsight costs of these episodes, a seed is repeated, the droop has no tuned gains, or the policy does not fit the
         scenario.
     TypeError
-        If ``policy`` is none of these.
+        If ``policy`` is none of these, or ``seeds`` is no sequence.
 
     Examples
     --------
@@ -108,6 +108,7 @@ def score(
     >>> result.J.shape
     (4,)
     """
+    _check_seeds(seeds)
     on = make_scenario(scenario, split=split)
     hindsight = published(on, FOLDER)
     costs = hindsight_costs(on, seeds, hindsight)
@@ -118,11 +119,21 @@ def score(
     return PolicyScore(name, driven, droop, costs, is_best_known, driven.score(droop, hindsight).score)
 
 
+def _check_seeds(seeds: Sequence[int]) -> None:
+    """Raise TypeError or ValueError unless there are at least two seeds, each once."""
+    if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str):
+        raise TypeError(f"seeds is {seeds!r}; give a sequence of seeds, such as range(32)")
+    if len(seeds) < 2:
+        raise ValueError(f"seeds has the length {len(seeds)}; an interval takes at least 2 episodes")
+    if len(set(seeds)) < len(seeds):
+        raise ValueError("seeds has a seed twice, which narrows the interval without further episodes; give each once")
+
+
 def _controller(policy: Any, scenario: Scenario) -> Controller:
     """Return the controller that a user gives in any form; raise TypeError for another object."""
     if isinstance(policy, str | Path):
         return find_controller(str(policy), scenario)
-    if hasattr(policy, "predict") and hasattr(policy, "get_vec_normalize_env"):
+    if hasattr(policy, "get_vec_normalize_env") and not isinstance(policy, type):
         from dcgrid_env.agents.from_sb3.sb3_controller import of_model
 
         return of_model(policy)

@@ -65,6 +65,10 @@ def test_a_policy_has_one_score_in_every_form(model, tmp_path):
         ("none", "no-such-scenario", {}, "no-such-scenario"),
         (np.sin, SCENARIO, {}, r"policy is of type ufunc; .*, or RowPolicy\(function\) for a function of rows"),
         (Policy, SCENARIO, {}, "policy is of type type"),
+        (PPO, SCENARIO, {}, "policy is of type ABCMeta"),
+        ("none", SCENARIO, {"seeds": 4}, r"seeds is 4; give a sequence of seeds, such as range\(32\)"),
+        ("none", SCENARIO, {"seeds": []}, "seeds has the length 0; an interval takes at least 2"),
+        ("none", SCENARIO, {"seeds": [0, 1, 1]}, "seeds has a seed twice"),
     ],
 )
 def test_what_cannot_be_scored_is_refused_with_a_reason(policy, scenario, options, said):
