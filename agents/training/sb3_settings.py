@@ -43,13 +43,13 @@ def ppo_settings(envs: VecEnv) -> dict[str, Any]:
     gamma = discount(made)
     is_single = gamma < 0.5  # what follows a decision hardly counts
     decisions = 480 if gamma == 0.0 else 320 if is_single else 960
-    n_steps = min(max(2, decisions // made.n_envs), made.rows.n_decisions)
+    n_steps = max(2, min(decisions // made.n_envs, made.rows.n_decisions))
     return {
         "policy": "MlpPolicy",
         "gamma": gamma,
         "gae_lambda": gamma,
         "n_steps": n_steps,
-        "batch_size": -(-n_steps * made.num_envs // 4),
+        "batch_size": max(2, -(-n_steps * made.num_envs // 4)),
         "n_epochs": 3,
         "learning_rate": LinearSchedule(3e-3 if is_single else 1e-3, 0.0, 1.0),
         "policy_kwargs": {"log_std_init": -1.0 if is_single else -2.0, **scaled_observations(made)},

@@ -52,6 +52,11 @@ def test_environments_whose_observations_cannot_be_scaled_are_refused(algorithm,
             settings(changed)
 
 
+def test_one_environment_with_an_episode_of_one_step_is_trained():
+    envs = sb3_vec_env("toy6", 1, "joint", horizon=1)
+    assert PPO(env=envs, **ppo_settings(envs)).learn(2).num_timesteps == 2
+
+
 @pytest.mark.slow
 @BOTH
 def test_a_short_training_beats_the_droop(algorithm, settings):
