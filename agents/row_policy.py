@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Scenario, action_layout, under_own_control
-from dcgrid_env.agents.training.row_form import Outputs, View, learning_form
+from dcgrid_env.agents.training.row_form import Outputs, View, check_form, learning_form
 from dcgrid_env.agents.training.row_views import Rows, make_rows
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 
@@ -24,6 +24,13 @@ class RowPolicy:
         call ``envs.scaling`` on them first.
     view, outputs, nameplate
         Form of the rows in training, with the defaults of :func:`sb3_vec_env`.
+
+    Raises
+    ------
+    ValueError
+        For an unknown view or unknown outputs, or nameplate figures in a joint view.
+    TypeError
+        If ``function`` cannot be called.
 
     Examples
     --------
@@ -42,6 +49,9 @@ class RowPolicy:
         outputs: Outputs | None = None,
         nameplate: bool | None = None,
     ):
+        check_form(view, outputs, nameplate)
+        if not callable(function):
+            raise TypeError(f"function is of type {type(function).__name__}; give a function of rows")
         self._function, self._nameplate = function, nameplate
         self._view: View | None = view
         self._outputs: Outputs | None = outputs

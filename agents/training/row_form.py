@@ -7,6 +7,7 @@ can therefore be scored and exported without being told how it was trained.
 
 from __future__ import annotations
 
+from reprlib import repr as shortened
 from typing import Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
@@ -22,6 +23,12 @@ View = Literal["joint", "shared", "channel"]
 Outputs = Literal["setpoint", "change", "droop"]
 """Meaning of an action: set points, changes from the action that keeps the state, or corrections of the tuned droop."""
 
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "view": get_args(View),
+    "outputs": get_args(Outputs),
+    "nameplate": (True, False),
+}
+"""Values of the fields of a form."""
 
 CORRECTS_DROOP = ("ieee13-3ph", "routing", "smoothing", "zero-shot")
 """Presets on which corrections of the tuned droop cost less on validation than changes (decision 51)."""
@@ -49,16 +56,20 @@ class RowForm(NamedTuple):
         """
         if not isinstance(stored, dict) or set(stored) != set(cls._fields):
             raise PolicyError(f"action_space: form must have the fields {', '.join(cls._fields)}; save the model again")
-        for name, choices in (("view", get_args(View)), ("outputs", get_args(Outputs)), ("nameplate", (True, False))):
-            if stored[name] not in choices:
+        for name, choices in CHOICES.items():
+            if not _is_one_of(stored[name], choices):
                 choice = ", ".join(map(str, choices))
-                raise PolicyError(f"action_space: form has {name} {stored[name]!r}; it must be one of {choice}")
+                raise PolicyError(
+                    f"action_space: form has {name} {shortened(stored[name])}; it must be one of {choice}"
+                )
         if not isinstance(stored["scenario"], str):
-            raise PolicyError(f"action_space: form has scenario {stored['scenario']!r}; it must be a name")
+            raise PolicyError(f"action_space: form has scenario {shortened(stored['scenario'])}; it must be a name")
         try:
             gains = None if stored["gains"] is None else Gains.of(stored["gains"])
-        except (TypeError, ValueError):
-            raise PolicyError(f"action_space: form has gains {stored['gains']!r}; it must be three numbers") from None
+        except (TypeError, ValueError, OverflowError):
+            raise PolicyError(
+                f"action_space: form has gains {shortened(stored['gains'])}; it must be three numbers of at least 0"
+            ) from None
         if (gains is None) == (stored["outputs"] == "droop"):
             raise PolicyError("action_space: form has gains exactly if its outputs are 'droop'; save the model again")
         fields: dict[str, Any] = stored | {"gains": gains}
@@ -91,6 +102,20 @@ class RowActions(spaces.Box):
             (space.form["view"], space.form["outputs"]) for space in (self, other) if isinstance(space, RowActions)
         ]
         return super().__eq__(other) and len(set(meaning)) == 1
+
+
+def check_form(view: object, outputs: object, nameplate: object) -> None:
+    """Raise ValueError unless each field that a user gives, not None, is valid and they go together."""
+    for (name, choices), value in zip(CHOICES.items(), (view, outputs, nameplate), strict=True):
+        if value is not None and not _is_one_of(value, choices):
+            raise ValueError(f"{name} is {shortened(value)}; choose one of {', '.join(map(str, choices))}")
+    if view == "joint" and nameplate:
+        raise ValueError("nameplate is True with view 'joint'; choose view 'shared' or 'channel', or leave it out")
+
+
+def _is_one_of(value: object, choices: tuple[Any, ...]) -> bool:
+    """Return whether a value is one of these, of their type: 1 is not True."""
+    return isinstance(value, type(choices[0])) and value in choices
 
 
 def droop_gains(scenario: Scenario) -> Gains:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -23,6 +23,7 @@ from dcgrid_env.agents.training.row_form import (
     RowActions,
     RowForm,
     View,
+    check_form,
     decision_steps,
     droop_gains,
     learning_form,
@@ -49,9 +50,7 @@ def learning_rows(
     overrides: Mapping[str, object],
 ) -> Rows:
     """Return the rows with which training is fastest, except for what is given; see :func:`sb3_vec_env`."""
-    for name, value, choices in (("view", view, get_args(View)), ("outputs", outputs, get_args(Outputs))):
-        if value is not None and value not in choices:
-            raise ValueError(f"{name} is {value!r}; choose one of {', '.join(choices)}")
+    check_form(view, outputs, nameplate)
     chosen = make_scenario(IDS.get(scenario, scenario) if isinstance(scenario, str) else scenario, **overrides)
     form = learning_form(chosen, view, outputs, nameplate)
     if form.nameplate and form.view == "joint":

@@ -8,7 +8,7 @@ import pytest
 
 import dcgrid_env
 from dcgrid_env import DcgridEnv, DcgridVectorEnv, action_layout, make_scenario, parallel_env
-from dcgrid_env.agents import RowPolicy, sb3_vec_env
+from dcgrid_env.agents import RowPolicy, sb3_vec_env, training_env
 from dcgrid_env.baselines import Controller, rollout
 from dcgrid_env.baselines.rollout import ControllerError
 
@@ -81,11 +81,29 @@ def test_what_a_function_returns_is_checked():
     assert dcgrid_env.score(RowPolicy(lambda rows: 5.0 + bent(1)(rows)), SCENARIO, range(2)).J.shape == (2,)  # is cut
 
 
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [
+        ({"view": "agent"}, "view is 'agent'; choose one of joint, shared, channel"),
+        ({"outputs": "torque"}, "outputs is 'torque'; choose one of setpoint, change, droop"),
+        ({"nameplate": 1}, "nameplate is 1; choose one of True, False"),
+        ({"view": "joint", "nameplate": True}, "nameplate is True with view 'joint'"),
+    ],
+)
+def test_an_unknown_form_is_refused(form, said):
+    for make in (lambda: RowPolicy(bent(1), **form), lambda: training_env(SCENARIO, 1, **form)):
+        with pytest.raises(ValueError, match=said):
+            make()
+    with pytest.raises(TypeError, match="function is of type int; give a function of rows"):
+        RowPolicy(3)  # pyright: ignore[reportArgumentType]
+
+
 def test_neither_torch_nor_stable_baselines3_is_needed():
     code = (
         "import sys; sys.modules['stable_baselines3'] = None; import dcgrid_env\n"
         "from dcgrid_env.agents import RowPolicy\n"
-        "print(dcgrid_env.score(RowPolicy(lambda rows: 0.0 * rows[:, :1]), 'toy6', range(2)), 'torch' in sys.modules)"
+        "policy = RowPolicy(lambda rows: 0.0 * rows[:, :1], outputs='droop')\n"
+        "print(dcgrid_env.score(policy, 'toy6', range(2)), 'torch' in sys.modules)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "score 0.000" in run.stdout

@@ -212,8 +212,11 @@ def test_nothing_is_unpickled_without_trust(tmp_path, capsys):
     [
         ({"scenario": "{code}"}, "names no scenario of dcgrid list; add --scenario"),
         ({"view": "agent"}, "form has view 'agent'; it must be one of joint, shared, channel"),
+        ({"view": "x" * 10_000}, "form has view 'xxxxxxxxxxxx...xxxxxxxxxxxxx'; it must be one of"),
+        ({"nameplate": 1.0}, "form has nameplate 1.0; it must be one of True, False"),
         ({"gains": [1.0, 1e400, 0.0]}, "form has gains"),
-        ({"gains": None}, "form has gains exactly if its outputs are 'droop'"),
+        ({"gains": [1, 10**400, 0]}, "form has gains"),
+        ({"gains": [1.0, 1.0, 1.0]}, "form has gains exactly if its outputs are 'droop'"),
         ({"view": "joint", "nameplate": False}, "observation and action have 15 and 1 figures; on toy6 they have"),
         ({"more": 1}, "form must have the fields view, outputs, nameplate, gains, scenario"),
     ],
