@@ -96,8 +96,8 @@ def score(
     Raises
     ------
     ValueError
-        If there are no hindsight costs of these episodes, a seed is repeated, the droop has no tuned gains, or the policy does not fit the
-        scenario.
+        If there are no hindsight costs of these episodes, a seed is repeated, the droop has no tuned gains, or the
+        policy does not fit the scenario.
     TypeError
         If ``policy`` is none of these, or ``seeds`` is no sequence.
 
