@@ -20,7 +20,6 @@ from dcgrid_env import (
 )
 from dcgrid_env.baselines.controller import Controller, NeedsPlacement, NeedsRegulators
 from dcgrid_env.baselines.user_code import OwnCodeError, described, one_line, place
-from dcgrid_env.scenario.cost import TEAM_REWARD
 
 AnyRecorder = TypeVar("AnyRecorder", Recorder, StreamingRecorder)
 
@@ -160,7 +159,7 @@ def as_driven(scenario: Scenario, controller: Controller) -> Scenario:
     observe = getattr(controller, "observe", scenario.sensing.observe)
     if (scenario.cost.reward, scenario.sensing.observe) == ("shared", observe):
         return scenario
-    return scenario.replace(cost=TEAM_REWARD, observe=observe)
+    return scenario.paid_as_team().replace(observe=observe)
 
 
 def transitions(

@@ -96,6 +96,10 @@ class RowActions(spaces.Box):
         super().__init__(-1.0, 1.0, (n_action,), np.float32)
         self.form = form.stored
 
+    def __repr__(self) -> str:
+        """The space with the view and the meaning of its actions."""
+        return f"RowActions({self.shape}, view={self.form['view']!r}, outputs={self.form['outputs']!r})"
+
     def __eq__(self, other: object) -> bool:
         """Whether the spaces are equal and actions have the same meaning, so that a model can go on with the other."""
         meaning = [

@@ -43,7 +43,7 @@ _TRAIN = Group(
             "sac": Entry("Soft actor-critic (Stable-Baselines3).", _ALGORITHM),
             "td3": Entry("Twin delayed DDPG (Stable-Baselines3).", _ALGORITHM),
             "cem": Entry("Cross-entropy method: random search without gradients.", _ALGORITHM),
-            "affine": Entry("Affine correction of the droop, found by the cross-entropy method.", _ALGORITHM),
+            "affine": Entry("Affine correction of the droop, found by random search.", _ALGORITHM),
             "analytic": Entry("Policy gradients through the power flow.", _ALGORITHM),
             "safe": Entry("Policy gradients with bounded controller gains.", _ALGORITHM),
             "carry-over": Entry("Learned corrections to the model-aided law.", _ALGORITHM),

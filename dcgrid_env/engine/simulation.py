@@ -22,7 +22,6 @@ from dcgrid_env.engine.physics.state import Exogenous, GridStep, State, VoltageF
 from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 from dcgrid_env.engine.plain_step import fits, plain_step
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
-from dcgrid_env.scenario.cost import TEAM_REWARD
 from dcgrid_env.scenario.scenario import Scenario
 
 __all__ = ["Simulation", "Snapshot", "Transition"]
@@ -242,9 +241,8 @@ def difference_scale(scenario: Scenario) -> np.ndarray:
     action of a channel is best.
     """
     layout = action_layout(scenario)
-    sampled = Simulation(
-        scenario.replace(split="train", cost=TEAM_REWARD | {"weights": {"violation": 0.0}}), SCALE_EPISODES
-    )
+    plain = scenario.paid_as_team().replace(split="train", weights={"violation": 0.0})
+    sampled = Simulation(plain, SCALE_EPISODES)
     sampled.reset(range(SCALE_EPISODES))
     s, largest = sampled.scenario, []
     rest = np.tile(difference.rest_action(s), (SCALE_EPISODES, 1))

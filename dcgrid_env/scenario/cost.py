@@ -165,7 +165,3 @@ def changed_weights(weights: CostWeights, given: object) -> Any:
         if key not in CostWeights._fields:
             raise UnknownFieldError("Cost", f"weights.{key}", given[key], CostWeights._fields)
     return weights._replace(**{key: as_plain(value) for key, value in given.items()})
-
-
-TEAM_REWARD = {name: getattr(Cost(), name) for name in ("reward", "default_action", "default_gains")}
-"""Fields with which all agents have the team's reward: ``scenario.replace(cost=TEAM_REWARD)``."""

@@ -151,6 +151,11 @@ class Scenario(PickledByFields):
         other._fill(assembled(self, self.__dataclass_fields__, overrides))
         return other
 
+    def paid_as_team(self) -> Scenario:
+        """Return the scenario with the team's reward for all agents."""
+        plain = Cost()
+        return self.replace(cost={name: getattr(plain, name) for name in ("reward", "default_action", "default_gains")})
+
     def member(self, seeds: int | Sequence[int] | np.ndarray) -> Scenario:
         """Return this scenario on the feeder of the first episode of one or more seeds; itself unless on RandomFeeders.
 

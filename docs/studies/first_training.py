@@ -103,9 +103,9 @@ def table(records: Sequence[dict[str, Any]]) -> str:
 
 @dataclass(frozen=True)
 class FirstTraining(Command):
-    """Train PPO by the lines of the README on presets and print what it reaches.
+    """Train PPO by the README's lines on presets.
 
-    Each training is added to the file. Finished trainings are skipped.
+    Prints what it reaches. Each training is added to the file. Finished trainings are skipped.
     """
 
     scenarios: str = ""

@@ -57,7 +57,7 @@ def test_a_loaded_model_goes_on_with_another_number_of_environments(algorithm, s
     model.learn(6 * more.num_envs, reset_num_timesteps=False)
     assert model.num_timesteps == 6 * (envs.num_envs + more.num_envs)
     with pytest.raises(ValueError, match="Action spaces do not match"):  # the same shapes with another meaning
-        algorithm.load(tmp_path / "model", env=sb3_vec_env("toy6", 2, horizon=6, outputs="change"))
+        algorithm.load(tmp_path / "model", env=sb3_vec_env("toy6", 2, horizon=6, outputs="droop"))
 
 
 TRAINING = """
