@@ -94,9 +94,10 @@ def table(records: Sequence[dict[str, Any]]) -> str:
             group = [record for record in records if (record["scenario"], record["steps"]) == (name, steps)]
             scores = [score(record["J"], droop, best).score.value for record in group]
             cpu_s = float(np.median([record["cpu_s"] for record in group]))
+            spread = f" ({min(scores):.2f} to {max(scores):.2f})" if len(scores) > 1 else ""
             lines.append(
                 f"| `{name}` | {teaches} | {make_scenario(name).n_agents} | {headroom:.1f} | {steps:,} | {cpu_s:.0f} | "
-                f"{len(group)} | {np.median(scores):.2f} ({min(scores):.2f} to {max(scores):.2f}) |"
+                f"{len(group)} | {np.median(scores):.2f}{spread} |"
             )
     return "\n".join(lines)
 
