@@ -249,7 +249,7 @@ def main(
     ppo |= {"n_epochs": 3, "learning_rate": lambda left: learning_rate * left}
     model = PPO("MlpPolicy", envs, seed=seed, device="cpu", policy_kwargs={"log_std_init": log_std}, **ppo)
     update = MultiplierUpdate(training, budget, rate) if isinstance(training, Lagrangian) else None
-    model.learn(steps * training.row_views.rows_per_env, update)
+    model.learn(steps * training.rows.rows_per_env, update)
     testing = constrained("test", episodes)
     tested = VecNormalize(testing, training=False, norm_reward=False)
     tested.obs_rms = envs.obs_rms
