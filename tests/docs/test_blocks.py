@@ -125,6 +125,8 @@ ELSEWHERE = {
     "dcgrid verify docs/leaderboard/toy6-analytic": "tests/agents/leaderboard",
     "dcgrid evaluate mine.py:Mine": "tests/docs/test_examples.py",
     "dcgrid evaluate mine.zip": "tests/agents/from_sb3/test_commands.py",
+    "dcgrid evaluate ppo.zip": "tests/agents/from_sb3/test_commands.py",
+    "dcgrid benchmark --controllers none,mpc,ieee33-weak-analytic,ppo.zip": "tests/agents/from_sb3/test_commands.py",
     "dcgrid run --scenario ieee33-weak --controllers mine.zip,droop-tuned": "tests/agents/from_sb3/test_commands.py",
     "dcgrid replay --scenario ieee33-weak --compare mine.zip": "tests/agents/from_sb3/test_commands.py",
     "dcgrid submit mine.zip": "tests/agents/from_sb3/test_commands.py",
