@@ -50,9 +50,9 @@ class RowBatch(DcgridVectorEnv):
         """
         begins_episodes = self._simulation.now.over.any()
         paid: Any = 0.0
-        for steps in range(1, self.rows.action_repeat + 1):  # noqa: B007 (read below)
+        steps = 0
+        while True:
             joint, _, terminated, truncated, infos = self.step(self.rows.joint_action(joint, actions))
-            paid = paid + self.rows.paid(self.transition)
-            if begins_episodes or (terminated | truncated).any():
-                break
-        return joint, paid / steps, terminated, truncated, infos  # pyright: ignore[reportPossiblyUnbound]
+            paid, steps = paid + self.rows.paid(self.transition), steps + 1
+            if steps == self.rows.action_repeat or begins_episodes or (terminated | truncated).any():
+                return joint, paid / steps, terminated, truncated, infos

@@ -100,6 +100,8 @@ class Rows:
         if gains is not None and scenario.cost.default_action == "droop":
             scenario = scenario.replace(cost={"default_gains": tuple(gains)})
         self.scenario, self.act = scenario, act
+        self._owner = np.zeros(1, np.int64)
+        """Agent of each row of an environment that is paid alone, (row,)."""
         self.form = form._replace(gains=gains, scenario=scenario.name)
         kind = "joint" if form.view == "joint" else "shared"
         self._acting = PolicyInterface(scenario, kind, act=act, outputs=form.outputs, gains=gains)

@@ -1,5 +1,7 @@
 """Networks of rows as policies: errors. Actions are compared in tests/agents/from_sb3."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ def test_networks_of_another_width_or_with_skip_or_scale_are_refused():
     rows = make_rows(make_scenario("toy6"), RowForm("channel", "change"))
     layers = [(np.zeros((rows.n_observation, 1)), [0.0])]
     assert set(policy_of_rows(rows, Network(layers)).networks) == {"datacenter", "inverter"}
+    further: dict[str, Any]
     for further in ({"skip": np.zeros((rows.n_observation, 1))}, {"scale": [0.5]}):
         with pytest.raises(PolicyError, match="network has skip or scale; give one of layers alone"):
             policy_of_rows(rows, Network(layers, **further))
