@@ -1,8 +1,8 @@
-"""What a row of a training environment is and what its action means, as a record that a model's file keeps.
+"""The form of a row: view and meaning of its actions, as a record that is stored with a model.
 
 ``RowActions`` is the action space of :func:`sb3_vec_env`. It is an ordinary Box with the record as ``form``.
-Stable-Baselines3 writes the action space into the file of a model, as text that is read without unpickling. A model
-can therefore be scored and exported without being told how it was trained.
+Stable-Baselines3 writes the action space into the file of a model, as text that is read without unpickling. Scoring
+and export therefore need no statement of how a model was trained.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 """Values of the fields of a form."""
 
 CORRECTS_DROOP = ("ieee13-3ph", "routing", "smoothing", "zero-shot")
-"""Presets on which corrections of the tuned droop cost less on validation than changes (decision 51)."""
+"""Presets on which actions correct the tuned droop by default (decision 51)."""
 PAID_ALONE = ("ieee13-3ph",)
 """Presets on which policies trained by difference rewards cost more than the droop on validation."""
 
 
 class RowForm(NamedTuple):
-    """What a row is and what its action means, see :func:`sb3_vec_env`."""
+    """The view of a row and the meaning of its action, see :func:`sb3_vec_env`."""
 
     view: View = "joint"
     outputs: Outputs = "setpoint"
@@ -133,7 +133,9 @@ def learning_form(
 ) -> RowForm:
     """Return the form with which training is fastest, with fields that are given unchanged.
 
-    An action of 0 serves all work and keeps reactive power as it is. Decision 51 has the measurements.
+    An action of 0 serves all work and keeps reactive power as it is. It is the tuned droop on the presets
+    ``CORRECTS_DROOP``, and the middle of each range if regulators or capacitor banks are among the agents. Decision 51
+    has the measurements.
 
     Parameters
     ----------
