@@ -219,7 +219,7 @@ class AgentRows(Rows):
     Raises
     ------
     ValueError
-        As of :class:`Rows`. Also if regulators or capacitor banks are among the agents.
+        If :class:`Rows` raises it, or if regulators or capacitor banks are among the agents.
     """
 
     def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
