@@ -6,6 +6,7 @@ COPY dcgrid_env dcgrid_env
 COPY baselines baselines
 COPY agents agents
 COPY traces traces
+COPY apps apps
 RUN pip install --no-cache-dir torch --index-url https://download.pytorch.org/whl/cpu \
     && pip install --no-cache-dir ".[agents,ray]" "ray[default]"
 WORKDIR /work

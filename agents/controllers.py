@@ -85,6 +85,12 @@ def trained_on(policy: str) -> str:
     return Policy.load(file or inner).trained_on if is_policy else ""
 
 
+def without_horizon(trained_on: str) -> str:
+    """Return the preset that a training names, without a horizon that alone differs from the preset's."""
+    preset, said, rest = trained_on.partition(" --set horizon=")
+    return preset if said and rest.isdigit() else trained_on
+
+
 def _load_file(path: str, scenario: Scenario | None, _: str | Path | None) -> Policy:
     return read_policy(path, scenario)
 

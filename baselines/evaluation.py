@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dcgrid_env import METRICS, Scenario
 from dcgrid_env.baselines import Controller, Published, published, rollout
 from dcgrid_env.baselines.controller import with_figures
-from dcgrid_env.baselines.score import STATIC, Score, score
+from dcgrid_env.baselines.score import IS_NO_BOUND, REFERENCE, STATIC, Score, saved_pct, score
 
 _checked: WeakKeyDictionary[Scenario, set[tuple[str, ...]]] = WeakKeyDictionary()
 """Hashes of episodes that have been verified, so that many policies on the same episodes need only one check."""
@@ -117,3 +119,20 @@ def below_static(name: str, means: Mapping[str, float], rules: Mapping[str, Eval
         return None
     worse = f"J {j.text(means['J'])} is higher than {j.text(of_rules[best]['J'])} of {best}"
     return f"{name}: {worse}, which uses no measurements"
+
+
+def headroom_lines(costs: Published, j_reference: ArrayLike) -> list[str]:
+    """Return lines with the headroom, and a note that the best known cost is not a bound."""
+    name = "the best known" if costs.is_best_known else "hindsight"
+    line = f"headroom: {name} saves {saved_pct(costs.J, j_reference):.1f} % of the J of {REFERENCE}"
+    return [line, IS_NO_BOUND] if costs.is_best_known else [line]
+
+
+def episode_records(
+    scenario: str, controller: str, seeds: Sequence[int], metrics: Sequence[Mapping[str, float]], first: int = 0
+) -> list[dict[str, Any]]:
+    """Return a record for each episode, as results.json contains them; ``first`` is the number of the first."""
+    return [
+        {"scenario": scenario, "controller": controller, "episode": first + i, "seed": seed, **figures}
+        for i, (seed, figures) in enumerate(zip(seeds, metrics, strict=True))
+    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import pickle
 from collections import ChainMap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from dcgrid_env.baselines.model_based.feedback import FeedbackOptimisation
 from dcgrid_env.baselines.model_based.message_mpc import MessageMpc
 from dcgrid_env.baselines.model_based.mpc import Mpc
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
-from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller
+from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller, tuned_parameters
 from dcgrid_env.baselines.user_code import CodeReference, OwnCodeError, described, load, parse, place
 from dcgrid_env.core.plugins import Entry, Registry
 from dcgrid_env.core.user_files import is_file
@@ -290,3 +290,12 @@ def _construct(spec: str, reference: CodeReference, kind: object) -> object:
         raise OwnCodeError(
             f"controller {spec!r}: constructing it{how} fails{place(error)}: {described(error)}"
         ) from error
+
+
+def tuned_from(controllers: Sequence[str], scenario: Scenario, tuned: Path | None) -> list[str]:
+    """Return a line for each tuned controller whose gains come from a file instead of the bundled gains."""
+    laws = {name: name.removesuffix(SUFFIX) for name in controllers if name in TUNED}
+    # A law that does not apply to the scenario has no gains.
+    fitting = {name: law for name, law in laws.items() if TUNABLE[law].fits(scenario)}
+    files = {name: tuned_parameters(law, scenario, tuned).file for name, law in fitting.items()}
+    return [f"{name}: gains for {scenario.name} from {file}" for name, file in files.items() if file is not None]

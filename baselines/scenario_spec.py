@@ -21,7 +21,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from dcgrid_env import PRESETS, SCENARIO_REGISTRY, RandomFeeders, Scenario, ScenarioError, make_scenario
-from dcgrid_env.baselines.source_voltage import CENTRED, centred_voltage
+from dcgrid_env.baselines.source_voltage import CENTRED, centred_voltage, source_line, source_origin
 from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
 from dcgrid_env.core.checked import shown
 from dcgrid_env.core.user_files import parse_json, parse_toml
@@ -221,3 +221,9 @@ def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Map
     if isinstance(scenario.feeder, RandomFeeders):
         raise ValueError(f"set: source_voltage_pu is {CENTRED!r} on random feeders; give a number")
     return scenario.replace(source_voltage_pu=centred_voltage(scenario).v_pu)
+
+
+def voltage_line(scenario: Scenario, overrides: tuple[str, ...], name: str | None) -> str:
+    """Return a line with the source voltage and where it comes from; ``name`` is the scenario that the user named."""
+    asked = read_overrides(overrides).get("source_voltage_pu")
+    return source_line(scenario, source_origin(scenario, asked, name))

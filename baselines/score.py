@@ -35,6 +35,13 @@ SPLIT = "test"
 """Split of the episodes that a score is computed on."""
 PUBLISHED_EPISODES = 32
 """Minimum number of episodes of a published score."""
+SAVED = "J saved, %"
+"""Column name of the share of the reference's cost that a controller saves."""
+IS_NO_BOUND = (
+    "A score of 1 is the best known cost of each episode, found by a search of that episode and by controllers. It is "
+    "not a bound: a controller may score more than 1."
+)
+"""Note on scores where the best known cost replaces hindsight."""
 RESAMPLES = 10_000
 LEVEL = 0.95
 _FEWEST_RESAMPLED = 8

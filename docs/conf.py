@@ -13,7 +13,7 @@ sys.path.append(str(ROOT))  # docs.studies is not installed
 
 def hash_of_the_package() -> str:
     """Hash of all files of the package, code and data."""
-    rooms = [ROOT / name for name in ("dcgrid_env", "traces", "baselines", "agents")]
+    rooms = [ROOT / name for name in ("dcgrid_env", "traces", "baselines", "agents", "apps")]
     found = hashlib.sha256(__version__.encode())
     for path in sorted(path for room in rooms for path in room.rglob("*")):
         if path.is_file() and path.suffix != ".pyc":

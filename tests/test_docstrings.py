@@ -9,14 +9,11 @@ import pytest
 
 from helpers.places import ROOT
 
-FOLDERS = ("dcgrid_env", "baselines", "agents", "traces", "docs/studies")
+FOLDERS = ("dcgrid_env", "baselines", "agents", "traces", "apps", "docs/studies")
 NO_SENTENCE = re.compile(r"(?:Of|The same|As)\b")
 """How a text begins that cannot be read without the one before it."""
 IN_EVERY_PACKAGE = ("__init__", "__main__")
 ONE_IDEA = {
-    "hindsight": {"baselines/model_based/hindsight.py", "dcgrid_env/cli/hindsight.py"},
-    "curves": {"agents/training/curves.py", "dcgrid_env/cli/curves.py"},
-    "agent_search": {"agents/training/agent_search.py", "dcgrid_env/cli/agent_search.py"},
     "model_aided": {"baselines/model_aided/model_aided.py", "docs/studies/model_aided.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
 }

@@ -68,6 +68,6 @@ def test_the_recipe_has_the_requirements_of_the_project():
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a clone: a source archive has no links")
 def test_the_type_checker_follows_the_mapping():
-    for name in ("baselines", "agents", "traces"):
+    for name in ("baselines", "agents", "traces", "apps"):
         link = ROOT / "tests" / "typings" / "dcgrid_env" / name
         assert link.resolve() == ROOT / name

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from dcgrid_env import Scenario, scenario_hash
-from dcgrid_env.agents.controllers import trained_on
+from dcgrid_env.agents.controllers import trained_on, without_horizon
 from dcgrid_env.agents.from_sb3.sb3_policy import convert
 from dcgrid_env.agents.from_sb3.sb3_zip import SUFFIX as ZIP
 from dcgrid_env.agents.leaderboard.confinement import version
@@ -35,7 +35,6 @@ from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy
-from dcgrid_env.agents.shipping import without_horizon
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, controller_file, require_known, split_prefix
 from dcgrid_env.baselines.user_code import parse
 from dcgrid_env.core.files import sha256_of, whole_folder, write_bytes, write_json

@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from dcgrid_env.agents import Card
-from dcgrid_env.baselines.benchmark.benchmark_figures import REFERENCE_COLOUR
-from dcgrid_env.baselines.reproduction.drawing import new_figure, say
 from dcgrid_env.baselines.score import REFERENCE
+from dcgrid_env.core.figure_axes import REFERENCE_COLOUR, label_axes, new_figure
 from dcgrid_env.core.user_files import is_file, read_json, read_text
 
 X = {"seconds": "seconds", "steps": "env_steps"}
@@ -128,7 +127,7 @@ def curves_figure(by_scenario: Mapping[str, Sequence[Line]], x: str = "seconds")
         for line in every:
             _curve(ax, line, labels.index(line.label))
         ax.axhline(0.0, color=REFERENCE_COLOUR, linewidth=1.1)
-        say(ax, ALONG[x], "", scenario)
+        label_axes(ax, ALONG[x], "", scenario)
         _gain_axis(
             ax, min(float(line.low_pct.min()) for line in every), max(float(line.high_pct.max()) for line in every)
         )

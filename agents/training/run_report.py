@@ -27,14 +27,13 @@ from dcgrid_env.agents.training.curves import COLOURS
 from dcgrid_env.agents.training.run_folder import read_curve
 from dcgrid_env.agents.training.variants import scenarios
 from dcgrid_env.baselines import make_controller, published
-from dcgrid_env.baselines.benchmark.benchmark_figures import REFERENCE_COLOUR
-from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate
 from dcgrid_env.baselines.hindsight_costs import FOLDER
-from dcgrid_env.baselines.reproduction.drawing import new_figure, say
 from dcgrid_env.baselines.score import REFERENCE, Estimate, mean_over_seeds, saved, saved_pct, score_error
+from dcgrid_env.core.figure_axes import REFERENCE_COLOUR, label_axes, new_figure
 from dcgrid_env.core.files import write_text
 from dcgrid_env.core.html_page import image, page, png
+from dcgrid_env.core.text_table import NONE, Table
 from dcgrid_env.core.versions import PACKAGES, versions
 
 REPORT = "report.html"
@@ -207,7 +206,7 @@ def _curves(runs: Sequence[_Run]) -> Figure:
         costs += j
     name = "law" if column == LAW_COLUMN else REFERENCE
     ax.axhline(reference, color=REFERENCE_COLOUR, linestyle="--", linewidth=1.4, label=f"{name}, {reference:.4f}")
-    say(ax, "steps of environments", "mean J on validation")
+    label_axes(ax, "steps of environments", "mean J on validation")
     if max(costs) > _LOG_FROM * min(costs) > 0.0:
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter(ScalarFormatter())

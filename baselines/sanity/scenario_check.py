@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Recorder, Scenario
-from dcgrid_env.baselines.benchmark.benchmark_tables import Table
 from dcgrid_env.baselines.laws import stability
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.laws.no_control import NoControl
@@ -34,6 +33,7 @@ from dcgrid_env.baselines.sanity.verdicts import (
     verdicts,
 )
 from dcgrid_env.baselines.score import saved_pct
+from dcgrid_env.core.text_table import Table
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Lost, Place, Unit
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal, get_args
 import tyro
 from rich.table import Table
 
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.options import helps
-from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.options import helps
+from dcgrid_env.core.commands.terminal import plain_console
 
 if TYPE_CHECKING:
     from dcgrid_env.agents import Card

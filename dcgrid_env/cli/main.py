@@ -14,10 +14,10 @@ from dcgrid_command.command_table import COMMANDS, TRACEBACK, VERSION
 from dcgrid_command.group import HELP, Entry, Group, found
 from dcgrid_command.streams import complain, standard_streams
 from dcgrid_env import __version__
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.remedies import with_options
 from dcgrid_env.cli.stamps import stamps_respected
-from dcgrid_env.cli.terminal import any_characters
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import any_characters
 from dcgrid_env.core.plugins import tolerate_malformed
 from dcgrid_env.core.signals import raising
 from dcgrid_env.core.suggestions import unknown

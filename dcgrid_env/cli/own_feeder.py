@@ -100,15 +100,6 @@ def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any])
             )
 
 
-def voltage_line(scenario: Scenario, overrides: tuple[str, ...], name: str | None, place: str = "--set") -> str:
-    """Return a line with the source voltage and where it comes from; arguments as for ``source_origin``."""
-    from dcgrid_env.baselines.scenario_spec import read_overrides
-    from dcgrid_env.baselines.source_voltage import source_line, source_origin
-
-    asked = read_overrides(overrides).get("source_voltage_pu")
-    return source_line(scenario, source_origin(scenario, asked, name, place))
-
-
 def chosen_line(scenario: Scenario) -> str:
     """Return a line with the feeder, its devices and their sizes, and the power flow."""
     from dcgrid_env import Feeder

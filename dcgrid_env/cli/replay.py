@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import tyro
 
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.opening import offer
-from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, check_file
 from dcgrid_env.cli.stored_run import StoredRun, stored_run
-from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.names import split_names
+from dcgrid_env.core.commands.opening import offer
+from dcgrid_env.core.commands.progress import progress_bar
+from dcgrid_env.core.commands.settings import Overrides, check_file
+from dcgrid_env.core.commands.terminal import plain_console, say
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario, Series

@@ -6,20 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.opening import offer
-from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder, voltage_line
-from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.runs import Runs
-from dcgrid_env.cli.settings import Overrides, check_folder, tuned_from, with_horizon
-from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.baselines.runs import Runs
+from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.names import split_names
+from dcgrid_env.core.commands.opening import offer
+from dcgrid_env.core.commands.progress import progress_bar
+from dcgrid_env.core.commands.settings import Overrides, check_folder, with_horizon
+from dcgrid_env.core.commands.terminal import plain_console, say
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario
-    from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+    from dcgrid_env.core.text_table import Table
 
 DEFAULT_SCENARIO = "ieee33-weak"
 POLICY = "analytic"
@@ -89,9 +89,11 @@ class Run(Command):
         from dcgrid_env import scenario_hash
         from dcgrid_env.agents.policy.guard import guard_line
         from dcgrid_env.baselines import find_controller
-        from dcgrid_env.baselines.benchmark.jobs import episode_records
         from dcgrid_env.baselines.engineering import file_lines
+        from dcgrid_env.baselines.evaluation import episode_records
         from dcgrid_env.baselines.laws import stability
+        from dcgrid_env.baselines.registry import tuned_from
+        from dcgrid_env.baselines.scenario_spec import voltage_line
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.grid import AnyFeeder, is_bundled
         from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
@@ -215,7 +217,7 @@ def _origin(scenario: Scenario) -> list[dict[str, Any]]:
 def table(scenario: Scenario, records: list[dict[str, Any]], names: list[str], cfg: Run) -> Table:
     """Return the table of metrics, one column per controller, over all episodes."""
     from dcgrid_env import metrics_in
-    from dcgrid_env.baselines.benchmark.benchmark_tables import Table
+    from dcgrid_env.core.text_table import Table
 
     n = len(records) // len(names)
     length_s = scenario.horizon * scenario.dt_s

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from dcgrid_env.cli.names import split_names
+from dcgrid_env.core.commands.names import split_names
 
 
 @contextmanager

@@ -9,9 +9,9 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from dcgrid_env.cli.names import split_names
 from dcgrid_env.cli.run import Run, controller_names, scenario_of
 from dcgrid_env.core.checked import finite
+from dcgrid_env.core.commands.names import split_names
 from dcgrid_env.core.user_files import is_file, read_json
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Literal
 
 import tyro
 
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import plain_console, say, working
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from dcgrid_env.cli.command import GOES_ON, Command
-from dcgrid_env.cli.settings import Overrides, check_file, with_horizon
-from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.core.commands.command import GOES_ON, Command
+from dcgrid_env.core.commands.settings import Overrides, check_file, with_horizon
+from dcgrid_env.core.commands.terminal import plain_console, say, working
 
 if TYPE_CHECKING:
     from dcgrid_env import Scenario

@@ -9,12 +9,21 @@ _IMPORT = Group(
     "Read feeders from files of other programs.",
     {
         "Formats": {
-            "opendss": Entry("Read a three-phase feeder from an OpenDSS master file.", "opendss_import:ImportOpenDss"),
-            "gridlabd": Entry("Read a three-phase feeder from a GridLAB-D model.", "opendss_import:ImportGridlabd"),
-            "pandapower": Entry("Read a balanced feeder from a pandapower net.", "grid_import:ImportPandapower"),
-            "matpower": Entry("Read a balanced feeder from a MATPOWER case file.", "grid_import:ImportMatpower"),
+            "opendss": Entry(
+                "Read a three-phase feeder from an OpenDSS master file.", "apps.importers.opendss_import:ImportOpenDss"
+            ),
+            "gridlabd": Entry(
+                "Read a three-phase feeder from a GridLAB-D model.", "apps.importers.opendss_import:ImportGridlabd"
+            ),
+            "pandapower": Entry(
+                "Read a balanced feeder from a pandapower net.", "apps.importers.grid_import:ImportPandapower"
+            ),
+            "matpower": Entry(
+                "Read a balanced feeder from a MATPOWER case file.", "apps.importers.grid_import:ImportMatpower"
+            ),
             "power-grid-model": Entry(
-                "Read a balanced feeder from a power-grid-model JSON file.", "grid_import:ImportPowerGridModel"
+                "Read a balanced feeder from a power-grid-model JSON file.",
+                "apps.importers.grid_import:ImportPowerGridModel",
             ),
         }
     },
@@ -24,16 +33,19 @@ _EXPORT = Group(
     {
         "Formats": {
             "pandapower": Entry(
-                "Write a balanced feeder as the JSON of a pandapower net.", "grid_export:ExportPandapower"
+                "Write a balanced feeder as the JSON of a pandapower net.",
+                "apps.importers.grid_export:ExportPandapower",
             ),
-            "matpower": Entry("Write a balanced feeder as a MATPOWER case file.", "grid_export:ExportMatpower"),
+            "matpower": Entry(
+                "Write a balanced feeder as a MATPOWER case file.", "apps.importers.grid_export:ExportMatpower"
+            ),
             "power-grid-model": Entry(
-                "Write a balanced feeder as power-grid-model JSON.", "grid_export:ExportPowerGridModel"
+                "Write a balanced feeder as power-grid-model JSON.", "apps.importers.grid_export:ExportPowerGridModel"
             ),
         }
     },
 )
-_ALGORITHM = "train:Algorithm"
+_ALGORITHM = "agents.train_command:Algorithm"
 _TRAIN = Group(
     "Train a policy with one of several algorithms.",
     {
@@ -54,10 +66,10 @@ _TRACES = Group(
     "Fetch, check, show and record power traces.",
     {
         "Commands": {
-            "check": Entry("Check a recording of power and report how it would be used.", "traces:CheckRecording"),
-            "fetch": Entry("Download a published recording and verify it.", "traces:Fetch"),
-            "show": Entry("Plot a trace: power, ramps, spectrum and duration curve.", "traces:Show"),
-            "record": Entry("Record the power of this machine's GPUs through NVML.", "traces:Record"),
+            "check": Entry("Check a recording of power and report how it would be used.", "cli.traces:CheckRecording"),
+            "fetch": Entry("Download a published recording and verify it.", "cli.traces:Fetch"),
+            "show": Entry("Plot a trace: power, ramps, spectrum and duration curve.", "cli.traces:Show"),
+            "record": Entry("Record the power of this machine's GPUs through NVML.", "cli.traces:Record"),
         }
     },
 )
@@ -65,34 +77,52 @@ COMMANDS = Group(
     "Voltage control of distribution feeders with AI data centres.",
     {
         "Get started": {
-            "run": Entry("Run controllers on the same episodes and compare them.", "run:Run"),
-            "list": Entry("List scenarios, feeders, controllers, traces and fields.", "listing:List"),
-            "replay": Entry("Show an episode in the browser, step by step.", "replay:Replay"),
+            "run": Entry("Run controllers on the same episodes and compare them.", "cli.run:Run"),
+            "list": Entry("List scenarios, feeders, controllers, traces and fields.", "cli.listing:List"),
+            "replay": Entry("Show an episode in the browser, step by step.", "cli.replay:Replay"),
         },
         "Your feeder": {
             "import": _IMPORT,
-            "check": Entry("Check in a minute whether a scenario is worth learning on.", "check:Check"),
-            "capacity": Entry("Find the largest data centre that each bus can carry.", "capacity:Capacity"),
-            "study": Entry("Answer a connection request with one report.", "connection_study:ConnectionStudy"),
+            "check": Entry(
+                "Check in a minute whether a scenario is worth learning on.", "baselines.check_command:Check"
+            ),
+            "capacity": Entry(
+                "Find the largest data centre that each bus can carry.", "apps.hosting.capacity_command:Capacity"
+            ),
+            "study": Entry(
+                "Answer a connection request with one report.",
+                "apps.hosting.connection_study.study_command:ConnectionStudy",
+            ),
             "export": _EXPORT,
         },
         "Train and evaluate": {
             "train": _TRAIN,
-            "evaluate": Entry("Score a policy on held-out episodes.", "evaluate:Evaluate"),
-            "tune": Entry("Tune control laws on the validation split of scenarios.", "tune:Tune"),
-            "tune-agent": Entry("Search for an algorithm's best settings on a scenario.", "agent_search:TuneAgent"),
-            "hindsight": Entry("Solve episodes with perfect foresight and store the costs.", "hindsight:Hindsight"),
-            "benchmark": Entry("Score controllers on the test split of scenarios.", "benchmark:Benchmark"),
-            "curves": Entry("Draw learning curves of training runs.", "curves:Curves"),
-            "dataset": Entry("Write episodes as a Minari data set for offline learning.", "dataset:Dataset"),
+            "evaluate": Entry("Score a policy on held-out episodes.", "agents.evaluate_command:Evaluate"),
+            "tune": Entry("Tune control laws on the validation split of scenarios.", "baselines.tune_command:Tune"),
+            "tune-agent": Entry(
+                "Search for an algorithm's best settings on a scenario.", "agents.tune_agent_command:TuneAgent"
+            ),
+            "hindsight": Entry(
+                "Solve episodes with perfect foresight and store the costs.", "baselines.hindsight_command:Hindsight"
+            ),
+            "benchmark": Entry(
+                "Score controllers on the test split of scenarios.", "apps.benchmark.benchmark_command:Benchmark"
+            ),
+            "curves": Entry("Draw learning curves of training runs.", "agents.curves_command:Curves"),
+            "dataset": Entry(
+                "Write episodes as a Minari data set for offline learning.", "agents.dataset_command:Dataset"
+            ),
         },
         "Publish": {
-            "ship": Entry("Score training runs with different seeds; save the best.", "ship:Ship"),
-            "submit": Entry("Create an entry for the leaderboard.", "submit:Submit"),
-            "verify": Entry("Rerun leaderboard entries and report their scores.", "verify:Verify"),
-            "export-sb3": Entry("Convert a Stable-Baselines3 model into a policy file.", "sb3_export:ExportSb3"),
-            "export-hub": Entry("Write a policy as a folder for the Hugging Face hub.", "hub:ExportHub"),
-            "reproduce": Entry("Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).", "reproduce:Reproduce"),
+            "submit": Entry("Create an entry for the leaderboard.", "cli.submit:Submit"),
+            "verify": Entry("Rerun leaderboard entries and report their scores.", "cli.verify:Verify"),
+            "export-sb3": Entry(
+                "Convert a Stable-Baselines3 model into a policy file.", "agents.export_sb3_command:ExportSb3"
+            ),
+            "reproduce": Entry(
+                "Repeat the paper's study (Chen and Zhang, arXiv 2507.06416).",
+                "apps.reproduction.reproduce_command:Reproduce",
+            ),
         },
         "Data": {"traces": _TRACES},
     },

@@ -23,7 +23,7 @@ class Entry(NamedTuple):
     """Summary on one line; the docstring of the class begins with it."""
     where: str
     """Its class, ``module:Class`` in the package, which has ``parse(words, prog)``."""
-    package: str = "dcgrid_env.cli"
+    package: str = "dcgrid_env"
 
     def load(self) -> Any:
         """Import its class."""

@@ -120,7 +120,7 @@ GROUPS = (
     Group(
         "Capacity",
         "Compute how much load each bus can host (:doc:`guide <../capacity>`).",
-        ("baselines.hosting_capacity.hosting", "baselines.hosting_capacity"),
+        ("apps.hosting.hosting", "apps.hosting"),
     ),
     Group(
         "Offline data",

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from dcgrid_env import make_scenario
 from dcgrid_env.agents.policy.card import Card, Scored
 from dcgrid_env.agents.policy.policy import FOLDER
-from dcgrid_env.baselines.benchmark.summary import BestKnownCost
+from dcgrid_env.apps.benchmark.summary import BestKnownCost
 from dcgrid_env.baselines.score import REFERENCE, STATIC, saved_pct
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
 from docs.studies.benchmark_data import BenchmarkData, Row, all_data

@@ -11,13 +11,14 @@ from typing import Any
 from dcgrid_env import METRICS
 from dcgrid_env.agents import Policy
 from dcgrid_env.agents.policy.policy import SHIPPED
+from dcgrid_env.agents.train_command import ALGORITHMS
 from dcgrid_env.agents.training.training_runs import command
 from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.baselines.scenario_names import one_scenario, scenario_names
 from dcgrid_env.baselines.score import REFERENCE
-from dcgrid_env.cli.names import one_scenario, scenario_names, split_names
-from dcgrid_env.cli.settings import check_folder
-from dcgrid_env.cli.terminal import plain_console, say, working
-from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.core.commands.names import split_names
+from dcgrid_env.core.commands.settings import check_folder
+from dcgrid_env.core.commands.terminal import plain_console, say, working
 from dcgrid_env.core.files import write_text
 from dcgrid_env.core.versions import meta
 from docs.studies.learning_tables import (

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple, Self
 import tyro
 
 from dcgrid_env import PRESETS, make_scenario, metrics_in, scenario_hash
+from dcgrid_env.apps.benchmark.summary import BestKnownCost, Hindsight, hindsight_costs
 from dcgrid_env.baselines import published
-from dcgrid_env.baselines.benchmark.summary import BestKnownCost, Hindsight, hindsight_costs
 from dcgrid_env.baselines.score import REFERENCE, SPLIT, Estimate, saved_pct
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import plain_console, say
 from dcgrid_env.core.files import write_text
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"

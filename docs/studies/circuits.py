@@ -15,8 +15,8 @@ import numpy as np
 import tyro
 
 from dcgrid_env import FeederError, ThreePhaseFeeder
-from dcgrid_env.cli.command import Command
-from dcgrid_env.grid.formats.opendss import Imported, read_opendss
+from dcgrid_env.apps.importers.opendss import Imported, read_opendss
+from dcgrid_env.core.commands.command import Command
 from dcgrid_env.powerflow import solve_unbalanced
 
 _CIRCUIT = re.compile(r"^\s*new\s+(object\s*=\s*)?circuit\.", re.IGNORECASE | re.MULTILINE)

@@ -22,6 +22,10 @@ COMMANDS = Group(
                 "Make, verify and sign our own entries of the leaderboard.", "leaderboard:LeaderboardEntries"
             ),
         },
+        "Publish a policy": {
+            "ship": _entry("Score training runs with different seeds; save the best.", "ship:Ship"),
+            "export-hub": _entry("Write a policy as a folder for the Hugging Face hub.", "hub:ExportHub"),
+        },
         "Studies": {
             "ablate": _entry("Train a policy without some of its parts and score each.", "ablate:Ablate"),
             "circuits": _entry("Import every OpenDSS circuit in a folder.", "circuits:Circuits"),

@@ -28,11 +28,11 @@ import numpy as np
 import tyro
 
 from dcgrid_env import Feeder, FeederError, ThreePhaseFeeder
-from dcgrid_env.cli.command import Command
-from dcgrid_env.grid.formats.bus_branch import ImportedFeeder
-from dcgrid_env.grid.formats.matpower import read_matpower
-from dcgrid_env.grid.formats.opendss import read_opendss
-from dcgrid_env.grid.formats.pandapower import read_pandapower
+from dcgrid_env.apps.importers.bus_branch import ImportedFeeder
+from dcgrid_env.apps.importers.matpower import read_matpower
+from dcgrid_env.apps.importers.opendss import read_opendss
+from dcgrid_env.apps.importers.pandapower import read_pandapower
+from dcgrid_env.core.commands.command import Command
 from dcgrid_env.grid.three_phase_tables import LETTERS
 from dcgrid_env.powerflow import distflow, solve_unbalanced
 from docs.studies.circuits import masters

@@ -14,10 +14,10 @@ import dcgrid_env
 from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import ppo_settings, sb3_vec_env
 from dcgrid_env.baselines.evaluation import hindsight_costs
+from dcgrid_env.baselines.scenario_names import scenario_names
 from dcgrid_env.baselines.score import score
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.names import scenario_names
-from dcgrid_env.cli.settings import at_least, check_file
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.settings import at_least, check_file
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.user_files import read_json
 from docs.studies.scored import droop_on_test, on_test

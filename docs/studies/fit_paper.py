@@ -11,13 +11,13 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from dcgrid_env.baselines.reproduction.guess import LABELS, VALUES, Distance, Guess, cells, distance
-from dcgrid_env.baselines.reproduction.load import choose_load
-from dcgrid_env.baselines.reproduction.study_runs import Runs, Setting
-from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import at_least, check_folder
-from dcgrid_env.cli.terminal import plain_console, say
-from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.apps.reproduction.guess import LABELS, VALUES, Distance, Guess, cells, distance
+from dcgrid_env.apps.reproduction.load import choose_load
+from dcgrid_env.apps.reproduction.study_runs import Runs, Setting
+from dcgrid_env.core.commands.progress import progress_bar
+from dcgrid_env.core.commands.settings import at_least, check_folder
+from dcgrid_env.core.commands.terminal import plain_console, say
+from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.local_pool import ONE_PROCESS

@@ -24,9 +24,9 @@ from dcgrid_env.agents.algorithms.ppo_counterfactual import (
 )
 from dcgrid_env.agents.training.run_folder import torch
 from dcgrid_env.agents.training.sb3 import episode_seed
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.names import scenario_names
-from dcgrid_env.cli.settings import at_least
+from dcgrid_env.baselines.scenario_names import scenario_names
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.settings import at_least
 
 
 class Agreement(NamedTuple):

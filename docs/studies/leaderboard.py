@@ -29,10 +29,10 @@ from dcgrid_env.agents.leaderboard.submitting import submit
 from dcgrid_env.agents.leaderboard.verifying import draw_seed, require_report, verify
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
+from dcgrid_env.baselines.scenario_names import scenario_names
 from dcgrid_env.baselines.score import PUBLISHED_EPISODES, Estimate
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.names import scenario_names
-from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import plain_console, say
 from docs.studies.agents import ALGORITHMS
 from docs.studies.site_tables import NBSP, number, plain, sortable, unbroken, with_interval
 

@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 
 from dcgrid_env import METRICS, Metric
-from dcgrid_env.baselines.benchmark.benchmark_tables import NONE, Table
-from dcgrid_env.baselines.reproduction.markdown_tables import wrapped
+from dcgrid_env.apps.reproduction.markdown_tables import wrapped
 from dcgrid_env.baselines.score import Estimate
+from dcgrid_env.core.text_table import NONE, Table
 from dcgrid_env.core.versions import code_block
 
 COLUMNS = (

@@ -18,10 +18,11 @@ import numpy as np
 from dcgrid_env import scenario_hash
 from dcgrid_env.agents import ppo_settings, sac_settings, sb3_vec_env
 from dcgrid_env.baselines.evaluation import hindsight_costs
+from dcgrid_env.baselines.scenario_names import scenario_names
 from dcgrid_env.baselines.score import Estimate, mean_over_seeds, score, score_error
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.names import scenario_names, split_names
-from dcgrid_env.cli.settings import at_least, check_file
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.names import split_names
+from dcgrid_env.core.commands.settings import at_least, check_file
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import versions
 from docs.studies.learning_tables import estimate

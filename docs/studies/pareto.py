@@ -12,17 +12,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dcgrid_env.agents.train_command import ALGORITHMS
 from dcgrid_env.agents.training.training_runs import command
 from dcgrid_env.baselines import Droop
-from dcgrid_env.baselines.benchmark.benchmark_figures import FRONT_COLOUR, REFERENCE_COLOUR, REST_COLOUR
-from dcgrid_env.baselines.reproduction.drawing import new_figure
-from dcgrid_env.baselines.reproduction.drawing import say as label_axes
+from dcgrid_env.baselines.scenario_names import one_scenario
 from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
-from dcgrid_env.cli.names import one_scenario
-from dcgrid_env.cli.settings import check_folder
-from dcgrid_env.cli.terminal import plain_console, say, working
-from dcgrid_env.cli.train import ALGORITHMS
+from dcgrid_env.core.commands.settings import check_folder
+from dcgrid_env.core.commands.terminal import plain_console, say, working
+from dcgrid_env.core.figure_axes import FRONT_COLOUR, REFERENCE_COLOUR, REST_COLOUR, label_axes, new_figure
 from dcgrid_env.core.files import write_figure, write_text
 from dcgrid_env.core.versions import meta
 from docs.studies.learning_tables import HEADINGS, Table, brief, commands, figures, page, wrapped

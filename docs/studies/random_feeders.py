@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env.cli.command import Command
+from dcgrid_env.core.commands.command import Command
 from dcgrid_env.grid.random_feeders.drawn import DrawnFeeder, draw_feeder
 from dcgrid_env.grid.random_feeders.styles import STYLES
 

@@ -12,11 +12,11 @@ from dcgrid_env.agents.policy.card import FORMAT, Card
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED, Policy
 from dcgrid_env.agents.policy.unseen import on_purpose
-from dcgrid_env.agents.shipping import scored_as
 from dcgrid_env.baselines.evaluation import evaluate
-from dcgrid_env.cli.command import Command
 from dcgrid_env.cli.listing import card_line
-from dcgrid_env.cli.terminal import plain_console, say
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import plain_console, say
+from docs.studies.shipping import scored_as
 
 
 def rescored(card: Card, policy: Policy, episodes: int | None = None) -> Card:

@@ -16,13 +16,14 @@ from dcgrid_env.agents import find_controller
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, published
 from dcgrid_env.baselines.recorded_actions import replayed
-from dcgrid_env.baselines.reproduction.drawing import new_figure
 from dcgrid_env.baselines.rollout import rollout
+from dcgrid_env.baselines.scenario_names import one_scenario
 from dcgrid_env.baselines.score import SPLIT
-from dcgrid_env.cli.names import one_scenario, split_names
-from dcgrid_env.cli.settings import check_folder
-from dcgrid_env.cli.terminal import plain_console, say, working
-from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.commands.names import split_names
+from dcgrid_env.core.commands.settings import check_folder
+from dcgrid_env.core.commands.terminal import plain_console, say, working
+from dcgrid_env.core.commands.workers import OverWorkers
+from dcgrid_env.core.figure_axes import new_figure
 from dcgrid_env.core.files import write_figure, write_text
 from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.local_pool import ONE_PROCESS

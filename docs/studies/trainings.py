@@ -12,10 +12,10 @@ from rich.console import Console
 
 from dcgrid_env.agents import Card, Policy
 from dcgrid_env.agents.training.training_runs import LOG, finished, train_all
-from dcgrid_env.cli.command import GOES_ON
-from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.terminal import say
-from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.commands.command import GOES_ON
+from dcgrid_env.core.commands.progress import progress_bar
+from dcgrid_env.core.commands.terminal import say
+from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.work.unit import Place
 
 MOST_EPISODES = 100

@@ -16,13 +16,14 @@ from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.baselines import published
 from dcgrid_env.baselines.carried import carried
 from dcgrid_env.baselines.rollout import ControllerError
+from dcgrid_env.baselines.scenario_names import scenario_names
 from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.baselines.user_code import OwnCodeError
-from dcgrid_env.cli.names import scenario_names, split_names
-from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import at_least, check_folder
-from dcgrid_env.cli.terminal import plain_console, say
-from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.commands.names import split_names
+from dcgrid_env.core.commands.progress import progress_bar
+from dcgrid_env.core.commands.settings import at_least, check_folder
+from dcgrid_env.core.commands.terminal import plain_console, say
+from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.files import write_text
 from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.unit import Place, Unit

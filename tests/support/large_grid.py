@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from dcgrid_env import Feeder
-from dcgrid_env.grid.formats.matpower import write_matpower
-from dcgrid_env.grid.formats.pandapower import write_pandapower
-from dcgrid_env.grid.formats.power_grid_model import write_power_grid_model
+from dcgrid_env.apps.importers.matpower import write_matpower
+from dcgrid_env.apps.importers.pandapower import write_pandapower
+from dcgrid_env.apps.importers.power_grid_model import write_power_grid_model
 
 N_BUS = 10_000
 

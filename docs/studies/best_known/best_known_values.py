@@ -12,16 +12,16 @@ import numpy as np
 from dcgrid_env import episode_hash, scenario_hash
 from dcgrid_env.agents import find_controller
 from dcgrid_env.baselines.carried import carried
+from dcgrid_env.baselines.hindsight_command import kept_episodes
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, hindsight_file
 from dcgrid_env.baselines.recorded_actions import actions_file, checksum, packed, recorded_actions
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-from dcgrid_env.cli.command import GOES_ON
-from dcgrid_env.cli.hindsight import kept_episodes
-from dcgrid_env.cli.names import split_names
-from dcgrid_env.cli.progress import progress_bar
-from dcgrid_env.cli.settings import Overrides, alone_in
-from dcgrid_env.cli.terminal import plain_console
-from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.commands.command import GOES_ON
+from dcgrid_env.core.commands.names import split_names
+from dcgrid_env.core.commands.progress import progress_bar
+from dcgrid_env.core.commands.settings import Overrides, alone_in
+from dcgrid_env.core.commands.terminal import plain_console
+from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.files import write_bytes, write_json
 from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.unit import Unit

@@ -11,8 +11,8 @@ from typing import Any
 
 from rich.table import Table
 
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.terminal import plain_console, say, working
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import plain_console, say, working
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.threads import n_threads
 from dcgrid_env.core.versions import meta, versions

@@ -22,8 +22,8 @@ import numba
 import numpy as np
 
 from dcgrid_env import make_scenario
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.settings import at_least
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.settings import at_least
 from dcgrid_env.core.threads import n_threads
 from dcgrid_env.powerflow import distflow, solve_unbalanced
 from dcgrid_env.powerflow.balanced.compiled_blocks import BLOCK

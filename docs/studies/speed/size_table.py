@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.cli.command import Command
+from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.files import write_json
 from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import solver_for

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import PRESETS, DcgridEnv, DcgridVectorEnv, make_scenario, read_feeder
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.settings import at_least
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.settings import at_least
 from dcgrid_env.scenario.on_feeder import scenario_on
 from docs.studies.speed.environment_rates import resident_mib
 from docs.studies.speed.synthetic_feeders import three_phase_feeder

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter, process_time
 
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.terminal import plain_console
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import plain_console
 from docs.studies.speed.measuring import Row
 from docs.studies.speed.rates import table
 

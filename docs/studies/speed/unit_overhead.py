@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 from rich.table import Table
 
-from dcgrid_env.cli import workers
-from dcgrid_env.cli.settings import at_least
-from dcgrid_env.cli.terminal import plain_console, say
-from dcgrid_env.cli.workers import OverWorkers
+from dcgrid_env.core.commands import workers
+from dcgrid_env.core.commands.settings import at_least
+from dcgrid_env.core.commands.terminal import plain_console, say
+from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
 
 EMPTY = 400

@@ -9,12 +9,12 @@ import pytest
 from dcgrid_env.agents.algorithms import analytic
 from dcgrid_env.agents.algorithms.analytic import Analytic
 from dcgrid_env.agents.policy.card import Card
+from dcgrid_env.agents.train_command import ALGORITHMS
 from dcgrid_env.agents.training import run_folder
 from dcgrid_env.agents.training.preset_settings import PATH
 from dcgrid_env.agents.training.run_folder import Diverged, TrainingError
 from dcgrid_env.agents.training.search_spaces import SPACES, Choice, within
 from dcgrid_env.cli.main import main
-from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.core.work.local_pool import LocalPool
 from dcgrid_env.core.work.unit import Lost
 

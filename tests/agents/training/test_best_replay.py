@@ -9,10 +9,10 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Policy
+from dcgrid_env.agents.train_command import ALGORITHMS
 from dcgrid_env.agents.training import best_replay
 from dcgrid_env.agents.training.run_folder import read_curve
 from dcgrid_env.baselines import rollout
-from dcgrid_env.cli.train import ALGORITHMS
 
 COMMON = {"num_envs": 4, "hidden": (4,), "validation_episodes": 2, "validate_every": 1}
 TOY = COMMON | {"scenario": "toy6", "set": ("horizon=8",)}

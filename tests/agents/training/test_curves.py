@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env.agents import Card
+from dcgrid_env.agents.curves_command import ending
 from dcgrid_env.agents.training.curves import Curve, Line, curves_figure, lines, read
-from dcgrid_env.cli.curves import ending
 from dcgrid_env.cli.main import main
 
 

@@ -8,8 +8,8 @@ from dcgrid_env.agents import Card
 from dcgrid_env.agents.algorithms.analytic import Analytic
 from dcgrid_env.agents.algorithms.ppo import Ppo
 from dcgrid_env.agents.algorithms.safe import Safe
+from dcgrid_env.agents.train_command import ALGORITHMS
 from dcgrid_env.agents.training.training_runs import command, finished, train, train_all, words_of
-from dcgrid_env.cli.train import ALGORITHMS
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 
 

@@ -67,14 +67,14 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0,))
     monkeypatch.setattr(ablate, "VARIANTS", {"all": {}})
     monkeypatch.setattr(
-        "dcgrid_env.baselines.reproduction.study.study", lambda runs, done, place: done(NAME) or {"claims": []}
+        "dcgrid_env.apps.reproduction.study.study", lambda runs, done, place: done(NAME) or {"claims": []}
     )
-    monkeypatch.setattr("dcgrid_env.baselines.reproduction.paper_figures.draw_all", lambda runs, folder: [])
-    monkeypatch.setattr("dcgrid_env.baselines.reproduction.markdown.render", lambda records: "")
+    monkeypatch.setattr("dcgrid_env.apps.reproduction.paper_figures.draw_all", lambda runs, folder: [])
+    monkeypatch.setattr("dcgrid_env.apps.reproduction.markdown.render", lambda records: "")
     monkeypatch.setattr(
-        "dcgrid_env.baselines.reproduction.load.choose_load", lambda trace: SimpleNamespace(description=trace)
+        "dcgrid_env.apps.reproduction.load.choose_load", lambda trace: SimpleNamespace(description=trace)
     )
-    monkeypatch.setattr("dcgrid_env.cli.reproduce._origin", lambda runs: {})
+    monkeypatch.setattr("dcgrid_env.apps.reproduction.reproduce_command._origin", lambda runs: {})
     noted = {"samples": 2, "gpus": [1], "missed": 0, "jitter_s": {"mean": 0.0, "p99": 0.0}}
     monkeypatch.setattr("dcgrid_env.traces.recorder.record", lambda *given, **named: noted)
     recording = SimpleNamespace(description="a recording", sha256="0", licence="[/]", citation="[/]")

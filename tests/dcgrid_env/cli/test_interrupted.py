@@ -48,8 +48,8 @@ def quick(monkeypatch):
     monkeypatch.setattr("dcgrid_env.baselines.model_based.hindsight.hindsight", lambda scenario, seed: solved)
     tuned = Tuned(parameters={}, score=1.0, trials=1)
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.tune", lambda law, scenarios, episodes: tuned)
-    monkeypatch.setattr("dcgrid_env.baselines.reproduction.study.study", lambda runs, done, place: {"claims": []})
-    monkeypatch.setattr("dcgrid_env.baselines.reproduction.paper_figures.draw_all", lambda runs, folder: [])
+    monkeypatch.setattr("dcgrid_env.apps.reproduction.study.study", lambda runs, done, place: {"claims": []})
+    monkeypatch.setattr("dcgrid_env.apps.reproduction.paper_figures.draw_all", lambda runs, folder: [])
 
 
 def signalled(monkeypatch, sign, file):
@@ -121,7 +121,6 @@ def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done
         (("traces", "show", "training", "--duration-s", "10", "--out", "new/trace.xyz"), "new"),
         (("traces", "fetch", "no-such", "--cache", "new"), "new"),
         (("curves", "nowhere", "--out", "new/curves.png"), "new"),
-        (("ship", "nowhere", "--name", "toy6-x", "--out", "new"), "new"),
         (("tune", "--laws", "none", "--out", "new/tuned.json"), "new"),
         (("hindsight", "--split", "exam", "--out", "new"), "new"),
     ],

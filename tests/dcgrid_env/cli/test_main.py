@@ -12,8 +12,8 @@ import pytest
 import dcgrid_env
 from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Entry, Group
-from dcgrid_env.cli.command import GOES_ON, Command
 from dcgrid_env.cli.main import main, parse
+from dcgrid_env.core.commands.command import GOES_ON, Command
 from dcgrid_env.scenario.assembly import PARTS
 from docs.studies.commands import COMMANDS as STUDIES
 from docs.studies.commands import PROG
@@ -112,7 +112,7 @@ def test_the_commands_are_in_their_groups():
             "curves",
             "dataset",
         ],
-        "Publish": ["ship", "submit", "verify", "export-sb3", "export-hub", "reproduce"],
+        "Publish": ["submit", "verify", "export-sb3", "reproduce"],
         "Data": ["traces"],
     }
 
@@ -206,7 +206,7 @@ def test_help_names_scenario_files(line, capsys, monkeypatch):
     assert "path/to/file.toml" in stopped(capsys, *line.split(), "--help")[1].out
 
 
-@pytest.mark.parametrize("line", ["list fields", "verify folder", "ship --name new folder"])
+@pytest.mark.parametrize("line", ["list fields", "verify folder"])
 def test_options_after_a_list_of_arguments_are_options(line, capsys):
     assert stopped(capsys, *line.split(), "--help")[0] == 0
     code, said = stopped(capsys, *line.split(), "--unknown")

@@ -11,18 +11,18 @@ import pytest
 from dcgrid_env import FeederError, ScenarioError, make_scenario
 from dcgrid_env.agents import Card, Policy
 from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.apps.hosting.connection_study.study_command import read_request
+from dcgrid_env.apps.importers.import_report import Report
+from dcgrid_env.apps.importers.matpower import read_matpower
+from dcgrid_env.apps.importers.pandapower.net_json import net_from_json
+from dcgrid_env.apps.importers.power_grid_model import read_power_grid_model
 from dcgrid_env.baselines.hindsight_costs import read_hindsight
 from dcgrid_env.baselines.scenario_spec import read_value
 from dcgrid_env.baselines.tuning.tuned import read_tuned
 from dcgrid_env.baselines.user_code import CodeReference, load
-from dcgrid_env.cli.connection_study import read_request
 from dcgrid_env.cli.stored_run import stored_run
 from dcgrid_env.core.user_files import parse_json, parse_toml, read_bytes, read_json, read_text
 from dcgrid_env.grid.formats.csv_folder import read_csv
-from dcgrid_env.grid.formats.import_report import Report
-from dcgrid_env.grid.formats.matpower import read_matpower
-from dcgrid_env.grid.formats.pandapower.net_json import net_from_json
-from dcgrid_env.grid.formats.power_grid_model import read_power_grid_model
 from dcgrid_env.grid.formats.three_phase_folder import read_folder
 from dcgrid_env.traces import TraceError
 from dcgrid_env.traces.by_name import recorded_trace

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from dcgrid_env import Feeder, load_feeder, make_scenario
+from dcgrid_env.apps.hosting.connection_study.study_command import make_job, read_request
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-from dcgrid_env.cli.connection_study import make_job, read_request
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import re
 import pytest
 
 from dcgrid_env import make_scenario, scenario_hash
+from dcgrid_env.apps.benchmark.summary import BestKnownCost
 from dcgrid_env.baselines import published
-from dcgrid_env.baselines.benchmark.summary import BestKnownCost
 from dcgrid_env.cli.main import main
 from docs.studies.benchmark_data import REFERENCE, BenchmarkData, all_data, public_command
 from docs.studies.commands import main as studies

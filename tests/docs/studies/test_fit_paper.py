@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from dcgrid_env.baselines.reproduction.guess import VALUES, Distance, Guess
-from dcgrid_env.baselines.reproduction.load import choose_load
-from dcgrid_env.baselines.reproduction.study_runs import Setting
+from dcgrid_env.apps.reproduction.guess import VALUES, Distance, Guess
+from dcgrid_env.apps.reproduction.load import choose_load
+from dcgrid_env.apps.reproduction.study_runs import Setting
 from docs.studies import fit_paper
 from docs.studies.commands import main
 

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 
 from dcgrid_env import FeederError, ThreePhaseFeeder
-from dcgrid_env.grid.formats.opendss.dss_source import ALLOWABLE
-from dcgrid_env.grid.formats.opendss.reading import read_circuit
+from dcgrid_env.apps.importers.opendss.dss_source import ALLOWABLE
+from dcgrid_env.apps.importers.opendss.reading import read_circuit
 from dcgrid_env.powerflow import solve_unbalanced
 from helpers.places import ROOT
 

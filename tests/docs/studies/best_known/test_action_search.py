@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
+from dcgrid_env.agents.evaluate_command import Evaluate
+from dcgrid_env.apps.benchmark.benchmark_tables import scenario_table
+from dcgrid_env.apps.benchmark.summary import summarise
 from dcgrid_env.baselines import make_controller, published, rollout
-from dcgrid_env.baselines.benchmark.benchmark_tables import IS_NO_BOUND, scenario_table
-from dcgrid_env.baselines.benchmark.summary import summarise
 from dcgrid_env.baselines.hindsight_costs import BEST_KNOWN, read_hindsight
 from dcgrid_env.baselines.recorded_actions import RecordedActions, recorded_actions, replayed
-from dcgrid_env.cli.evaluate import Evaluate
+from dcgrid_env.baselines.score import IS_NO_BOUND
 from docs.studies.best_known import blocks
 from docs.studies.best_known.action_search import Known, best_known
 from docs.studies.best_known.best_known_values import BestKnownValues

@@ -1,0 +1,1 @@
+"""Tools that all commands share: their base class, options, checks of settings, and output on the terminal."""

@@ -1,5 +1,0 @@
-"""Three-phase grids from GridLAB-D's .glm files, through the equivalent OpenDSS circuit."""
-
-from dcgrid_env.grid.formats.gridlabd.glm_reading import read_gridlabd
-
-__all__ = ["read_gridlabd"]
