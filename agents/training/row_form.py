@@ -30,7 +30,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
 }
 """Values of the fields of a form."""
 
-CORRECTS_DROOP = ("ieee13-3ph", "routing", "smoothing", "zero-shot")
+CORRECTS_DROOP = ("ieee13-3ph", "routing", "smoothing")
 """Presets on which actions correct the tuned droop by default (decision 51)."""
 PAID_ALONE = ("ieee13-3ph",)
 """Presets on which policies trained by difference rewards cost more than the droop on validation."""

@@ -8,13 +8,14 @@ library, so vector environments of any library and controllers use the same ones
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from dcgrid_env import IDS, Scenario, action_layout, field_names, make_scenario, under_own_control
+from dcgrid_env import IDS, RandomFeeders, Scenario, action_layout, field_names, make_scenario, under_own_control
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.training.config import Act
@@ -57,6 +58,8 @@ def learning_rows(
         raise ValueError("nameplate is True with view 'joint'; choose view 'shared' or 'channel', or leave it out")
     cost = overrides.get("cost")
     named = {*overrides, *(cost if isinstance(cost, Mapping) else ())}
+    if isinstance(chosen.feeder, RandomFeeders) and chosen.split == "train" and "feeder" not in named:
+        chosen = chosen.replace(feeder=replace(chosen.feeder, batch=1))
     is_open = "reward" not in named and chosen.cost.reward == "shared" and chosen.split == "train"
     if is_open and form.view != "joint":
         chosen = learning_reward(chosen)

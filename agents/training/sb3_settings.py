@@ -16,40 +16,45 @@ if TYPE_CHECKING:
     from dcgrid_env.agents.training.batched_envs import RowVecEnv
 
 
-def ppo_settings(envs: VecEnv) -> dict[str, Any]:
+def ppo_settings(envs: VecEnv, steps: int = 60_000) -> dict[str, Any]:
     """Return keyword arguments for Stable-Baselines3's PPO, as in ``PPO(env=envs, **ppo_settings(envs))``.
 
-    A rollout has 480 decisions of all environments together, so that the policy is improved often, and 320 where a
-    decision lasts for 10 s or more. Where rewards of later steps count it has 960, and the policy changes more slowly.
-    The policy scales its observations itself, by the means and standard deviations in one episode of eight environments
+    A rollout has 480 decisions of all environments together, so that the policy is improved often, and in a training of
+    more than 60,000 steps a 125th of these. It has 320 where a decision lasts for 10 s or more. Where rewards of later
+    steps count it has 960, and the policy changes more slowly. The policy scales its observations itself, by the means and standard deviations in one episode of eight environments
     with small random actions. A saved model therefore needs no file of VecNormalize.
 
     Parameters
     ----------
     envs
         Result of :func:`sb3_vec_env`, also inside wrappers such as VecMonitor.
+    steps
+        Steps of all environments together that the training will have.
 
     Raises
     ------
     TypeError
         If the environments are not those of :func:`sb3_vec_env`.
     ValueError
-        If a wrapper changes the observations, as VecNormalize does. Make the settings from the environments without it,
-        and replace ``policy_kwargs``.
+        If ``steps`` is less than 1, or a wrapper changes the observations, as VecNormalize does. Make the settings from
+        the environments without it, and replace ``policy_kwargs``.
     """
     from stable_baselines3.common.utils import LinearSchedule
 
+    if steps < 1:
+        raise ValueError(f"steps is {steps}; give the steps of the training, at least 1")
     made = rows_of(envs)
     gamma = discount(made)
     is_single = gamma < 0.5  # what follows a decision hardly counts
-    decisions = 480 if gamma == 0.0 else 320 if is_single else 960
+    decisions = max(480, steps // 125) if gamma == 0.0 else 320 if is_single else 960
     n_steps = max(2, min(decisions // made.n_envs, made.rows.n_decisions))
+    n_minibatches = 8 if gamma == 0.0 and decisions >= 960 else 4
     return {
         "policy": "MlpPolicy",
         "gamma": gamma,
         "gae_lambda": gamma,
         "n_steps": n_steps,
-        "batch_size": max(2, -(-n_steps * made.num_envs // 4)),
+        "batch_size": max(2, -(-n_steps * made.num_envs // n_minibatches)),
         "n_epochs": 3,
         "learning_rate": LinearSchedule(3e-3 if is_single else 1e-3, 0.0, 1.0),
         "policy_kwargs": {"log_std_init": -1.0 if is_single else -2.0, **scaled_observations(made)},

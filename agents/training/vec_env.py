@@ -26,9 +26,9 @@ def sb3_vec_env(
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
 
     By default rows, actions and reward have the form with which training is fastest: a row is a channel of an agent,
-    an action of 0 is no control, and training is paid by difference rewards. :func:`ppo_settings` returns
-    the settings of PPO that go with it. ``view="joint", outputs="setpoint", reward="shared"`` is the form of
-    ``gymnasium.make``.
+    an action of 0 is no control, and training is paid by difference rewards. On random feeders each environment has a
+    feeder of its own. :func:`ppo_settings` returns the settings of PPO that go with it.
+    ``view="joint", outputs="setpoint", reward="shared"`` is the form of ``gymnasium.make``.
 
     Its algorithms and wrappers (VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next reset begins
     the episodes of seeds n, n + 1 and so on, one in each environment. A further reset begins the next episodes, and on

@@ -121,7 +121,7 @@ class Simulation:
             state, noise, transition = done
             measured = (now.measured[1], state.v_agent_pu)
         if self.scenario.cost.reward == "difference":
-            vector = self._saved(now.state, state, action, outside) / difference_scale(self.scenario)
+            vector = self._saved(now.state, state, action, outside) / difference_scale(self.scenario.family)
             if not all_true(solved := transition.converged):
                 vector = np.where(solved[:, None], vector, -transition.cost_j[:, None])
             paid = difference.sums_by_agent(self.scenario, vector)
@@ -238,11 +238,11 @@ def difference_scale(scenario: Scenario) -> np.ndarray:
     One set point is moved to either end of its range, in the first training episodes and without other control. The
     divisor is the mean over all agents with the channel of the larger change in cost, or 1 if the channel has no
     effect. The violation is not counted, because a trained policy has little. A positive divisor does not change which
-    action of a channel is best.
+    action of a channel is best. On random feeders it is measured on the first training feeder.
     """
     layout = action_layout(scenario)
     plain = scenario.paid_as_team().replace(split="train", weights={"violation": 0.0})
-    sampled = Simulation(plain, SCALE_EPISODES)
+    sampled = Simulation(plain.member(0), SCALE_EPISODES)
     sampled.reset(range(SCALE_EPISODES))
     s, largest = sampled.scenario, []
     rest = np.tile(difference.rest_action(s), (SCALE_EPISODES, 1))

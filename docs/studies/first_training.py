@@ -56,11 +56,11 @@ TEACHES = {
 """What each preset teaches, in the order of the table."""
 STEPS = {
     "scale-32": 20_000, "ieee13-3ph": 30_000, "ieee13-3ph-published": 30_000, "ieee123-3ph-day": 30_000,
-    "ride-through": 40_000, "smoothing": 384_000, "zero-shot": 20_000,
+    "ride-through": 40_000, "smoothing": 384_000,
 }  # fmt: skip
 """Steps of all environments together; 60,000 on the others."""
 NUM_ENVS = {"scale-32": 16, "smoothing": 16}
-"""Environments of the batch; 32 on the others."""
+"""Environments of the batch; 32 on the others, and 64 in trainings of 200,000 steps or more."""
 
 
 def trained(scenario: str, seed: int, steps: int) -> dict[str, Any]:
@@ -70,8 +70,8 @@ def trained(scenario: str, seed: int, steps: int) -> dict[str, Any]:
 
     torch.set_num_threads(1)
     began_s = time.process_time()
-    envs = sb3_vec_env(scenario, NUM_ENVS.get(scenario, 32))
-    model = PPO(env=envs, **ppo_settings(envs), seed=seed)
+    envs = sb3_vec_env(scenario, NUM_ENVS.get(scenario, 32 if steps < 200_000 else 64))
+    model = PPO(env=envs, **ppo_settings(envs, steps), seed=seed)
     model.learn(steps * envs.rows_per_env // envs.rows.action_repeat)
     cpu_s = time.process_time() - began_s
     j = dcgrid_env.score(model, scenario, range(EPISODES)).J

@@ -37,6 +37,8 @@ from dcgrid_env.engine.physics.dynamics import device_slices, device_step
 from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.grid import Feeder
+from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
+from dcgrid_env.powerflow import sensitivity
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs import load_requests
 from dcgrid_env.scenario.costs.grid_terms import voltage_cost
@@ -68,10 +70,26 @@ class Sensitivities(NamedTuple):
 
 @cached_on_owner
 def sensitivities(scenario: Scenario) -> Sensitivities:
-    """Return the sensitivities of a scenario's feeder."""
-    charged, nodes = scenario.feeder.load_slice, connections(scenario).nodes
+    """Return the sensitivities of a scenario's feeder; of a batch of feeders, those of one after the other."""
+    feeder, charged = scenario.feeder, scenario.feeder.load_slice
+    if isinstance(feeder, FeederBatch):
+        of_feeders = [[matrix[charged].T / 1e3 for matrix in sensitivity(member)] for member, _ in feeder.members]
+        by_p, by_q = (np.concatenate(matrices) for matrices in zip(*of_feeders, strict=True))
+        return Sensitivities(by_p, by_q, True)
+    nodes = connections(scenario).nodes
     by_p, by_q = (matrix[charged].T[nodes].mean(1) / 1e3 for matrix in true_sensitivity(scenario))
-    return Sensitivities(by_p, by_q, isinstance(scenario.feeder, Feeder))
+    return Sensitivities(by_p, by_q, isinstance(feeder, Feeder))
+
+
+def groups(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
+    """Return the row of ``sensitivities`` of each agent at its bus, int, (row, n_agent); buses as in ``differences``."""
+    feeder = scenario.feeder
+    if not isinstance(feeder, FeederBatch):
+        return connections(scenario).group[np.arange(scenario.n_agents), buses]
+    feeder_index = np.empty(len(buses), np.int64)
+    for i, (_, env_indices) in enumerate(feeder.members):
+        feeder_index[env_indices] = i
+    return buses + feeder_index[:, None] * feeder.n_bus
 
 
 @cached_on_owner
@@ -252,7 +270,7 @@ def differences(
     if targets is not None:
         slopes = (targets.by_p, targets.by_q)
         coming = coming_taps(scenario, targets, after, steps_left, exogenous.offset_v)
-    group = connections(scenario).group[np.arange(scenario.n_agents), buses]
+    group = groups(scenario, buses)
     add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, group, slopes, coming, saved)
     if scenario.cost.weights.grid_request:
         saved += _saved_requests(scenario, after, drawn_kw, exogenous.available)
@@ -318,8 +336,10 @@ def charges(scenario: Scenario) -> Charges:
     """Return the constants of a scenario's costs."""
     t, weights = terms(scenario), scenario.cost.weights
     effort = (weights.effort / t.n_converters) * inverse(parameters(scenario, np.empty(0)).converter_kva)
-    targets = np.ascontiguousarray(voltage_targets(scenario)[t.judged])
-    return Charges(targets, weights.voltage / t.n_judged, weights.violation / t.n_judged, effort)
+    targets = voltage_targets(scenario)[..., t.judged]
+    if targets.ndim == 2:
+        targets = targets[0]  # on several feeders all targets are 1 p.u., see check_difference_reward
+    return Charges(np.ascontiguousarray(targets), weights.voltage / t.n_judged, weights.violation / t.n_judged, effort)
 
 
 @cached_on_owner

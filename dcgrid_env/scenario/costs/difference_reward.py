@@ -25,8 +25,8 @@ def check_difference_reward(scenario: Any) -> None:
     instead = "use reward='shared' or 'local' there"
     where = f"scenario {scenario.name!r}: cost.reward is 'difference', which"
     feeder, cost = scenario.feeder, scenario.cost
-    if isinstance(feeder, RandomFeeders):
-        raise ScenarioError(f"{where} needs the model of one feeder, and feeder is RandomFeeders; {instead}")
+    if isinstance(feeder, RandomFeeders) and cost.reference == "profile":
+        raise ScenarioError(f"{where} has one target for all feeders: set cost.reference to 'nominal', or {instead}")
     if feeder.n_node > MOST_NODES:
         raise ScenarioError(f"{where} needs a feeder of {MOST_NODES} nodes at most, not {feeder.n_node}; {instead}")
     for device in scenario.devices:

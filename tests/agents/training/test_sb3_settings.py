@@ -52,6 +52,15 @@ def test_environments_whose_observations_cannot_be_scaled_are_refused(algorithm,
             settings(changed)
 
 
+def test_longer_trainings_have_larger_rollouts():
+    envs = sb3_vec_env("ieee33-weak", 32)
+    short, long = ppo_settings(envs), ppo_settings(envs, steps=360_000)
+    assert (short["n_steps"], long["n_steps"]) == (15, 90)
+    assert (short["batch_size"], long["batch_size"]) == (15 * envs.num_envs / 4, 90 * envs.num_envs / 8)
+    with pytest.raises(ValueError, match="steps is 0; give the steps of the training, at least 1"):
+        ppo_settings(envs, steps=0)
+
+
 def test_one_environment_with_an_episode_of_one_step_is_trained():
     envs = sb3_vec_env("toy6", 1, "joint", horizon=1)
     assert PPO(env=envs, **ppo_settings(envs)).learn(2).num_timesteps == 2

@@ -35,6 +35,27 @@ SCENARIO = make_scenario("ieee33", name="on-random-feeders", **SETTINGS)
 STEPS = 14
 
 
+def test_a_difference_reward_is_that_of_the_episode_s_own_feeder():
+    scenario = SCENARIO.replace(reward="difference", split="train")
+    seeds = [0, 4, 8, 9]  # on three feeders
+    batch = DcgridVectorEnv(len(seeds), scenario)
+    batch.reset(seed=seeds)
+    actions = np.random.default_rng(1).uniform(-0.2, 0.2, (5, *batch.action_space.shape)).astype(np.float32)
+    together = []
+    for action in actions:
+        batch.step(action)
+        together.append(batch.transition.reward_vector)
+    members = [scenario.member(seed) for seed in seeds]
+    assert len({member.feeder.name for member in members}) == 3
+    for i, (seed, member) in enumerate(zip(seeds, members, strict=True)):
+        alone = DcgridVectorEnv(1, member)
+        alone.reset(seed=seed)
+        for action, saved in zip(actions, together, strict=True):
+            alone.step(action[i : i + 1])
+            np.testing.assert_allclose(saved[i : i + 1], alone.transition.reward_vector, rtol=1e-9, atol=1e-12)
+        assert np.abs(saved[i]).max() > 1e-3
+
+
 def course(env, n_env, seed):
     """Observations and rewards of environments, each of which begins its next episode where one is over."""
     rng = np.random.default_rng(0)

@@ -8,7 +8,7 @@ from dcgrid_env import ScenarioError, make_scenario, scenario_hash
 @pytest.mark.parametrize(
     ("name", "fields", "message"),
     [
-        ("zero-shot", {}, "needs the model of one feeder, and feeder is RandomFeeders"),
+        ("zero-shot", {"cost.reference": "profile"}, "has one target for all feeders: set cost.reference to 'nominal'"),
         ("smoothing", {}, "compares single steps, and smoothing of kind 'datacenter' acts on later ones"),
         (
             "ieee33-weak",
