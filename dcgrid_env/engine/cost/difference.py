@@ -82,7 +82,7 @@ def sensitivities(scenario: Scenario) -> Sensitivities:
 
 
 def groups(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
-    """Return the row of ``sensitivities`` of each agent at its bus, int, (row, n_agent); buses as in ``differences``."""
+    """Return the row of ``sensitivities`` of each agent at its bus, int, (row, n_agent)."""
     feeder = scenario.feeder
     if not isinstance(feeder, FeederBatch):
         return connections(scenario).group[np.arange(scenario.n_agents), buses]
