@@ -1,4 +1,4 @@
-"""Every function that is bound to a compiled twin gives the same figures in both forms."""
+"""Every formula, and every function that is bound to a compiled twin, gives the same figures in both forms."""
 
 from importlib import import_module
 from pkgutil import walk_packages
@@ -9,7 +9,9 @@ import torch
 
 import dcgrid_env
 from dcgrid_env import load_feeder
+from dcgrid_env.core.formula import FORMULAS
 from dcgrid_env.core.twins import TWINS
+from dcgrid_env.devices import converter
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.voltage_curve import RideThroughCurve
@@ -24,7 +26,7 @@ for room in ("devices", "engine", "powerflow"):
 ROWS, SLOTS = 60, 4
 
 
-def dispatch_rows(rng):
+def dispatch(rng):
     rated = rng.uniform(100.0, 900.0, SLOTS)
     p, asked = rng.uniform(-1.2, 1.2, (2, ROWS, SLOTS)) * rated
     return rated, rng.uniform(0.0, 1.0, SLOTS) * rated, p, asked
@@ -49,13 +51,13 @@ def serve_by_slack(rng):
     return queue, moved, arrived, served, 1.0, soon, later, rng.random(), bool(rng.integers(2))
 
 
-def step_rows(rng):
+def storage(rng):
     energy = rng.uniform(0.01, 10.0, SLOTS)
     figures = (rng.uniform(5.0, 60.0, SLOTS), energy, *rng.uniform(0.3, 1.0, (2, SLOTS)), 0.5 * energy)
     full = rng.uniform(-0.2, 1.2, (ROWS, SLOTS)).clip(0.0, 1.0) * energy
     before = (full, *rng.uniform(0.0, 60.0, (2, ROWS, SLOTS)), *rng.normal(0.0, 5.0, (2, ROWS, SLOTS)))
     connected = rng.integers(0, 2, (ROWS, SLOTS)).astype(float) if rng.integers(2) else None
-    return figures, rng.uniform(0.9, 1.0, SLOTS), before, rng.normal(0.0, 60.0, (ROWS, SLOTS)), connected, 1.0 / 60.0
+    return *figures, rng.uniform(0.9, 1.0, SLOTS), *before, rng.normal(0.0, 60.0, (ROWS, SLOTS)), connected, 1.0 / 60.0
 
 
 def next_taps(rng):
@@ -115,35 +117,62 @@ def net_loads(rng):
     return p_load, q_load, at + n * np.arange(ROWS)[:, None, None], p, q
 
 
-INPUTS = [
-    dispatch_rows, serve_linearly, serve_by_slack, step_rows, next_taps, advance_rows, counted, supplied,
-    relay_volts, setpoints, net_loads,
-]  # fmt: skip
+INPUTS = [serve_by_slack, next_taps, advance_rows, counted, relay_volts, setpoints, net_loads]
 """Random arguments of each pair, by the name of its kernel."""
+OF_FORMULAS = {
+    "converter.dispatch": dispatch,
+    "datacenter.serve_linearly": serve_linearly,
+    "energy_balance._after": storage,
+    "ups_battery._supplied": supplied,
+}
+"""Random arguments of each formula that is compiled as a loop over rows."""
 ROUNDED = {"serve_by_slack": 1e-9}
 """Pairs that add up in another order, and how far apart they may be."""
 
 
-def test_every_pair_has_inputs():
+def name_of(formula):
+    return f"{formula.__module__.rpartition('.')[2]}.{formula.__name__}"
+
+
+def test_every_pair_and_every_formula_has_inputs():
     assert {kernel.split(":")[1] for kernel in TWINS} == {make.__name__ for make in INPUTS}
+    assert {name_of(formula) for formula in FORMULAS if formula.is_compiled} == set(OF_FORMULAS)
 
 
-@pytest.mark.parametrize("make", INPUTS, ids=lambda make: make.__name__)
+@pytest.mark.parametrize("make", [*INPUTS, *OF_FORMULAS.values()], ids=lambda make: make.__name__)
 def test_both_forms_give_the_same_figures(make):
-    twins = next(own for kernel, own in TWINS.items() if kernel.endswith(f":{make.__name__}"))
+    pairs = {kernel.split(":")[1]: twins for kernel, twins in TWINS.items()}
+    pairs |= {OF_FORMULAS[name_of(formula)].__name__: formula for formula in FORMULAS if formula.is_compiled}
+    both = pairs[make.__name__]
     for seed in range(30):
         args = make(np.random.default_rng(seed))
-        compiled, arrays = twins(*args), twins.array_form(*args)
+        compiled, arrays = both(*args), both.array_form(*args)
         for ours, theirs in zip(compiled, arrays, strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=ROUNDED.get(make.__name__, 0.0))
         assert any(np.unique(figures).size > 1 for figures in arrays)
 
 
+@pytest.mark.parametrize("make", OF_FORMULAS.values(), ids=lambda make: make.__name__)
+def test_formulas_on_tensors(make):
+    formula = next(formula for formula in FORMULAS if OF_FORMULAS.get(name_of(formula)) is make)
+    for seed in range(5):
+        args = make(np.random.default_rng(seed))
+        tensors = [torch.tensor(arg) if isinstance(arg, np.ndarray) else arg for arg in args]
+        for of_tensors, of_arrays in zip(formula(*tensors), formula(*args), strict=True):
+            np.testing.assert_allclose(of_tensors.numpy(), of_arrays, rtol=1e-12, atol=1e-12)
+
+
 def test_what_decides_between_the_forms(monkeypatch):
-    twins = TWINS["dcgrid_env.devices.converter_kernel:dispatch_rows"]
-    monkeypatch.setattr(twins, "kernel", lambda *args: "kernel")
-    monkeypatch.setattr(twins, "array_form", lambda *args: "arrays")
+    monkeypatch.setattr(converter.dispatch, "rows", lambda *args: "kernel")
+    monkeypatch.setattr(converter.dispatch, "array_form", lambda *args: "arrays")
     rows = np.ones((2, 3))
-    assert twins(rows[0], rows[0], rows, rows) == "kernel"
+    assert converter.dispatch(rows[0], rows[0], rows, rows) == "kernel"
     for other in (rows[0], rows.astype(np.float32), torch.tensor(rows)):
-        assert twins(rows[0], rows[0], other, other) == "arrays"
+        assert converter.dispatch(rows[0], rows[0], other, other) == "arrays"
+
+
+def test_arguments_of_different_shapes():
+    rows = np.ones((2, 3))
+    for rated, asked in ((np.ones(2), rows), (rows[0], rows[:1])):
+        with pytest.raises(ValueError, match="different shapes"):
+            converter.dispatch(rated, rows[0], rows, asked)

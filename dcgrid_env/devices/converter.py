@@ -5,13 +5,20 @@
 
 from __future__ import annotations
 
-from dcgrid_env.core.arrays import Array, namespace, positive_sqrt
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.formula import PerSlot, formula, least, most, root
 
 
-@compiled_as("dcgrid_env.devices.converter_kernel:dispatch_rows", like="p_kw")
-def dispatch(s_rated_kva: Array, q_max_kvar: Array, p_kw: Array, q_setpoint_kvar: Array) -> tuple[Array, Array]:
+@formula
+def limit(s_rated_kva: PerSlot, q_max_kvar: PerSlot, p_kw: Array) -> Array:
+    """Largest reactive power, kvar, for an active power of ``p_kw``."""
+    return least(root(s_rated_kva * s_rated_kva - p_kw * p_kw), q_max_kvar)
+
+
+@formula(like="p_kw")
+def dispatch(
+    s_rated_kva: PerSlot, q_max_kvar: PerSlot, p_kw: Array, q_setpoint_kvar: Array
+) -> tuple[Array, Array]:
     """Reactive injection and its limit, kvar, for an active power of ``p_kw``; all arrays (..., n_device)."""
-    xp = namespace(p_kw)
-    limit = xp.minimum(positive_sqrt(s_rated_kva * s_rated_kva - p_kw * p_kw), q_max_kvar)
-    return xp.minimum(xp.maximum(q_setpoint_kvar, -limit), limit), limit
+    largest = limit(s_rated_kva, q_max_kvar, p_kw)
+    return least(most(q_setpoint_kvar, -largest), largest), largest

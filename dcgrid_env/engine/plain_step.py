@@ -15,9 +15,9 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.coverage import Coverage
-from dcgrid_env.devices.converter_kernel import dispatch_rows
+from dcgrid_env.devices import converter
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.devices.datacenter.linear_kernel import serve_linearly
+from dcgrid_env.devices.datacenter import datacenter
 from dcgrid_env.engine.cost import observation, reward
 from dcgrid_env.engine.cost.plain_figures import (
     ARRAYS,
@@ -42,6 +42,7 @@ from dcgrid_env.powerflow.balanced.compiled_blocks import FEW
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
 
+dispatch_rows, serve_linearly = converter.dispatch.rows, datacenter.serve_linearly.rows
 COVERED = Coverage(
     SETTINGS | {Sensing: "preview regulator_delay_s r_model_share x_model_share model_open* model_closed*"},
     {

@@ -16,15 +16,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
+from dcgrid_env.core.arrays import Array, namespace, sum_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.coverage import Coverage
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.formula import PerSlot, formula, least, most, positive
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs
 from dcgrid_env.devices.ratings import DataCenterParams
 
 COVERED = Coverage({LinearDvfs: ""})
-"""The clock law that ``_serve_linearly`` covers."""
+"""The clock law that ``serve_linearly`` covers."""
 
 
 class DataCenterState(NamedTuple):
@@ -96,10 +96,10 @@ def step(
     """
     if type(dvfs) is LinearDvfs and _is_compiled(dvfs):
         ratings = params.p_idle_kw, params.p_dynamic_kw, params.f_max_mhz
-        after = _serve_linearly(*ratings, class_backlog_kws, p_ref_kw, f_mhz, dt_s, boost)
+        after = serve_linearly(*ratings, class_backlog_kws, p_ref_kw, f_mhz, dt_s, boost)
         return DataCenterStep(*after, *after[:3])
     xp = namespace(p_ref_kw)
-    arrived = positive_part(p_ref_kw - params.p_idle_kw)
+    arrived = arriving(params.p_idle_kw, p_ref_kw)
     if boost:
         params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
     base = xp.minimum(p_ref_kw, params.p_idle_kw)
@@ -111,11 +111,32 @@ def _is_compiled(dvfs: LinearDvfs) -> bool:
     return COVERED.includes(dvfs)
 
 
-@compiled_as("dcgrid_env.devices.datacenter.linear_kernel:serve_linearly", like="p_ref_kw", views=("f_mhz",))
-def _serve_linearly(
-    p_idle_kw: Array,
-    p_dynamic_kw: Array,
-    f_max_mhz: Array,
+@formula
+def left_over(backlog_kws: Array, arrived_kw: Array, served_kw: Array, dt_s: float) -> Array:
+    """Work queued after an interval, kW s.
+
+    The positive part takes off no more than the rounding of a queue that has just run empty.
+    """
+    return positive(backlog_kws + (arrived_kw - served_kw) * dt_s)
+
+
+@formula
+def at_hand(backlog_kws: Array, arrived_kw: Array, dt_s: float) -> Array:
+    """Work that arrives and waits, as the dynamic power that would serve all of it within an interval, kW."""
+    return arrived_kw + backlog_kws / dt_s
+
+
+@formula
+def arriving(p_idle_kw: PerSlot, p_ref_kw: Array) -> Array:
+    """Work that arrives, as the dynamic power that it takes at the top clock, kW."""
+    return positive(p_ref_kw - p_idle_kw)
+
+
+@formula(like="p_ref_kw", views=("f_mhz",))
+def serve_linearly(
+    p_idle_kw: PerSlot,
+    p_dynamic_kw: PerSlot,
+    f_max_mhz: PerSlot,
     backlog_kws: Array,
     p_ref_kw: Array,
     f_mhz: Array,
@@ -123,13 +144,10 @@ def _serve_linearly(
     boost: bool,
 ) -> tuple[Array, Array, Array, Array]:
     """Backlog, kW s, work arrived and served, and draw, kW, of ``step`` under the linear law."""
-    xp = namespace(p_ref_kw)
-    arrived = positive_part(p_ref_kw - p_idle_kw)
-    most = xp.maximum(p_dynamic_kw, arrived) if boost else p_dynamic_kw
-    served = xp.minimum(most * (f_mhz / f_max_mhz), arrived + backlog_kws / dt_s)
-    # The positive part takes off no more than the rounding of a queue that has just run empty.
-    backlog = positive_part(backlog_kws + (arrived - served) * dt_s)
-    return backlog, arrived, served, xp.minimum(p_ref_kw, p_idle_kw) + served
+    arrived = arriving(p_idle_kw, p_ref_kw)
+    ceiling = most(p_dynamic_kw + 0.0 * arrived, arrived) if boost else p_dynamic_kw + 0.0 * arrived
+    served = least(ceiling * (f_mhz / f_max_mhz), at_hand(backlog_kws, arrived, dt_s))
+    return left_over(backlog_kws, arrived, served, dt_s), arrived, served, least(p_ref_kw, p_idle_kw) + served
 
 
 def serve_arrived(
@@ -161,14 +179,13 @@ def serve_arrived(
         compute = arrived_kw * compute_share
         class_arrived = namespace(arrived_kw).concat((compute[..., None], (arrived_kw - compute)[..., None]), axis=-1)
         by_class = None if energy_share is None else energy_share[..., None]
-    at_hand = class_arrived + class_backlog_kws / dt_s
+    work_kw = at_hand(class_backlog_kws, class_arrived, dt_s)
     if by_class is None:
-        class_served, dynamic = dvfs.serve(params, f_mhz, at_hand)
+        class_served, dynamic = dvfs.serve(params, f_mhz, work_kw)
     else:
-        class_served, dynamic = dvfs.serve(params, f_mhz, at_hand * by_class)
+        class_served, dynamic = dvfs.serve(params, f_mhz, work_kw * by_class)
         class_served = class_served / by_class
-    # The positive part takes off no more than the rounding of a queue that has just run empty.
-    class_backlog = positive_part(class_backlog_kws + (class_arrived - class_served) * dt_s)
+    class_backlog = left_over(class_backlog_kws, class_arrived, class_served, dt_s)
     served, backlog = class_served, class_backlog
     if compute_share is not None:
         served, backlog = sum_last(class_served), sum_last(class_backlog)

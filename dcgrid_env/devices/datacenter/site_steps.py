@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, namespace, positive_part
+from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, work_classes_of
-from dcgrid_env.devices.datacenter.datacenter import DataCenterState, DataCenterStep, serve_arrived, step
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState, DataCenterStep, arriving, serve_arrived, step
 from dcgrid_env.devices.datacenter.site_features import Given, Load, SiteState
 from dcgrid_env.devices.device import Work
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -93,7 +93,7 @@ class SiteSteps:
 def _load(params: DataCenterParams, work: Work) -> Load:
     """The work as it comes."""
     base = namespace(work.p_ref_kw).minimum(work.p_ref_kw, params.p_idle_kw)
-    return Load(base, positive_part(work.p_ref_kw - params.p_idle_kw), work.compute_share)
+    return Load(base, arriving(params.p_idle_kw, work.p_ref_kw), work.compute_share)
 
 
 def _after(done: DataCenterStep, state: DataCenterState, f_mhz: Array) -> tuple[DataCenterState, Array]:

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dcgrid_env.core.arrays import Array, namespace, positive_part
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.formula import PerSlot, choose, formula, least, positive
 from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 
 
@@ -65,37 +65,33 @@ def step(
     return BatteryState(*state), grid_kw, works
 
 
-@compiled_as("dcgrid_env.devices.ride_through.ups_battery_kernel:supplied", like="p_kw")
+@formula(like="p_kw")
 def _supplied(
     stored_kws: Array,
     share: Array,
     p_kw: Array,
     p_idle_kw: Array,
     served_kw: Array,
-    p_rated_kw: Array,
+    p_rated_kw: PerSlot,
     battery_s: float,
     recharge_share: float,
     efficiency: float,
     serves: bool,
     dt_s: float,
-) -> tuple[Array, ...]:
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """The fields of ``BatteryState``, the draw from the grid, kW, and the share of the work that is done."""
-    xp = namespace(p_kw)
-    away = 1.0 - share
-    wanted = away * (p_kw if serves else p_idle_kw)
-    battery_kw = xp.minimum(wanted, stored_kws / dt_s)
+    full = p_rated_kw * battery_s
+    wanted = (1.0 - share) * (p_kw if serves else p_idle_kw)
+    battery_kw = least(wanted, stored_kws / dt_s)
     works = share
     if serves:
         some = p_kw > 0.0
-        works = xp.where(some, (share * p_kw + battery_kw) / xp.where(some, p_kw, 0.0 * p_kw + 1.0), 0.0 * p_kw + 1.0)
-    lacking = positive_part(p_rated_kw * battery_s - stored_kws)
-    most = xp.minimum(0.0 * p_kw + p_rated_kw * recharge_share, lacking / (efficiency * dt_s))
-    recharge = xp.where(share >= 1.0, xp.minimum(most, positive_part(p_rated_kw - p_kw)), 0.0 * p_kw)
-    after = positive_part(stored_kws - battery_kw * dt_s) + efficiency * dt_s * recharge
-    full = p_rated_kw * battery_s + 0.0 * p_kw
-    works = xp.where(works > 1.0, 0.0 * works + 1.0, works)  # beyond 1 by rounding
-    work = (works - share) * served_kw
-    return xp.minimum(after, full), battery_kw, recharge, work, share * p_kw + recharge, works
+        works = choose(some, (share * p_kw + battery_kw) / choose(some, p_kw, 1.0), 1.0)
+    fastest = least(p_rated_kw * recharge_share + 0.0 * p_kw, positive(full - stored_kws) / (efficiency * dt_s))
+    recharge = choose(share >= 1.0, least(fastest, positive(p_rated_kw - p_kw)), 0.0 * p_kw)
+    after = least(positive(stored_kws - battery_kw * dt_s) + efficiency * dt_s * recharge, full + 0.0 * p_kw)
+    works = choose(works > 1.0, 1.0, works)  # beyond 1 by rounding
+    return after, battery_kw, recharge, (works - share) * served_kw, share * p_kw + recharge, works
 
 
 def without_grid(rule: UpsRideThrough, state: BatteryState, available: Array, dt_s: float) -> BatteryState:

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dcgrid_env.core.arrays import Array, namespace, positive_part
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.formula import PerSlot, formula, least, most, positive
 
 
 class StorageParams(NamedTuple):
@@ -57,7 +57,7 @@ class StorageState(NamedTuple):
 def initial(params: StorageParams, zero: Array) -> StorageState:
     """State before t = 0; ``zero`` is 0, (row, slot)."""
     stored = zero + params.initial_kwh
-    missing = positive_part(params.returned_kwh - stored)
+    missing = positive(params.returned_kwh - stored)
     return StorageState(stored, zero, zero, zero, zero, zero, missing)
 
 
@@ -78,44 +78,49 @@ def step(
         Length of the interval, s.
     """
     p, s, hours = params, state, dt_s / 3600.0
-    figures = (p.p_rated_kw, p.energy_kwh, p.charge_efficiency, p.discharge_efficiency, p.returned_kwh)
-    before = (s.stored_kwh, s.charge_limit_kw, s.discharge_limit_kw, s.throughput_kwh, s.storage_loss_kwh)
     share = (1.0 - params.standby_share_per_h) ** hours
-    return StorageState(*_stepped(figures, share, before, asked_kw, connected, hours))
+    return StorageState(
+        *_after(
+            p.p_rated_kw, p.energy_kwh, p.charge_efficiency, p.discharge_efficiency, p.returned_kwh, share,
+            s.stored_kwh, s.charge_limit_kw, s.discharge_limit_kw, s.throughput_kwh, s.storage_loss_kwh, asked_kw,
+            connected, hours,
+        )
+    )  # fmt: skip
 
 
-@compiled_as("dcgrid_env.devices.storage.energy_kernel:step_rows", like="before", views=("asked_kw", "connected"))
-def _stepped(
-    figures: tuple[Array, ...],
-    share: Array,
-    before: tuple[Array, ...],
+@formula(like="stored_before_kwh", views=("asked_kw", "connected"))
+def _after(
+    p_rated_kw: PerSlot,
+    energy_kwh: PerSlot,
+    charge_efficiency: PerSlot,
+    discharge_efficiency: PerSlot,
+    returned_kwh: PerSlot,
+    share: PerSlot,
+    stored_before_kwh: Array,
+    charge_limit_kw: Array,
+    discharge_limit_kw: Array,
+    throughput_kwh: Array,
+    loss_kwh: Array,
     asked_kw: Array,
     connected: Array | None,
     hours: float,
-) -> tuple[Array, ...]:
-    """The fields of the state after an interval.
-
-    From figures, (slot,) each, the share of the energy that is kept, (slot,), arrays of the state and setpoints,
-    (row, slot) each, and ``connected``, (row, slot).
-    """
-    p_rated_kw, energy_kwh, charge_efficiency, discharge_efficiency, returned_kwh = figures
-    stored_before_kwh, charge_limit_kw, discharge_limit_kw, throughput_kwh, loss_kwh = before
-    xp = namespace(asked_kw)
-    p_kw = xp.maximum(xp.minimum(asked_kw, charge_limit_kw), -discharge_limit_kw)
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
+    """The fields of ``StorageState`` after an interval; ``share`` is that of the energy that is kept."""
+    p_kw = most(least(asked_kw, charge_limit_kw), -discharge_limit_kw)
     if connected is not None:
         p_kw = p_kw * connected
-    charged, discharged = positive_part(p_kw), positive_part(-p_kw)
+    charged, discharged = positive(p_kw), positive(-p_kw)
     gained = charged * charge_efficiency - discharged / discharge_efficiency
     # The bounds take off no more than the rounding of a storage that has just run full or empty.
-    stored = xp.minimum(positive_part(stored_before_kwh * share + gained * hours), energy_kwh)
+    stored = least(positive(stored_before_kwh * share + gained * hours), energy_kwh)
     kept = stored * share
     room_kw = (energy_kwh - kept) / (charge_efficiency * hours)
     return (
         stored,
         p_kw,
-        xp.minimum(p_rated_kw, room_kw),
-        xp.minimum(p_rated_kw, kept * discharge_efficiency / hours),
+        least(p_rated_kw, room_kw),
+        least(p_rated_kw, kept * discharge_efficiency / hours),
         throughput_kwh + (charged + discharged) * hours,
         loss_kwh + p_kw * hours - (stored - stored_before_kwh),
-        positive_part(returned_kwh - stored),
+        positive(returned_kwh - stored),
     )

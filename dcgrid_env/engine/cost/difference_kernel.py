@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
-from dcgrid_env.devices.converter_kernel import dispatch_one
+from dcgrid_env.devices import converter
 from dcgrid_env.engine.cost.tap_credit import MARGIN, WIDTH
 
+dispatch = converter.dispatch.scalar
 SUMS = {"reassoc", "nsz", "contract"}
 """Liberties that the compiler may take in sums over nodes, which it then vectorises."""
 
@@ -62,7 +63,7 @@ def add_saved_costs_rows(
                 if has_reactive[change]:
                     given = default if is_reactive[change] else setpoints
                     asked = given[row, reactive_entry[change]]
-                q, _ = dispatch_one(s_rated_kva[i], q_max_kvar[i], p, asked)
+                q, _ = dispatch(s_rated_kva[i], q_max_kvar[i], p, asked)
                 if len(available):
                     p, q = p * available[row, i], q * available[row, i]
                 more += effort[i] * (abs(q) - abs(q_kvar[row, i]))

@@ -417,7 +417,7 @@ def test_devices_of_another_kind():
     site = DataCenters(count=3, p_rated_kw=200.0, s_rated_share=1.2, q_max_share=0.5)
     storages = Storages(buses=(18, 33), p_rated_kw=100.0, energy_kwh=200.0)
     scenario = scenario_of(BALANCED, devices=(site, Inverters(), storages))
-    assert fast_paths(scenario) == {"grid_pass", "_serve_linearly"}
+    assert fast_paths(scenario) == {"grid_pass", "serve_linearly"}
     assert_alike(scenario)
 
 
@@ -451,7 +451,7 @@ def test_a_field_of_any_part_of_a_scenario(preset, n_env, kind, monkeypatch):
     add_field(monkeypatch, kind)
     assert fast_paths(altered(before), n_env) == fast_paths(before, n_env)
     path = f"{OF_SCENARIO[kind]}.{NAME}".removeprefix(".")
-    assert_general_path(before, altered(before, path, 1.0), n_env, {"_serve_linearly"})
+    assert_general_path(before, altered(before, path, 1.0), n_env, {"serve_linearly"})
 
 
 @pytest.mark.parametrize(
@@ -462,7 +462,7 @@ def test_a_field_of_any_table_of_a_feeder(preset, kind, path, monkeypatch):
     before = scenario_of(preset)
     add_field(monkeypatch, kind)
     after = altered(before, ".".join(filter(None, ("feeder", path, NAME))), 1.0)
-    assert_general_path(before, after, 1, {"_serve_linearly", "plain_figures"})
+    assert_general_path(before, after, 1, {"serve_linearly", "plain_figures"})
 
 
 @pytest.mark.parametrize("preset", [BALANCED, THREE_PHASE])
@@ -475,7 +475,7 @@ def test_a_field_of_any_device(preset, kind, path, monkeypatch):
     before = scenario_of(preset)
     add_field(monkeypatch, kind)
     after = altered(before, f"{path}.{NAME}", 1.0)
-    allowed = {"grid_pass", "phase_pass"} | ({"_serve_linearly"} if kind is not LinearDvfs else set())
+    allowed = {"grid_pass", "phase_pass"} | ({"serve_linearly"} if kind is not LinearDvfs else set())
     assert_general_path(before, after, 1, allowed)
 
 

@@ -46,7 +46,7 @@ def fast_paths(scenario: Any, n_env: int = 1) -> set[str]:
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
             (stepping, "plain_step"), (stepping, "plain_figures"), (grid_pass, "grid_pass"), (phase_pass, "phase_pass"),
-            (datacenter, "_serve_linearly"),
+            (datacenter, "serve_linearly"),
         ):  # fmt: skip
             patch.setattr(module, name, _noting(taken, name, getattr(module, name)))
         steps_of(Simulation(altered(scenario), n_env), steps=2)

@@ -1,0 +1,171 @@
+"""Formulas that are written once: for kernels, for arrays over environments and slots, and for tensors.
+
+    @formula(like="p_kw")
+    def dispatch(s_rated_kva: PerSlot, q_max_kvar: PerSlot, p_kw: Array, asked_kvar: Array) -> tuple[Array, Array]:
+        limit = least(root(s_rated_kva * s_rated_kva - p_kw * p_kw), q_max_kvar)
+        return least(most(asked_kvar, -limit), limit), limit
+
+The body is a function of numbers. It uses arithmetic, comparisons, ``abs``, other formulas, and the five functions
+below instead of those of NumPy. A choice between two values is ``choose``; ``if`` is for settings only.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Sequence
+from functools import cached_property, update_wrapper
+from inspect import signature
+from typing import Any
+
+import numpy as np
+
+from dcgrid_env.core.arrays import Array, namespace, positive_part, positive_sqrt
+
+PerSlot = Array
+"""Annotation of an argument with a value for each slot, (slot,)."""
+
+
+def least(a: Array, b: Array) -> Array:
+    """The smaller of two values; arrays or tensors."""
+    return namespace(a).minimum(a, b)
+
+
+def most(a: Array, b: Array) -> Array:
+    """The larger of two values; arrays or tensors."""
+    return namespace(a).maximum(a, b)
+
+
+def positive(a: Array) -> Array:
+    """max(a, 0)."""
+    return positive_part(a)
+
+
+def root(a: Array) -> Array:
+    """sqrt(max(a, 0)), with derivative 0 at and below 0."""
+    return positive_sqrt(a)
+
+
+def choose(condition: Array, a: Array | float, b: Array | float) -> Array:
+    """``a`` where the condition is True, else ``b``; one of them may be a number."""
+    return namespace(condition).where(condition, a, b)
+
+
+class Formula:
+    """A formula; see ``formula``. Called with arrays, it computes them elementwise."""
+
+    def __init__(self, body: Callable[..., Any], like: str | None, views: Sequence[str]):
+        update_wrapper(self, body)
+        self.array_form = body
+        """The body itself, for arrays of any kind and shape."""
+        place = list(signature(body).parameters).index
+        self._like, self._views = None if like is None else place(like), tuple(map(place, views))
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether arrays (row, slot) run as a compiled loop."""
+        return self._like is not None
+
+    def __call__(self, *args: Any) -> Any:
+        """Compute the formula, compiled if ``like`` is a NumPy array (row, slot) of float64."""
+        if self._like is None:
+            return self.array_form(*args)
+        like = args[self._like]
+        if type(like) is not np.ndarray or like.ndim != 2 or like.dtype != np.float64:
+            return self.array_form(*args)
+        for position in self._views:
+            value = args[position]
+            if value is not None and not value.flags.c_contiguous:
+                args = (*args[:position], np.ascontiguousarray(value), *args[position + 1 :])
+        return self.rows(*args)
+
+    @cached_property
+    def scalar(self) -> Any:
+        """The kernel of one element, for use in other kernels."""
+        from dcgrid_env.core.compiled import compiled  # brings the compiler with it
+
+        return compiled(self._with_kernels(), inner=True)
+
+    @cached_property
+    def rows(self) -> Any:
+        """The kernel over arrays (row, slot), see ``formula``."""
+        from dcgrid_env.core.compiled import compiled
+
+        names, kinds = list(signature(self.array_form).parameters), self.array_form.__annotations__
+        assert self._like is not None
+        like, taken, checks, optional = names[self._like], [], [], []
+        for name in names:
+            if kinds[name] == "PerSlot":
+                taken.append(f"{name}[i]")
+                checks.append(f"len({name}) != slots")
+            elif kinds[name] == "Array":
+                taken.append(f"{name}[row, i]")
+                checks.append(f"{name}.shape != {like}.shape")
+            elif kinds[name] == "Array | None":
+                taken.append(f"None if {name} is None else {name}[row, i]")
+                optional.append(name)
+            else:
+                taken.append(name)
+        out = [f"out_{k}" for k in range(kinds["return"].count("Array"))]
+        refuse = "        raise ValueError('arguments have different shapes')"
+        lines = [
+            f"def {self.array_form.__name__}_rows({', '.join(names)}):",
+            f"    n_row, slots = {like}.shape",
+            *(line for check in checks for line in (f"    if {check}:", refuse)),
+            *(
+                line
+                for name in optional
+                for line in (f"    if {name} is not None:", f"        if {name}.shape != {like}.shape:", f"    {refuse}")
+            ),
+            *(f"    {name} = np.empty((n_row, slots))" for name in out),
+            "    for row in range(n_row):",
+            "        for i in range(slots):",
+            f"            {', '.join(f'{name}[row, i]' for name in out)} = scalar({', '.join(taken)})",
+            f"    return {', '.join(out)}",
+        ]
+        space = {"np": np, "scalar": self.scalar, "__name__": self.array_form.__module__}
+        exec("\n".join(lines), space)  # of the names of the arguments alone
+        return compiled(space[f"{self.array_form.__name__}_rows"])
+
+    def _with_kernels(self) -> types.FunctionType:
+        """The body as a function of numbers: it calls kernels in place of the functions of this module."""
+        from dcgrid_env.core import formula_kernels
+
+        body: Any = self.array_form
+        names = dict(body.__globals__)
+        for name in body.__code__.co_names:
+            value = names.get(name)
+            if isinstance(value, Formula):
+                names[name] = value.scalar
+            elif getattr(value, "__module__", None) == __name__:
+                names[name] = getattr(formula_kernels, name)
+        return types.FunctionType(body.__code__, names, body.__name__, body.__defaults__)
+
+
+FORMULAS: list[Formula] = []
+"""All formulas of the modules that have been imported."""
+
+
+def formula(
+    body: Callable[..., Any] | None = None, *, like: str | None = None, views: Sequence[str] = ()
+) -> Any:
+    """Declare a formula; see the module.
+
+    Parameters
+    ----------
+    body
+        Function of numbers, which is also correct for arrays. Its annotations state the shapes for ``like``: ``Array``
+        is (row, slot), ``PerSlot`` (slot,), ``Array | None`` may be absent, and anything else is one value for all.
+        The return annotation is ``Array`` or a tuple of several.
+    like
+        The argument that decides, an ``Array``. If it is a NumPy array of float64 with two dimensions, the formula runs
+        as one compiled loop over rows and slots. Tensors, other precisions and other numbers of dimensions go through
+        the body. Without ``like`` all arrays do.
+    views
+        Arguments that may be views of larger arrays. The loop is given contiguous arrays, so it is compiled once.
+    """
+
+    def declare(body: Callable[..., Any]) -> Formula:
+        FORMULAS.append(Formula(body, like, views))
+        return FORMULAS[-1]
+
+    return declare if body is None else declare(body)
