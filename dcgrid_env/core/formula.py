@@ -114,7 +114,11 @@ class Formula:
             *(
                 line
                 for name in optional
-                for line in (f"    if {name} is not None:", f"        if {name}.shape != {like}.shape:", f"    {refuse}")
+                for line in (
+                    f"    if {name} is not None:",
+                    f"        if {name}.shape != {like}.shape:",
+                    f"    {refuse}",
+                )
             ),
             *(f"    {name} = np.empty((n_row, slots))" for name in out),
             "    for row in range(n_row):",
@@ -145,9 +149,7 @@ FORMULAS: list[Formula] = []
 """All formulas of the modules that have been imported."""
 
 
-def formula(
-    body: Callable[..., Any] | None = None, *, like: str | None = None, views: Sequence[str] = ()
-) -> Any:
+def formula(body: Callable[..., Any] | None = None, *, like: str | None = None, views: Sequence[str] = ()) -> Any:
     """Declare a formula; see the module.
 
     Parameters

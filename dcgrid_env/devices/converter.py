@@ -16,9 +16,7 @@ def limit(s_rated_kva: PerSlot, q_max_kvar: PerSlot, p_kw: Array) -> Array:
 
 
 @formula(like="p_kw")
-def dispatch(
-    s_rated_kva: PerSlot, q_max_kvar: PerSlot, p_kw: Array, q_setpoint_kvar: Array
-) -> tuple[Array, Array]:
+def dispatch(s_rated_kva: PerSlot, q_max_kvar: PerSlot, p_kw: Array, q_setpoint_kvar: Array) -> tuple[Array, Array]:
     """Reactive injection and its limit, kvar, for an active power of ``p_kw``; all arrays (..., n_device)."""
     largest = limit(s_rated_kva, q_max_kvar, p_kw)
     return least(most(q_setpoint_kvar, -largest), largest), largest

@@ -10,8 +10,6 @@ from dcgrid_env.core.arrays import all_true
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.engine.cost import difference, observation, reward
 from dcgrid_env.engine.cost.measurement import measure, measurement_noise, remembered
-from dcgrid_env.engine.cost.plain_figures import fits as has_plain_figures
-from dcgrid_env.engine.cost.plain_figures import plain_figures
 from dcgrid_env.engine.cost.tap_credit import TapTargets
 from dcgrid_env.engine.exogenous import episode, trace_pool
 from dcgrid_env.engine.exogenous.episode import EpisodeOptions
@@ -20,7 +18,6 @@ from dcgrid_env.engine.physics.acting_relays import acting_relays
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.state import Exogenous, GridStep, State, VoltageFigures
 from dcgrid_env.engine.physics.voltage_figures import voltage_figures
-from dcgrid_env.engine.plain_step import fits, plain_step
 from dcgrid_env.engine.snapshot import Snapshot, Transition, put_in
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -37,8 +34,6 @@ class Simulation:
         self.scenario = scenario
         self.n_env = n_env
         trace_pool.check_traces(scenario)
-        self._is_plain = fits(scenario, n_env)
-        self._has_plain_figures = has_plain_figures(scenario)
         self._now: Snapshot | None = None
 
     @property
@@ -110,16 +105,10 @@ class Simulation:
         step = now.step + 1
         outside = episode.exogenous(self.scenario, now.episode, step, now.noise, now.p_ref_next_kw)
         p_ref_next = episode.p_ref_kw(self.scenario, now.episode, step + 1)
-        done = plain_step(self.scenario, now, action, outside, p_ref_next) if self._is_plain else None
-        if done is None:
-            state, grid = dynamics.step(self.scenario, now.state, action, outside)
-            measured = (*now.measured[1:], self._measure(now.episode, step, state))
-            j_before = now.transition.j_so_far
-            transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
-            noise = grid.noise
-        else:
-            state, noise, transition = done
-            measured = (now.measured[1], state.v_agent_pu)
+        state, grid = dynamics.step(self.scenario, now.state, action, outside)
+        measured = (*now.measured[1:], self._measure(now.episode, step, state))
+        j_before = now.transition.j_so_far
+        transition = self._transition(now.episode, step, state, grid, measured, p_ref_next, j_before)
         if self.scenario.cost.reward == "difference":
             vector = self._saved(now.state, state, action, outside) / difference_scale(self.scenario.family)
             if not all_true(solved := transition.converged):
@@ -127,7 +116,7 @@ class Simulation:
             paid = difference.sums_by_agent(self.scenario, vector)
             transition = transition._replace(reward=paid, reward_vector=vector)
         same = self.scenario, now.seeds, now.numbers, now.episode
-        self._now = Snapshot(*same, step, noise, p_ref_next, state, measured, transition)
+        self._now = Snapshot(*same, step, grid.noise, p_ref_next, state, measured, transition)
         return transition
 
     def _begin(
@@ -191,14 +180,11 @@ class Simulation:
         last = step >= s.horizon
         solved = all_true(solution.converged)
         figures = grid.figures if solved and grid.figures else _figures(s, state)
-        if solved and self._has_plain_figures:
-            costs, cost_j, seen = plain_figures(s, state, figures, last, drawn.placed, p_ref_next, measured)
-        else:
-            costs = reward.team_costs(s, state, solution, last, figures)
-            costs = costs if solved else reward.charged(s, costs, step, solution.converged)
-            cost_j = reward.total(costs)
-            coming = episode.given_next(s, drawn, step, p_ref_next)
-            seen = observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0])
+        costs = reward.team_costs(s, state, solution, last, figures)
+        costs = costs if solved else reward.charged(s, costs, step, solution.converged)
+        cost_j = reward.total(costs)
+        coming = episode.given_next(s, drawn, step, p_ref_next)
+        seen = observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0])
         if s.cost.reward != "local":
             paid = -cost_j
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,9 +31,6 @@ from dcgrid_env.powerflow.inputs import substation_voltage
 from dcgrid_env.powerflow.unbalanced.sweep import solve_checked
 from dcgrid_env.scenario.costs.utility_limits import remembered_draws
 from dcgrid_env.scenario.scenario import Scenario
-
-if TYPE_CHECKING:
-    from dcgrid_env.engine.physics.phase_pass import PhasePass
 
 
 def initial_state(scenario: Scenario, exogenous: Exogenous) -> tuple[State, GridStep]:
@@ -181,25 +178,16 @@ def _solved(
 
     The third value are figures of the power flow, where they are known.
     """
-    noise = passed = None
+    noise = None
     legs = exogenous.nodes if exogenous.legs is None else exogenous.legs
     if exogenous.to_draw is not None:
         if in_one_pass := _grid_pass(scenario):
             grid = in_one_pass(scenario, exogenous.to_draw, exogenous.nodes, p_kw, q_kvar, state.restart)
             return grid, None, None
-        if len(p_kw) == 1 and state.restart is not None and (around := _phase_pass(scenario)):
-            passed = around(scenario, exogenous, state, p_kw, q_kvar)
-            if passed.end is not None:
-                return GridStep(passed.solution, passed.noise), *passed.end
-            noise = passed.noise
-        else:
-            from dcgrid_env.engine.physics.loads import drawn  # brings the compiler with it
+        from dcgrid_env.engine.physics.loads import drawn  # brings the compiler with it
 
-            exogenous, noise = drawn(scenario, exogenous)
-    if passed is None:
-        p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
-    else:
-        p_net, q_net = passed.p_net_kw, passed.q_net_kvar
+        exogenous, noise = drawn(scenario, exogenous)
+    p_net, q_net = net_loads(exogenous.p_load_kw, exogenous.q_load_kvar, legs, p_kw, q_kvar)
     solve, changing = _grid(scenario)
     control = _control(scenario, params.devices, devices, exogenous) if changing else None
     if state.three_phase is None:
@@ -210,7 +198,7 @@ def _solved(
         solve_rows_of(scenario, control, p_net, q_net, exogenous.capacitor_on),
     )
     equipment = _equipment(scenario, before, devices, exogenous, p_net, q_net, control)
-    solution = solve_rows(equipment, slice(None), state.restart) if passed is None else passed.solution
+    solution = solve_rows(equipment, slice(None), state.restart)
     if before is None:
         equipment = feeder_equipment.measured(scenario, equipment, solution)
     else:
@@ -347,14 +335,6 @@ def _grid_pass(scenario: Scenario) -> Callable[..., GridStep] | None:
     from dcgrid_env.engine.physics import grid_pass
 
     return grid_pass.grid_pass if grid_pass.fits(scenario) else None
-
-
-@cached_on_owner
-def _phase_pass(scenario: Scenario) -> Callable[..., PhasePass] | None:
-    """The passes around the power flow of a three-phase feeder, where they fit; they bring the compiler with them."""
-    from dcgrid_env.engine.physics import phase_pass
-
-    return phase_pass.phase_pass if phase_pass.fits(scenario) else None
 
 
 def _to_nodes(values: Array, nodes: Array) -> Array:

@@ -295,28 +295,6 @@ def _bands_at_rest(scenario: Scenario, n_row: int) -> RelayBand:
     return RelayBand(*(np.tile(values, (n_row, 1)) for values in (settings.target_v, settings.half_band_v)))
 
 
-class BuiltInControl(NamedTuple):
-    """The control of regulators with constant set points, for a single environment; NumPy arrays."""
-
-    settings: Any
-    """``RelaySettings``."""
-    band: RelayBand
-    controlled: np.ndarray
-    integrating: bool
-
-
-@cached_on_owner
-def built_in_control(scenario: Scenario) -> BuiltInControl | None:
-    """Return the control of the regulators if nothing else acts on the equipment of a three-phase feeder, else None."""
-    regulators, banks, integrating = _on_numpy(scenario)
-    moved_otherwise = banks.acts or any(
-        place is not None for group in (regulators, banks) for place in (group.agents, group.setters)
-    )
-    if not regulators.acts or moved_otherwise or scenario.grid_control.regulator_settings.has_schedules:
-        return None
-    return BuiltInControl(regulators.settings, _bands_at_rest(scenario, 1), regulators.controlled, integrating)
-
-
 def _of_pieces(group: _Group, at_rest: Array, chosen: Array) -> Array:
     """A part of the set points of all pieces, (row, n), that of the setters' pieces as ``chosen`` by these."""
     return take_last(namespace(at_rest).concat((at_rest, chosen), axis=-1), group.setter)

@@ -18,9 +18,10 @@ from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.core.random import load_step
 from dcgrid_env.core.threads import over_rows
 from dcgrid_env.core.units import S_BASE_KVA
-from dcgrid_env.engine.physics.known_fields import OUTSIDE, SCENARIO
+from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
+from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.engine.physics.loads import load_noise
-from dcgrid_env.engine.physics.state import GridStep, LoadsToDraw, VoltageFigures
+from dcgrid_env.engine.physics.state import Exogenous, GridStep, LoadsToDraw, VoltageFigures
 from dcgrid_env.engine.physics.step_kernels import net_loads
 from dcgrid_env.engine.physics.voltage_figures import fill_figures
 from dcgrid_env.grid import Feeder
@@ -31,22 +32,47 @@ from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, d
 from dcgrid_env.powerflow.balanced.distflow import MAX_SWEEPS, TOLERANCE_KVA
 from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_rows
 from dcgrid_env.powerflow.solution import raise_not_finite
+from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.cost import Cost
+from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.grid_request import GridRequest
 from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.sensing import Sensing
+from dcgrid_env.scenario.workload import Workload
 
 CHUNK = 64  # rows whose loads stand in the cache together
 TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA
 COVERED = Coverage(
-    SCENARIO
-    | {
+    {
         Scenario: """
             name feeder* source_voltage_pu devices* workload background sensing cost grid_control grid_request
             load_profiles sags* horizon dt_s split
         """,
+        Workload: "trace* trace_scale recording_split window site_correlation compute_share full_load_s",
+        Background: "capacitors load_sigma load_rho start_hour",
+        Sensing: """
+            noise_pu delay_steps observe preview loading regulator regulator_delay_s r_model_share x_model_share
+            model_open* model_closed*
+        """,
+        Cost: """
+            weights* band_pu voltage reference profile_pu* profile_band_pu reward default_action default_gains
+            ramp_limit_kw_per_s ramp_window_s voltage_step_limit_pu
+        """,
+        GridControl: "regulators* capacitors* capacitor_settings regulator_settings",
+        RegulatorControl: "timer offset_v* hold_s",
+        CapacitorControl: "measures on_below_pu off_above_pu on_above_share off_below_share delay_s hold_s",
+        GridRequest: "targets* notice_s tolerance_share",
         LoadProfiles: "",
         Feeder: BALANCED[Feeder].replace("loop_ends", ""),
     },
-    arrays=OUTSIDE,
+    arrays={
+        Exogenous: """
+            p_load_kw q_load_kvar p_ref_kw p_inverter_kw nodes compute_share available legs capacitor_on sags
+            trip_widths to_draw offset_v request
+        """,
+        LoadsToDraw: "key step noise share p_kw q_kvar",
+    },
 )
 """What a pass covers. Devices of any class act on the grid by their powers, unless they change the grid itself."""
 
@@ -82,12 +108,12 @@ def grid_pass(
     start = np.zeros((n_row, n - 1)) if restart is None else rows(restart, (n_row, n - 1))
     of_agents = (rows(p_kw, agents), rows(q_kvar, agents), start)
     drawing_and_loads = (*drawing[:4], *load_noise(scenario))
-    given = (*fixed(scenario), *drawing_and_loads, nodes, *of_agents)
+    given = (*_fixed(scenario), *drawing_and_loads, nodes, *of_agents)
     over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
     per_row, converged = np.empty((7, n_row)), np.empty(n_row, np.bool_)
     out = (over_buses, after, per_row, converged)
     if n_row <= FEW:
-        failed = few_rows(0, n_row, *given, *out, np.zeros(n_row, np.int64))
+        failed = _few_rows(0, n_row, *given, *out, np.zeros(n_row, np.int64))
     else:
         failed = over_rows(lambda first, last: _many_rows(first, last, *given, *out), n_row)
     if failed and not np.isfinite(p_kw + q_kvar).all():
@@ -99,7 +125,7 @@ def grid_pass(
 
 
 @cached_on_owner
-def fixed(scenario: Scenario) -> tuple[Any, ...]:
+def _fixed(scenario: Scenario) -> tuple[Any, ...]:
     """Return the constants of the scenario for a pass, in the form that the kernel takes."""
     feeder = scenario.feeder
     judged, source_pu, band_pu = (
@@ -128,7 +154,7 @@ def _draw(
 
 
 @compiled(nogil=True)
-def few_rows(
+def _few_rows(
     first, last, order, parent, r, x, shunt_g, shunt_b, ratio, source_pu, tolerance, max_sweeps, judged, band_pu,
     key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, warm,
     over_buses, restart, per_row, converged, sweeps,

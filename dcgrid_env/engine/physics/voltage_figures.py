@@ -13,7 +13,7 @@ MOST_AT_ONCE = 128
 
 
 @compiled(inner=True)
-def sum_up(values, first, n):
+def _sum_up(values, first, n):
     """Sum of ``n`` figures of a row from ``first`` on, at most MOST_AT_ONCE, with the bits of ``np.add.reduce``.
 
     It adds up eight sums side by side, and then up to seven figures one by one.
@@ -40,7 +40,7 @@ def _pairwise_sum(values, first, n):
         half = n // 2
         half -= half % 8
         return _pairwise_sum(values, first, half) + _pairwise_sum(values, first + half, n - half)
-    return sum_up(values, first, n)
+    return _sum_up(values, first, n)
 
 
 @compiled(nogil=True)

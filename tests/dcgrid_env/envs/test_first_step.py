@@ -8,9 +8,8 @@ import pytest
 CODE = """
 import sys
 import dcgrid_env
-from dcgrid_env.engine import plain_step
-from dcgrid_env.engine.cost import plain_figures
-from dcgrid_env.engine.physics import grid_pass, phase_pass
+from dcgrid_env.devices import converter
+from dcgrid_env.engine.physics import grid_pass
 from dcgrid_env.powerflow.balanced import compiled_blocks
 from dcgrid_env.powerflow.unbalanced import sweep_adjoint, sweep_rows
 
@@ -18,9 +17,8 @@ env = dcgrid_env.DcgridEnv(sys.argv[1])
 env.reset(seed=0)
 env.step(env.action_space.sample())
 for kernel in (
-    grid_pass.few_rows, compiled_blocks.distflow_blocks, plain_step._step_rows, grid_pass._many_rows,
-    sweep_rows.sweep_rows, sweep_rows.sweep_blocks, sweep_adjoint.sweep_adjoint_rows, phase_pass._before,
-    phase_pass._after, plain_figures._charge_and_observe,
+    grid_pass._few_rows, compiled_blocks.distflow_blocks, grid_pass._many_rows, sweep_rows.sweep_rows,
+    sweep_rows.sweep_blocks, sweep_adjoint.sweep_adjoint_rows, converter.dispatch.rows,
 ):
     if kernel.signatures:
         print(kernel.__name__, len(kernel.signatures))
@@ -30,11 +28,8 @@ for kernel in (
 @pytest.mark.parametrize(
     ("preset", "compiled"),
     [
-        ("ieee33-weak", {"few_rows": 1, "_step_rows": 1}),
-        (
-            "ieee34-3ph",
-            {"sweep_rows": 1, "sweep_adjoint_rows": 1, "_before": 1, "_after": 1, "_charge_and_observe": 1},
-        ),
+        ("ieee33-weak", {"_few_rows": 1, "dispatch_rows": 1}),
+        ("ieee34-3ph", {"sweep_rows": 1, "sweep_adjoint_rows": 1, "dispatch_rows": 1}),
     ],
 )
 @pytest.mark.slow

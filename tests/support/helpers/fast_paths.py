@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env.devices.datacenter import datacenter
-from dcgrid_env.engine import simulation as stepping
 from dcgrid_env.engine.cost import difference, reward
-from dcgrid_env.engine.physics import dynamics, grid_pass, phase_pass
+from dcgrid_env.engine.physics import dynamics, grid_pass
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.simulation import Simulation
 
@@ -29,8 +28,7 @@ def general_path() -> Iterator[None]:
     """Take no fast path in simulations that begin in this context."""
     with pytest.MonkeyPatch.context() as patch:
         for module, names, answer in (
-            (stepping, ("fits", "has_plain_figures"), False),
-            (dynamics, ("_grid_pass", "_phase_pass"), None),
+            (dynamics, ("_grid_pass",), None),
             (reward, ("_is_from_figures",), False),
             (difference, ("has_kernel",), False),
             (datacenter, ("_is_compiled",), False),
@@ -45,9 +43,9 @@ def fast_paths(scenario: Any, n_env: int = 1) -> set[str]:
     taken: set[str] = set()
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
-            (stepping, "plain_step"), (stepping, "plain_figures"), (grid_pass, "grid_pass"), (phase_pass, "phase_pass"),
+            (grid_pass, "grid_pass"),
             (datacenter, "serve_linearly"),
-        ):  # fmt: skip
+        ):
             patch.setattr(module, name, _noting(taken, name, getattr(module, name)))
         steps_of(Simulation(altered(scenario), n_env), steps=2)
     return taken
