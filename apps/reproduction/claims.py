@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dcgrid_env.apps.reproduction import lever_claims, load_claims, table_claims
+from dcgrid_env.apps.reproduction import lever_claims, table_claims
 from dcgrid_env.apps.reproduction.verdict import Records, Row
 
 
@@ -29,13 +29,9 @@ _CLAIMS: dict[Callable[[Records], Row], set[str]] = {
     table_claims.flat_delay: {"table_one"},
     table_claims.linear: {"grids"},
     lever_claims.far: {"inverters"},
-    lever_claims.active: {"axes"},
     lever_claims.bus_outside: {"bus_thirteen"},
     lever_claims.bus_why: {"bus_thirteen"},
     lever_claims.interval: {"intervals"},
     lever_claims.change_of_load: {"step"},
-    load_claims.taps: {"dips"},
-    load_claims.ramps: {"ramps"},
-    load_claims.larger_models: {"models"},
 }
 """Each claim and the parts of the study that it is made of."""

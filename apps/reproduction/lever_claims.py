@@ -1,4 +1,4 @@
-"""Claims on what each lever does: inverters, axes, bus 13, the control interval and the step of Fig. 3."""
+"""Claims on what each lever does: inverters, bus 13, the control interval and the step of Fig. 3."""
 
 from __future__ import annotations
 
@@ -31,32 +31,6 @@ def far(records: Records) -> Row:
             HOLDS: f"an inverter moves the site only through the shared reactance (X_ij){absorbs}",
             PARTLY: f"an inverter moves the site only through the shared reactance (X_ij), but {strong}",
             DOES_NOT: "the far one shares as much reactance with every site as the near one",
-        }[verdict],
-    )
-
-
-def active(records: Records) -> Row:
-    """Active against reactive power."""
-    plain, steep = (next(r for r in records["axes"] if r["feeder"] == name) for name in ("ieee123", "ieee33-weak"))
-    ratio = [r["rise_pu_per_mw"] / r["rise_pu_per_mvar"] for r in (plain, steep)]
-    gain = [r["none_J"] - r["active_J"] for r in (plain, steep)]
-    stronger = ratio[1] > 1.0 > ratio[0]
-    verdict = decide(stronger and steep["active_J"] < steep["reactive_J"], stronger or gain[1] > gain[0])
-    per_unit = (
-        "it is, per unit of power; over two minutes the clock only shifts work in time, while reactive power persists"
-    )
-    return row(
-        "active power is the stronger lever where r/x is high",
-        "stronger where r/x is high",
-        f"per MW against per Mvar at the site: {ratio[0]:.2f} at r/x {plain['r_over_x']:.2f} (ieee123), {ratio[1]:.2f} "
-        f"at {steep['r_over_x']:.2f} (ieee33-weak); the active axis alone changes J by {-gain[0]:+.2f} and "
-        f"{-gain[1]:+.2f}, the reactive alone by {plain['reactive_J'] - plain['none_J']:+.2f} and "
-        f"{steep['reactive_J'] - steep['none_J']:+.2f}",
-        verdict,
-        {
-            HOLDS: "per unit of power, and in what the axis alone does for J",
-            PARTLY: per_unit if stronger else "not per unit of power; it only does more for J than where r/x is low",
-            DOES_NOT: "neither per unit of power, nor in what the axis alone does for J",
         }[verdict],
     )
 

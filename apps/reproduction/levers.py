@@ -1,30 +1,18 @@
-"""Which lever moves which voltage: near and far inverters, active against reactive power, and how often to pull."""
+"""Which lever moves which voltage: near and far inverters, and how often the law acts."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Feeder, Scenario, load_feeder, make_scenario, sensitivity, solver_for
-from dcgrid_env.apps.reproduction.study_runs import (
-    ACTIVE,
-    BOTH,
-    INVERTERS,
-    NONE,
-    REACTIVE,
-    Law,
-    Runs,
-    nodes_of,
-)
+from dcgrid_env import Feeder, Scenario, make_scenario, sensitivity, solver_for
+from dcgrid_env.apps.reproduction.study_runs import INVERTERS, NONE, Law, Runs, nodes_of
 from dcgrid_env.apps.reproduction.table1 import unserved_pct
 
 STEP_S = 0.1
 INTERVALS_S = (0.1, 1.0, 5.0)
-R_TIMES = 3.0
-"""Factor on r/x in the variant of ieee123."""
 
 
 def settled(
@@ -72,57 +60,6 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
             record[f"{name}_site_deviation_pu"] = runs.of(one, INVERTERS).mean("first_site_deviation_pu")
         records.append(record)
     return records
-
-
-def turned(feeder: Feeder, times: float) -> Feeder:
-    """The feeder with r/x of every branch multiplied and the magnitude of its impedance kept."""
-    r, x = feeder.r_ohm, feeder.x_ohm
-    scale = np.divide(np.hypot(r, x), np.hypot(times * r, x), out=np.ones_like(r), where=r + x > 0)
-    return dataclasses.replace(feeder, r_ohm=times * r * scale, x_ohm=x * scale)
-
-
-def axes(runs: Runs) -> list[dict[str, Any]]:
-    """Active against reactive power, on feeders of low and high r/x: at the sites, and in closed loop."""
-    plain = runs.setting.published(5)
-    steep = turned(load_feeder("ieee123"), R_TIMES)
-    cases = {
-        "ieee123": plain,
-        f"ieee123, r/x times {R_TIMES:g} at the same impedance": make_scenario(plain, feeder=steep),
-        "ieee33-weak": make_scenario("ieee33-weak", **runs.setting.load.fields),
-    }
-    records = []
-    for name, scenario in cases.items():
-        by_axis = {key: runs.of(scenario, law) for key, law in _AXES.items()}
-        records.append(
-            {"feeder": name}
-            | _own_slopes(scenario)
-            | {f"{key}_deviation_pu": run.deviation_pu for key, run in by_axis.items()}
-            | {f"{key}_J": run.mean("J") for key, run in by_axis.items()}
-            | {"active_delay_s": by_axis["active"].mean("delay_mean_s")}
-            | {"converged_pct": 100.0 * by_axis["none"].mean("power_flow_converged")}
-        )
-    return records
-
-
-_AXES = {"none": NONE, "active": ACTIVE, "reactive": REACTIVE, "both": BOTH._replace(k_p_mw_per_pu=10.0)}
-
-
-def _own_slopes(scenario: Scenario) -> dict[str, float]:
-    """Means over the sites, all at their rating: r/x of the way to the substation, and the rise for 0.1 MW or Mvar."""
-    feeder, buses = scenario.feeder, scenario.datacenters.buses
-    assert buses is not None
-    r, x = sensitivity(feeder)
-    places = [feeder.index(bus) for bus in buses]
-    full = dict(zip(buses, scenario.datacenters.parameters.p_rated_kw.tolist(), strict=True))
-    before = settled(scenario, full)
-    sites = list(zip(buses, places, strict=True))
-    shed = [10.0 * (settled(scenario, full | {b: full[b] - 100.0}) - before)[i] for b, i in sites]
-    given = [10.0 * (settled(scenario, full, {b: 100.0}) - before)[i] for b, i in sites]
-    return {
-        "r_over_x": float(np.mean(r[places, places] / x[places, places])),
-        "rise_pu_per_mw": float(np.mean(shed)),
-        "rise_pu_per_mvar": float(np.mean(given)),
-    }
 
 
 def intervals(runs: Runs) -> list[dict[str, Any]]:

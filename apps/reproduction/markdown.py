@@ -6,11 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.apps.reproduction.markdown_details import render_details
-from dcgrid_env.apps.reproduction.markdown_guesses import render_guesses
 from dcgrid_env.apps.reproduction.markdown_tables import table, wrapped
 from dcgrid_env.apps.reproduction.paper import RECORDING, TABLE_ONE
-from dcgrid_env.apps.reproduction.public_code import render_limits
 from dcgrid_env.apps.reproduction.verdict import DOES_NOT, VERDICTS
 from dcgrid_env.core.versions import code_block
 
@@ -18,9 +15,8 @@ Records = dict[str, Any]
 
 
 def render(records: Records) -> str:
-    """Return the Markdown page for the records of ``study``, with ``meta`` and ``figures`` added to them."""
-    parts = (_head, _claims, _table_one, _limits, render_guesses, render_details)
-    return "\n\n".join(part(records) for part in parts) + "\n"
+    """Return the Markdown page for the records of ``study``, with ``meta`` added to them."""
+    return "\n\n".join(part(records) for part in (head, claims_table, table_one)) + "\n"
 
 
 def site_placement(setting: Records) -> str:
@@ -39,7 +35,8 @@ def load_note(setting: Records) -> str:
     return ""
 
 
-def _head(records: Records) -> str:
+def head(records: Records) -> str:
+    """Return the title, the summary and the setting."""
     s = records["setting"]
     verdicts = [row["verdict"] for row in records["claims"]]
     holds, partly, does_not = (verdicts.count(verdict) for verdict in VERDICTS)
@@ -65,16 +62,13 @@ def _head(records: Records) -> str:
         "served before it arrives. *One-step* is the backlog of equation (6) as printed, which forgets work after a "
         "step. *Cumulative* keeps work until it is served."
     )
-    other = (
-        "The feeder is a balanced single-phase equivalent. [The study on the unbalanced feeder](reproduction-3ph.md) "
-        "repeats Table I and the claims with phases and regulators."
-    )
     command = code_block(records["meta"]["command"])
     parts = ("# Reproduction of the paper's study", wrapped(purpose), "Made by", command, summary)
-    return "\n\n".join((*parts, "## Setting", wrapped(setting), wrapped(other)))
+    return "\n\n".join((*parts, "## Setting", wrapped(setting)))
 
 
-def _table_one(records: Records) -> str:
+def table_one(records: Records) -> str:
+    """Return Table I next to the paper's."""
     by_cell: dict[tuple[int, float], dict[str, Records]] = {}
     for row in records["table_one"]:
         by_cell.setdefault((row["n_datacenters"], row["k_p_mw_per_pu"]), {})[row["memory"]] = row
@@ -98,13 +92,13 @@ def _table_one(records: Records) -> str:
     error = np.abs(errors).mean(axis=0)
     mean = [f"{error[0]:.4f}", f"{error[1]:.4f}", "", *(f"{e:.2f}" for e in error[2:])]
     rows.append(["mean error", "", "", *mean])
-    head = ["sites", "k_p", "paper: deviation (p.u.)", "ours: V", "ours: V²"]
-    head += ["paper: delay (s)", "ours: cumulative", "ours: one-step"]
+    columns = ["sites", "k_p", "paper: deviation (p.u.)", "ours: V", "ours: V²"]
+    columns += ["paper: delay (s)", "ours: cumulative", "ours: one-step"]
     text = (
         "The paper reports the voltage magnitude, but its public code computes V². The columns list both: abs(V - 1) "
         "and abs(V² - 1). The last row is the mean absolute difference from the paper over the 15 cells."
     )
-    return f"## Table I\n\n{wrapped(_reading(errors))}\n\n{wrapped(text)}\n\n{table(head, rows)}"
+    return f"## Table I\n\n{wrapped(_reading(errors))}\n\n{wrapped(text)}\n\n{table(columns, rows)}"
 
 
 def _reading(errors: list[list[float]]) -> str:
@@ -118,11 +112,8 @@ def _reading(errors: list[list[float]]) -> str:
     )
 
 
-def _claims(records: Records) -> str:
+def claims_table(records: Records) -> str:
+    """Return the table of claims."""
     keys = ("claim", "paper", "ours", "verdict", "reason")
     rows = [[row[key] for key in keys] for row in records["claims"]]
     return "## Claims\n\n" + table(("claim", "paper", "ours", "verdict", "reason"), rows)
-
-
-def _limits(records: Records) -> str:
-    return render_limits()

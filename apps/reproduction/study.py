@@ -1,52 +1,49 @@
-"""The whole study: runs, records and figures."""
+"""The whole study: its parts, their records, and the claims that they support or not."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from dcgrid_env.apps.reproduction import bus13, levers, load_step, load_swings, table1
+from dcgrid_env.apps.reproduction import bus13, levers, load_step, table1
 from dcgrid_env.apps.reproduction.claims import claims
-from dcgrid_env.apps.reproduction.guess import guesses
 from dcgrid_env.apps.reproduction.paper import CITATION
 from dcgrid_env.apps.reproduction.study_runs import Run, Runs, Setting
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
 
-PARTS: dict[str, Callable[[Runs], Any]] = {
+Part = Callable[[Runs], Any]
+"""A part of the study: the function that makes its records from the runs."""
+PARTS: Mapping[str, Part] = {
     "table_one": table1.table_one,
-    "stability": table1.stability,
     "comparison": table1.comparison,
     "gains": table1.gains,
     "grids": table1.grids,
     "inverters": levers.inverters,
-    "axes": levers.axes,
     "bus_thirteen": bus13.bus_thirteen,
     "intervals": levers.intervals,
     "step": load_step.step_response,
-    "dips": load_swings.dips,
-    "ramps": load_swings.ramps,
-    "models": load_swings.models,
-    "guesses": guesses,
 }
 """Parts of the study in the order in which they are run; the claims are made of them."""
 _RUNS = "runs of the paper's study"
 
 
 class _Asked(NamedTuple):
-    """A part of the study on one of several settings, by their names."""
+    """A part of the study on one of several settings."""
 
     case: str
     part: str
+    make: Part
 
 
 def study(
     runs: Runs,
     on_part: Callable[[str], None] = lambda part: None,
     place: Place = ONE_PROCESS,
+    parts: Mapping[str, Part] = PARTS,
 ) -> dict[str, Any]:
-    """Run all parts and hold the claims against them.
+    """Run all parts and compare the claims with them.
 
     Parameters
     ----------
@@ -56,22 +53,24 @@ def study(
         Called with the name of each part when it is done.
     place
         Where the parts are run.
+    parts
+        Parts by name.
 
     Returns
     -------
     The records: ``setting``, the parts, and ``claims``; all JSON values.
     """
-    (records,) = studies({"": runs}, PARTS, lambda _, part: on_part(part), place).values()
+    (records,) = studies({"": runs}, parts, lambda _, part: on_part(part), place).values()
     return records
 
 
 def studies(
     runs: Mapping[str, Runs],
-    parts: Iterable[str],
+    parts: Mapping[str, Part],
     on_part: Callable[[str, str], None] = lambda case, part: None,
     place: Place = ONE_PROCESS,
 ) -> dict[str, dict[str, Any]]:
-    """Run some of :data:`PARTS` on several settings; the records of each by its name, as :func:`study` returns them.
+    """Run parts of the study on several settings; the records of each by its name, as :func:`study` returns them.
 
     Parts run side by side do again what they have in common, which comes out the same.
 
@@ -80,25 +79,25 @@ def studies(
     runs
         Where the runs of each setting are kept.
     parts
-        Which parts to run.
+        Parts by name.
     on_part
         Called with the names of the setting and of the part when it is done.
     place
         Where the parts are run.
     """
-    parts = tuple(parts)
     units = [
-        Unit(": ".join(filter(None, (case, part.replace("_", " ")))), _run_part, _Asked(case, part))
+        Unit(": ".join(filter(None, (case, part.replace("_", " ")))), _run_part, _Asked(case, part, make))
         for case in runs
-        for part in parts
+        for part, make in parts.items()
     ]
-    found: dict[_Asked, Any] = {}
+    found: dict[str, dict[str, Any]] = {case: {} for case in runs}
     for unit, (record, done) in place.results(units, {_RUNS: runs}, how_to_go_on=""):
-        found[unit.item] = record
-        runs[unit.item.case].done.update(done)
-        on_part(*unit.item)
+        case, part, _ = unit.item
+        found[case][part] = record
+        runs[case].done.update(done)
+        on_part(case, part)
     return {
-        case: _with_claims(case_runs.setting, {part: found[_Asked(case, part)] for part in parts})
+        case: _with_claims(case_runs.setting, {part: found[case][part] for part in parts})
         for case, case_runs in runs.items()
     }
 
@@ -107,7 +106,7 @@ def _run_part(asked: _Asked) -> tuple[Any, Mapping[Any, Run]]:
     """The records of a part and the runs behind it; a worker keeps these for the parts that it runs next."""
     runs: Runs = shared(_RUNS)[asked.case]
     before = set(runs.done)
-    record = PARTS[asked.part](runs)
+    record = asked.make(runs)
     return record, {key: run for key, run in runs.done.items() if key not in before}
 
 

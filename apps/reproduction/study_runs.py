@@ -50,7 +50,6 @@ NONE = Law("nobody")
 INVERTERS = Law("inverters")
 REACTIVE = Law(k_p_mw_per_pu=0.0)
 BOTH = Law()
-ACTIVE = Law(k_p_mw_per_pu=10.0, k_q_mvar_per_pu_s=0.0)
 
 
 @dataclass(frozen=True)

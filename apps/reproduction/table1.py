@@ -8,8 +8,6 @@ import numpy as np
 
 from dcgrid_env.apps.reproduction.paper import K_P_MW_PER_PU
 from dcgrid_env.apps.reproduction.study_runs import BOTH, INVERTERS, NONE, REACTIVE, Law, Run, Runs
-from dcgrid_env.baselines import Droop
-from dcgrid_env.baselines.laws.stability import worst_radius
 
 LAWS = {
     "none": NONE,
@@ -51,16 +49,6 @@ def table_one(runs: Runs) -> list[dict[str, Any]]:
         for n in runs.setting.counts
         for k_p in K_P_MW_PER_PU
         for memory in ("cumulative", "one_step")
-    ]
-
-
-def stability(runs: Runs) -> list[dict[str, float]]:
-    """Largest spectral radius of the linear closed loop over placements; above 1 the law oscillates."""
-    return [
-        {"n_datacenters": n, "k_p_mw_per_pu": k_p}
-        | {"spectral_radius": worst_radius(runs.setting.scenario(n), Droop(k_p_mw_per_pu=k_p))}
-        for n in runs.setting.counts
-        for k_p in K_P_MW_PER_PU
     ]
 
 

@@ -138,14 +138,7 @@ def inside(records: Records) -> Row:
 
 def delay(records: Records) -> Row:
     """Delay against k_p."""
-    by_form = {}
-    for memory in ("cumulative", "one_step"):
-        rows = {
-            (r["n_datacenters"], r["k_p_mw_per_pu"]): r["delay_mean_s"]
-            for r in records["table_one"]
-            if r["memory"] == memory
-        }
-        by_form[memory] = np.array([[rows[n, k_p] for k_p in K_P_MW_PER_PU] for n in COUNTS])
+    by_form = {memory: _cells(records, "delay_mean_s", memory) for memory in ("cumulative", "one_step")}
     rises = np.array([(np.diff(delays, axis=1) > 0).all(axis=1) for delays in by_form.values()])
     verdict = decide(bool(rises.all()), bool(rises.any()))
     flat = not any(delays[~row].any() for delays, row in zip(by_form.values(), rises, strict=True))

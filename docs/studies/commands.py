@@ -31,11 +31,17 @@ COMMANDS = Group(
             "circuits": _entry("Import every OpenDSS circuit in a folder.", "circuits:Circuits"),
             "corpus": _entry("Compare imports of public grids with their programs.", "corpus:Corpus"),
             "first-training": _entry("Train PPO by the README's lines on presets.", "first_training:FirstTraining"),
-            "fit-paper": _entry("Search for the values that the paper does not state.", "fit_paper:FitPaper"),
+            "fit-paper": _entry("Search for the values that the paper does not state.", "paper.fit_paper:FitPaper"),
             "generalise": _entry("Train on all scenarios but one and score on that one.", "generalise:Generalise"),
             "gradient-cosine": _entry("Compare two estimates of PPO's gradient.", "gradient_cosine:GradientCosine"),
             "libraries": _entry("Train unmodified libraries and print their table.", "libraries:LibraryTable"),
             "pareto": _entry("Draw voltage against delay of policies with delay limits.", "pareto:Pareto"),
+            "reproduction": _entry(
+                "Write the page on the paper's study, with its figures.", "paper.reproduction_page:ReproductionPage"
+            ),
+            "reproduction-3ph": _entry(
+                "Write the page that compares the paper's study on two feeders.", "paper.reproduction_page:FeederPage"
+            ),
             "random-feeders": _entry("Compare random feeders with published ones.", "random_feeders:RandomFeederTable"),
             "sags": _entry("Compare controllers during a recorded sequence of sags.", "sag_study:Sags"),
             "transfer": _entry("Score bundled policies on other presets.", "transfer:Transfer"),

@@ -94,7 +94,9 @@ ELSEWHERE = {
     "python -m docs.studies sags": "tests/docs/studies",
     "dcgrid replay results/run": "tests/dcgrid_env/cli/test_replay.py",  # there of a run that the shell began
     "dcgrid reproduce": "tests/apps/reproduction/test_reproduce_command.py",
-    "python -m docs.studies fit-paper": "tests/docs/studies/test_fit_paper.py",
+    "python -m docs.studies reproduction": "tests/docs/studies/paper/test_reproduction_page.py",
+    "python -m docs.studies reproduction-3ph": "tests/docs/studies/paper/test_reproduction_page.py",
+    "python -m docs.studies fit-paper": "tests/docs/studies/paper/test_fit_paper.py",
     "dcgrid run --feeder my-feeder": "tests/dcgrid_env/cli/test_own_feeder.py",  # there on a folder
     "dcgrid study": "tests/apps/hosting/connection_study/test_study_command.py",
     "dcgrid import gridlabd": "tests/apps/importers/test_gridlabd_import.py",

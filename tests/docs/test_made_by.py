@@ -15,7 +15,7 @@ from docs.studies.commands import COMMANDS as STUDIES
 from docs.studies.commands import PROG
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("agents", "baselines", "dcgrid_env", "docs", "traces")
+ROOMS = ("agents", "apps", "baselines", "dcgrid_env", "docs", "traces")
 DATA = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.json"))
 SOURCES = sorted(path for room in ROOMS for ending in ("py", "toml") for path in (ROOT / room).rglob(f"*.{ending}"))
 QUOTED = re.compile(r"`{1,2}((?:dcgrid|python -m docs\.studies) [a-z][^`]+)`{1,2}")

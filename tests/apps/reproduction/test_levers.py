@@ -1,9 +1,8 @@
 """What each lever does, against R and X and against cases worked by hand."""
 
-import numpy as np
 import pytest
 
-from dcgrid_env import load_feeder, sensitivity
+from dcgrid_env import sensitivity
 from dcgrid_env.apps.reproduction import bus13, levers
 from dcgrid_env.apps.reproduction.load import choose_load
 from dcgrid_env.apps.reproduction.paper import PUBLISHED_BUSES
@@ -22,13 +21,6 @@ def test_settled_is_the_power_flow_by_hand(few):
     assert before[0] == scenario.source_voltage_pu
 
 
-def test_turned_keeps_the_impedance():
-    feeder = load_feeder("ieee123")
-    steep = levers.turned(feeder, 3.0)
-    np.testing.assert_allclose(np.hypot(steep.r_ohm, steep.x_ohm), np.hypot(feeder.r_ohm, feeder.x_ohm), rtol=1e-12)
-    np.testing.assert_allclose(steep.r_ohm * feeder.x_ohm, 3.0 * feeder.r_ohm * steep.x_ohm, rtol=1e-12)
-
-
 @pytest.mark.slow
 def test_near_and_far_inverters(few):
     records = levers.inverters(few)
@@ -40,14 +32,6 @@ def test_near_and_far_inverters(few):
             assert r[f"{which}_rise_pu_per_mvar"] == pytest.approx(r[f"{which}_x_pu_per_mvar"], rel=0.1)
     site = {r["site"]: r for r in records}
     assert (site[53]["near_bus"], site[99]["near_bus"]) == (54, 103)
-
-
-@pytest.mark.slow
-def test_active_power_is_stronger_where_r_over_x_is_above_one(few):
-    for r in levers.axes(few):
-        assert (r["rise_pu_per_mw"] > r["rise_pu_per_mvar"]) == (r["r_over_x"] > 1.0)
-        assert r["converged_pct"] == 100.0
-        assert all(np.isfinite(v) for v in r.values() if not isinstance(v, str))
 
 
 def test_bus_thirteen(few):

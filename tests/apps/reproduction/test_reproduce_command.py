@@ -6,7 +6,6 @@ import re
 
 import pytest
 
-from dcgrid_env.apps.reproduction.feeder_comparison_markdown import render_comparison
 from dcgrid_env.apps.reproduction.markdown import render
 from dcgrid_env.apps.reproduction.paper import TABLE_ONE
 from dcgrid_env.apps.reproduction.verdict import VERDICTS
@@ -15,7 +14,6 @@ from dcgrid_env.cli.main import main
 
 @pytest.mark.slow
 def test_the_study_is_run_and_written_down(tmp_path, capsys):
-    # One test, as a run takes half a minute.
     main(["reproduce", "--out", str(tmp_path), "--episodes", "2", "--trace", "generated"])
     assert "inverters only" in capsys.readouterr().out
     records = json.loads((tmp_path / "reproduction.json").read_text(encoding="utf-8"))
@@ -23,41 +21,11 @@ def test_the_study_is_run_and_written_down(tmp_path, capsys):
     assert records["setting"]["load"] == "generated"
     assert records["meta"]["trace"]["name"] == "generator inference"
     found = numbers(records)
-    assert len(found) > 500
+    assert len(found) > 400
     assert all(math.isfinite(number) for number in found)
     check_claims(records["claims"])
     check_markdown(text, records)
-    check_figures(tmp_path, text, records["figures"])
-
-
-@pytest.mark.slow
-def test_the_feeder_with_its_phases_is_compared_with_the_balanced_one(tmp_path, capsys, monkeypatch):
-    # One test, as a run takes most of a minute.
-    monkeypatch.setenv("COLUMNS", "300")
-    main(
-        [
-            "reproduce",
-            "--scenario",
-            "ieee123-3ph-published",
-            "--out",
-            str(tmp_path),
-            "--episodes",
-            "2",
-            "--trace",
-            "generated",
-        ]
-    )
-    printed = capsys.readouterr().out
-    for said in ("Kendall tau", "ours: balanced", "ours: acting", "reproduction-3ph.md"):
-        assert said in printed
-    records = json.loads((tmp_path / "reproduction-3ph.json").read_text(encoding="utf-8"))
-    text = (tmp_path / "reproduction-3ph.md").read_text(encoding="utf-8")
-    assert text == render_comparison(records)
-    assert all(math.isfinite(number) for number in numbers(records))
-    # The deviation that the equivalent lowers by a fifth and more is hardly lowered on the feeder itself.
-    gain = next(row["values"] for row in records["causes"] if row["figure"].startswith("gain"))
-    assert gain["balanced"] > 10.0 > 5.0 > gain["acting"]
-    assert not (tmp_path / "reproduction.md").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"reproduction.json", "reproduction.md"}
 
 
 def numbers(value):
@@ -69,7 +37,7 @@ def numbers(value):
 
 
 def check_claims(claims):
-    assert len(claims) == 19
+    assert len(claims) == 15
     for row in claims:
         assert all(row[key].strip() for key in ("claim", "paper", "ours", "verdict", "reason"))
         assert row["verdict"] in VERDICTS
@@ -80,7 +48,6 @@ def check_claims(claims):
         assert figure in paper
     verdicts = {row["claim"]: row["verdict"] for row in claims}
     assert verdicts["delay rises with k_p"] == "holds"
-    assert verdicts["tap changers are too slow for dips of a second or less"] == "holds"
 
 
 def check_markdown(text, records):
@@ -99,17 +66,6 @@ def check_markdown(text, records):
         assert f"| {row['claim']} | {row['paper']} | {row['ours']} | {row['verdict']} | {row['reason']} |" in text
 
 
-def check_figures(folder, text, figures):
-    assert [f["figure"] for f in figures] == [1, 2, 3, 4, 5, 6, 7]
-    for figure in figures:
-        image = folder / figure["file"]
-        assert image.read_bytes().startswith(b"\x89PNG")
-        assert image.stat().st_size < 150_000
-        assert f"]({figure['file']})" in text
-        assert figure["caption"] in text
-    assert ["not published" in figure["caption"] for figure in figures] == [True, True, *5 * [False]]
-
-
 def test_an_interruption_is_one_line(tmp_path, capsys, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -126,9 +82,6 @@ def test_an_interruption_is_one_line(tmp_path, capsys, monkeypatch):
     ("arguments", "message"),
     [
         (["--episodes", "1"], "episodes is 1; give at least 2"),
-        (["--scenario", "ieee34-3ph"], "scenario is 'ieee34-3ph'; the paper's study is about the IEEE 123 node feeder"),
-        (["--scenario", "ieee123-3p"], "give ieee123, its balanced equivalent, or ieee123-3ph-published"),
-        (["--scenario", "ieee123-3ph-published", "--episodes", "1"], "episodes is 1; give at least 2"),
         (["--trace", "no-such-trace"], "no trace 'no-such-trace'; "),
         (["--trace", "recorded"], "get it with `dcgrid traces fetch chen-zhang-2025-inference`"),
         (["--trace", "{short}"], "but 122 s are needed"),

@@ -69,7 +69,7 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
     monkeypatch.setattr(
         "dcgrid_env.apps.reproduction.study.study", lambda runs, done, place: done(NAME) or {"claims": []}
     )
-    monkeypatch.setattr("dcgrid_env.apps.reproduction.paper_figures.draw_all", lambda runs, folder: [])
+    monkeypatch.setattr("docs.studies.paper.paper_figures.draw_all", lambda runs, folder: [])
     monkeypatch.setattr("dcgrid_env.apps.reproduction.markdown.render", lambda records: "")
     monkeypatch.setattr(
         "dcgrid_env.apps.reproduction.load.choose_load", lambda trace: SimpleNamespace(description=trace)

@@ -188,7 +188,7 @@ def _four_times(x):
 
 
 def test_every_kernel_is_compiled_by_the_one_decorator():
-    folders = ("dcgrid_env", "baselines", "agents", "traces")
+    folders = ("dcgrid_env", "baselines", "agents", "traces", "apps")
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         if path.name != "compiled.py" or path.parent.name != "core":
             assert not re.search(r"njit|@jit|cache=True\)$", path.read_text(), re.MULTILINE), path

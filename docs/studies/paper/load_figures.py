@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dcgrid_env import Scenario, forecast
-from dcgrid_env.apps.reproduction.drawing import COLOURS, line
-from dcgrid_env.apps.reproduction.load_swings import MODELS
 from dcgrid_env.apps.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.apps.reproduction.study_runs import NONE, Law, Runs
 from dcgrid_env.apps.reproduction.table1 import LAWS
 from dcgrid_env.core.figure_axes import label_axes, new_figure
 from dcgrid_env.traces import TRACE_SOURCES
+from docs.studies.paper.drawing import COLOURS, line
+from docs.studies.paper.load_swings import MODELS
 
 SITE = 85
 """Bus of Fig. 7: near the end of the feeder, where the voltage is low and the clock acts."""

@@ -7,18 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.apps.reproduction.drawing import LABELS
-from dcgrid_env.apps.reproduction.feeder_cases import cases, setting_of
 from dcgrid_env.apps.reproduction.paper import COUNTS, K_P_MW_PER_PU
-from dcgrid_env.apps.reproduction.ranking import Rows, agreement
 from dcgrid_env.apps.reproduction.study import studies
 from dcgrid_env.apps.reproduction.study_runs import Law, Run, Runs, Setting
 from dcgrid_env.apps.reproduction.table1 import LAWS
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place
+from docs.studies.paper.drawing import LABELS
+from docs.studies.paper.feeder_cases import cases, setting_of
+from docs.studies.paper.further_parts import ALL_PARTS
+from docs.studies.paper.ranking import Rows, agreement
 
 Records = dict[str, Any]
-PARTS = ("table_one", "stability", "comparison", "gains", "inverters", "bus_thirteen", "intervals")
+PARTS = {
+    part: ALL_PARTS[part]
+    for part in ("table_one", "stability", "comparison", "gains", "inverters", "bus_thirteen", "intervals")
+}
 """Parts of the study that depend on the form of the feeder and need no other feeder and no linear power flow."""
 LEFT_OUT = {
     "linear and nonlinear grid are not qualitatively different": "the package has no linear three-phase power flow",

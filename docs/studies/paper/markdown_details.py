@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from dcgrid_env.apps.reproduction.drawing import LABELS
 from dcgrid_env.apps.reproduction.markdown_tables import columns_table, table, wrapped
+from docs.studies.paper.drawing import LABELS
 
 Records = dict[str, Any]
 COMPARED = ("none", "inverters", "both")

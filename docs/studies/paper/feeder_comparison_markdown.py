@@ -6,11 +6,11 @@ import itertools
 from collections.abc import Iterable
 from typing import Any
 
-from dcgrid_env.apps.reproduction.drawing import LABELS
-from dcgrid_env.apps.reproduction.feeder_comparison import LEFT_OUT
 from dcgrid_env.apps.reproduction.markdown import load_note, site_placement, table, wrapped
-from dcgrid_env.apps.reproduction.ranking import ranks
 from dcgrid_env.core.versions import code_block
+from docs.studies.paper.drawing import LABELS
+from docs.studies.paper.feeder_comparison import LEFT_OUT
+from docs.studies.paper.ranking import ranks
 
 Records = dict[str, Any]
 Table = tuple[list[str], list[list[str]]]

@@ -9,13 +9,13 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.apps.reproduction import bus13, levers
-from dcgrid_env.apps.reproduction.feeder_cases import cases, common_sites, setting_of, without_line_regulators
-from dcgrid_env.apps.reproduction.feeder_comparison import LEFT_OUT, PARTS, compare_feeders
-from dcgrid_env.apps.reproduction.feeder_comparison_markdown import causes_table, render_comparison
 from dcgrid_env.apps.reproduction.load import choose_load
-from dcgrid_env.apps.reproduction.study import PARTS as ALL_PARTS
 from dcgrid_env.apps.reproduction.study_runs import NONE, Runs, Setting, nodes_of
 from dcgrid_env.baselines import NoControl, rollout
+from docs.studies.paper.feeder_cases import cases, common_sites, setting_of, without_line_regulators
+from docs.studies.paper.feeder_comparison import LEFT_OUT, PARTS, compare_feeders
+from docs.studies.paper.feeder_comparison_markdown import causes_table, render_comparison
+from docs.studies.paper.further_parts import ALL_PARTS
 
 SHORT = Setting(choose_load("generated"), episodes=2, fields={"horizon": 12})
 
@@ -116,8 +116,8 @@ def test_figures_of_the_causes_are_those_of_the_runs(records, true):
 
 
 def test_the_document_holds_what_the_records_say(records):
-    text = render_comparison(records | {"meta": {"command": "dcgrid reproduce --scenario ieee123-3ph-published"}})
-    assert "    dcgrid reproduce --scenario ieee123-3ph-published\n" in text
+    text = render_comparison(records | {"meta": {"command": "python -m docs.studies reproduction-3ph"}})
+    assert "    python -m docs.studies reproduction-3ph\n" in text
     for form in records["cases"].values():
         assert form["about"] in text
         for row in form["table_one"]:

@@ -11,7 +11,6 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from dcgrid_env.apps.reproduction.guess import LABELS, VALUES, Distance, Guess, cells, distance
 from dcgrid_env.apps.reproduction.load import choose_load
 from dcgrid_env.apps.reproduction.study_runs import Runs, Setting
 from dcgrid_env.core.commands.progress import progress_bar
@@ -23,6 +22,7 @@ from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place, Unit
 from dcgrid_env.core.work.worker import shared
+from docs.studies.paper.guess import LABELS, VALUES, Distance, Guess, cells, distance
 
 _SETTING = "setting of the search"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kendalltau, spearmanr
 
-from dcgrid_env.apps.reproduction.ranking import agreement, correlations, ranks
+from docs.studies.paper.ranking import agreement, correlations, ranks
 
 
 def rows(*means, noise=0.0):

@@ -9,15 +9,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dcgrid_env import Scenario
-from dcgrid_env.apps.reproduction.drawing import COLOURS, LABELS, LOOKS, band, line
 from dcgrid_env.apps.reproduction.levers import settled
-from dcgrid_env.apps.reproduction.load_figures import all_sites
 from dcgrid_env.apps.reproduction.load_step import CHANGES, SITE, STEP_AT, STEP_LAWS, step_series
 from dcgrid_env.apps.reproduction.paper import PUBLISHED_BUSES
 from dcgrid_env.apps.reproduction.study_runs import BOTH, INVERTERS, NONE, Runs
 from dcgrid_env.apps.reproduction.table1 import LAWS
 from dcgrid_env.core.figure_axes import label_axes, new_figure
 from dcgrid_env.rendering import INK, draw_feeder, positions
+from docs.studies.paper.drawing import COLOURS, LABELS, LOOKS, band, line
+from docs.studies.paper.load_figures import all_sites
 
 BUSES = {13: "data centre", 25: "data centre", 85: "load", 4: "inverter"}
 """Buses of Fig. 6 as the paper has them."""

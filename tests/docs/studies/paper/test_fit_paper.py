@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from dcgrid_env.apps.reproduction.guess import VALUES, Distance, Guess
 from dcgrid_env.apps.reproduction.load import choose_load
 from dcgrid_env.apps.reproduction.study_runs import Setting
-from docs.studies import fit_paper
 from docs.studies.commands import main
+from docs.studies.paper import fit_paper
+from docs.studies.paper.guess import VALUES, Distance, Guess
 
 SETTING = Setting(choose_load("generated"), episodes=3)
 GOAL = Guess(squared=True, v0_pu=1.02, q_max_share=0.1, k_p_scale=0.6, memory="one_step")

@@ -59,15 +59,6 @@ def common_sites() -> tuple[int, ...]:
     return tuple(bus for bus in PUBLISHED_BUSES if feeder.bus_phases[feeder.index(bus)] == "abc")
 
 
-def check_scenario(name: str) -> None:
-    """ValueError for a scenario that the study is not about."""
-    if name not in (BALANCED, TRUE):
-        raise ValueError(
-            f"scenario is {name!r}; the paper's study is about the IEEE 123 node feeder: give {BALANCED}, its balanced "
-            f"equivalent, or {TRUE}, the feeder with its phases beside it"
-        )
-
-
 def setting_of(case: Case, setting: Setting) -> Setting:
     """The setting on a form of the feeder, sites that are not drawn at :func:`common_sites`."""
     return dataclasses.replace(

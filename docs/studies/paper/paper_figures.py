@@ -10,7 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dcgrid_env.apps.reproduction.bus13 import BUS
-from dcgrid_env.apps.reproduction.feeder_figures import (
+from dcgrid_env.apps.reproduction.paper import PUBLISHED_BUSES
+from dcgrid_env.apps.reproduction.study_runs import BOTH, Runs
+from dcgrid_env.apps.reproduction.table1 import gains
+from dcgrid_env.core.files import write_figure
+from docs.studies.paper.feeder_figures import (
     BUSES,
     FIGURE_6_SITES,
     against_number,
@@ -19,7 +23,7 @@ from dcgrid_env.apps.reproduction.feeder_figures import (
     map_figure,
     step_figure,
 )
-from dcgrid_env.apps.reproduction.load_figures import (
+from docs.studies.paper.load_figures import (
     SITE,
     all_sites,
     before_and_after,
@@ -28,10 +32,6 @@ from dcgrid_env.apps.reproduction.load_figures import (
     panel_laws,
     training_and_inference,
 )
-from dcgrid_env.apps.reproduction.paper import PUBLISHED_BUSES
-from dcgrid_env.apps.reproduction.study_runs import BOTH, Runs
-from dcgrid_env.apps.reproduction.table1 import gains
-from dcgrid_env.core.files import write_figure
 
 FOLDER = "images"
 DPI = 90

@@ -3,7 +3,9 @@
 import pytest
 
 from dcgrid_env.apps.reproduction import table1
-from dcgrid_env.apps.reproduction.guess import (
+from dcgrid_env.apps.reproduction.paper import TABLE_ONE
+from dcgrid_env.apps.reproduction.study_runs import Law
+from docs.studies.paper.guess import (
     COLUMNS,
     VALUES,
     Guess,
@@ -13,8 +15,6 @@ from dcgrid_env.apps.reproduction.guess import (
     law_of,
     scenario_of,
 )
-from dcgrid_env.apps.reproduction.paper import TABLE_ONE
-from dcgrid_env.apps.reproduction.study_runs import Law
 
 
 @pytest.mark.slow

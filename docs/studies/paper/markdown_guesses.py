@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from dcgrid_env.apps.reproduction.guess import LABELS, VALUES
 from dcgrid_env.apps.reproduction.markdown_tables import table, wrapped
 from dcgrid_env.apps.reproduction.paper import BUSES_INSIDE_PCT, FIVE_SITES_PU, GAIN_PCT, TABLE_ONE
+from docs.studies.paper.guess import LABELS, VALUES
 
 Records = dict[str, Any]
 

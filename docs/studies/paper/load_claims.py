@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dcgrid_env.apps.reproduction.load_swings import DIP_FEEDER
 from dcgrid_env.apps.reproduction.verdict import DOES_NOT, HOLDS, PARTLY, Records, Row, decide, row
+from docs.studies.paper.load_swings import DIP_FEEDER
 
 _MIDDLE = ("mixtral-8x22b", "deepseek-v3")
 
