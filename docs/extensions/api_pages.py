@@ -94,6 +94,7 @@ GROUPS = (
             "grid.feeder",
             "grid.three_phase",
             "grid",
+            "apps.importers",
             "baselines.source_voltage",
             "scenario.own_control",
         ),
