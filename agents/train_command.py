@@ -15,7 +15,6 @@ from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
 from dcgrid_command.command_table import COMMANDS
-from dcgrid_command.group import Entry
 from dcgrid_env.core.commands.command import GOES_ON, Command
 from dcgrid_env.core.commands.opening import offer
 from dcgrid_env.core.commands.option_limits import check_limit
@@ -215,8 +214,8 @@ def _seeds(words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
 
 ALGORITHMS = {
     line.split()[-1]: Algorithm(line.split()[-1])
-    for line, member in COMMANDS.below("dcgrid")
-    if isinstance(member, Entry) and member.where == "train:Algorithm"
+    for line, _ in COMMANDS.below("dcgrid")
+    if line.startswith("dcgrid train ")
 }
 """Algorithms by name, in the order of the command table."""
 

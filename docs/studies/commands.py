@@ -40,7 +40,7 @@ COMMANDS = Group(
                 "Write the page on the paper's study, with its figures.", "paper.reproduction_page:ReproductionPage"
             ),
             "reproduction-3ph": _entry(
-                "Write the page that compares the paper's study on two feeders.", "paper.reproduction_page:FeederPage"
+                "Compare the paper's study on two feeders, as a page.", "paper.reproduction_page:FeederPage"
             ),
             "random-feeders": _entry("Compare random feeders with published ones.", "random_feeders:RandomFeederTable"),
             "sags": _entry("Compare controllers during a recorded sequence of sags.", "sag_study:Sags"),

@@ -58,7 +58,7 @@ class ReproductionPage(Reproduce):
 
 @dataclass(frozen=True)
 class FeederPage(Reproduce):
-    """Write the page that compares the paper's study on two feeders.
+    """Compare the paper's study on two feeders, as a page.
 
     These are the balanced equivalent and the feeder with its phases, with fixed and with acting regulators.
     """
