@@ -32,7 +32,7 @@ from dcgrid_env.devices.tap_changer.regulator_state import RegulatorState
 from dcgrid_env.engine.cost.flicker import short_term_flicker
 from dcgrid_env.engine.cost.metric_list import METRICS, metrics_in
 from dcgrid_env.engine.cost.observation import field_names
-from dcgrid_env.engine.cost.reward import end_costs
+from dcgrid_env.engine.cost.reward import CostPrices, cost_prices, end_costs
 from dcgrid_env.engine.exogenous.clock_starts import recording_lines
 from dcgrid_env.engine.exogenous.forecast import Forecast, episode_hash, forecast, sag_times
 from dcgrid_env.engine.exogenous.profile_loads import profile_loads
@@ -76,7 +76,7 @@ from dcgrid_env.powerflow import (
 )
 from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
-from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
+from dcgrid_env.scenario.costs.voltage_reference import beyond_band, voltage_deviation, voltage_targets
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
 from dcgrid_env.scenario.grid_control import GridControl
@@ -109,6 +109,7 @@ __all__ = [
     "Control",
     "Cooling",
     "Cost",
+    "CostPrices",
     "CostWeights",
     "DataCenters",
     "DcgridEnv",
@@ -168,7 +169,9 @@ __all__ = [
     "acting_relays",
     "action_layout",
     "believed_sensitivity",
+    "beyond_band",
     "branch_loading",
+    "cost_prices",
     "course_bytes",
     "distflow",
     "end_costs",

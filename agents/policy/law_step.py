@@ -23,6 +23,7 @@ from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
 from dcgrid_env.core.arrays import Array
+from dcgrid_env.devices import site_work
 
 _LEVELLED = ("base_pu", "own_base_pu", "gain", "inverse_spread", "by_all")
 """What the agents know by level of the sun."""
@@ -163,9 +164,10 @@ class LawStep:
         p_ref_kw = now.p_ref_next_kw
         if not s.sensing.preview:
             p_ref_kw = xp.maximum(self.known.mean_kw[:, : self._n_dc], idle) + 0.0 * now.backlog_kws
-        arrives_kw = (p_ref_kw - idle).clip(0.0, None)
-        ceiling_kw = xp.maximum(self._dc["p_dynamic_kw"], arrives_kw)
-        return xp.minimum(p_ref_kw, idle), xp.minimum(ceiling_kw, arrives_kw + now.backlog_kws / s.dt_s), ceiling_kw
+        arriving_kw = site_work.arriving(idle, p_ref_kw)
+        ceiling_kw = site_work.top_power(self._dc["p_dynamic_kw"], arriving_kw)
+        all_kw = xp.minimum(ceiling_kw, site_work.at_hand(now.backlog_kws, arriving_kw, s.dt_s))
+        return site_work.idle_draw(idle, p_ref_kw), all_kw, ceiling_kw
 
     def _at_level(self, v_pu: np.ndarray, then_kw: np.ndarray, then_kvar: np.ndarray) -> list[Any]:
         """What the agents know at the level of the sun that they see, see ``_LEVELLED``."""

@@ -24,7 +24,16 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env import Feeder, RandomFeeders, Scenario, action_layout, sensitivity_to_agents, voltage_deviation
+from dcgrid_env import (
+    Feeder,
+    RandomFeeders,
+    Scenario,
+    action_layout,
+    beyond_band,
+    cost_prices,
+    sensitivity_to_agents,
+    voltage_deviation,
+)
 from dcgrid_env.baselines.controller import require_known_devices
 from dcgrid_env.devices import DataCenters, Work, work_classes_of
 
@@ -62,17 +71,9 @@ class Counterfactual:
     def __init__(self, scenario: Scenario):
         require_one_step("a counterfactual advantage", scenario)
         self.scenario = scenario
-        layout, w = action_layout(scenario), scenario.cost.weights
+        layout, self._prices = action_layout(scenario), cost_prices(scenario)
         self._is_clock, self._is_q = layout.is_channel("clock"), layout.is_channel("q")
         self._site: Any = scenario.datacenters
-        n_node, rated_kw = (
-            len(scenario.feeder.load_nodes),
-            float(scenario.datacenters.parameters.p_rated_kw.sum()) or 1.0,
-        )
-        self._voltage, self._violation = w.voltage / n_node, w.violation / n_node
-        converters_kva = np.concatenate([device.converter_kva for device in scenario.devices])
-        self._effort = w.effort / scenario.n_agents / converters_kva
-        self._work = (w.backlog + w.leftover) / rated_kw
         self._buses = np.zeros((0, 0), np.int64)
 
     def of_step(self, before: Any, after: Any, action: np.ndarray, mean: np.ndarray) -> np.ndarray:
@@ -106,7 +107,7 @@ class Counterfactual:
     def _of_q(self, after: Any, mean: np.ndarray) -> np.ndarray:
         limit = after.q_limit_kvar
         q_mean = np.clip(mean * self.scenario.q_scale_kvar, -limit, limit)
-        effort = self._effort * (np.abs(q_mean) - np.abs(after.q_kvar))
+        effort = self._prices.effort * (np.abs(q_mean) - np.abs(after.q_kvar))
         return effort - self._saved(after, self._by_q, after.q_kvar - q_mean)
 
     def _of_clock(self, before: Any, after: Any, clock: np.ndarray, mean: np.ndarray) -> np.ndarray:
@@ -118,7 +119,7 @@ class Counterfactual:
         connected = (
             after.p_kw[:, : self.scenario.datacenters.count] > 0.0
         )  # a site that a fault has taken draws nothing
-        waiting = self._work * (chosen_mean.backlog_kws - chosen.backlog_kws)
+        waiting = (self._prices.backlog + self._prices.leftover) * (chosen_mean.backlog_kws - chosen.backlog_kws)
         return waiting - self._saved(after, self._by_p, (p_mean - p_kw) * connected)
 
     def _saved(self, after: Any, by: np.ndarray, injected: np.ndarray) -> np.ndarray:
@@ -133,8 +134,8 @@ class Counterfactual:
         """Return the cost of voltages, (..., n_node), summed over the nodes."""
         s = self.scenario
         deviation = voltage_deviation(s, v_pu, s.feeder.load_slice)
-        beyond = np.maximum(np.abs(v_pu - 1.0) - s.cost.band_pu, 0.0)
-        return self._voltage * deviation.sum(-1) + self._violation * beyond.sum(-1)
+        beyond = beyond_band(v_pu - 1.0, s.cost.band_pu)
+        return self._prices.voltage * deviation.sum(-1) + self._prices.violation * beyond.sum(-1)
 
 
 def _mhz(params: Any, clock: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ import numpy as np
 from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Local, LocalController
 from dcgrid_env.baselines.parameter_checks import require_non_negative
+from dcgrid_env.devices import site_work
 
 Memory = Literal["cumulative", "one_step"]
 
@@ -92,8 +93,8 @@ class Droop(LocalController):
             + 1000.0 * self.k_p_mw_per_pu * (local.v_pu[..., :n_dc] - 1.0)
             + self._alpha_per_s(waiting) * waiting
         )
-        f_mhz = (p - dc.p_idle_kw) / dc.p_dynamic_kw * dc.f_max_mhz
-        return np.clip(f_mhz, dc.f_min_mhz, dc.f_max_mhz), q  # which cuts P to P_min and p_rated
+        # The limits of the clock cut P to P_min and p_rated.
+        return site_work.clock_for(dc.p_idle_kw, dc.p_dynamic_kw, dc.f_min_mhz, dc.f_max_mhz, p), q
 
     def _alpha_per_s(self, waiting_kws: np.ndarray) -> np.ndarray | float:
         """Share of the backlog added to the power asked for, per second, now."""

@@ -24,6 +24,7 @@ from dcgrid_env import Scenario, field_names
 from dcgrid_env.baselines.controller import Local
 from dcgrid_env.baselines.laws.droop import Droop
 from dcgrid_env.baselines.parameter_checks import require_non_negative
+from dcgrid_env.devices import site_work
 
 
 class Request(NamedTuple):
@@ -78,13 +79,12 @@ class RequestSharing(Droop):
         """Return the clocks of the sites that meet the request, MHz, (..., n_dc), from those of the droop."""
         s, dc = self.scenario, self.scenario.datacenters.parameters
         p_ref_kw = local.p_ref_next_kw if s.sensing.preview else np.broadcast_to(dc.p_rated_kw, f_mhz.shape)
-        arriving_kw = np.maximum(p_ref_kw - dc.p_idle_kw, 0.0)
-        most_kw = np.minimum(arriving_kw + local.backlog_kws / s.dt_s, dc.p_dynamic_kw)
+        arriving_kw = site_work.arriving(dc.p_idle_kw, p_ref_kw)
+        most_kw = np.minimum(site_work.at_hand(local.backlog_kws, arriving_kw, s.dt_s), dc.p_dynamic_kw)
         least_kw = np.minimum(most_kw, dc.p_dynamic_kw * (dc.f_min_mhz / dc.f_max_mhz))
         ready_kw = np.clip(dc.p_dynamic_kw * f_mhz / dc.f_max_mhz, least_kw, most_kw)
-        lower_kw, upper_kw = (
-            share * dc.p_rated_kw.sum() - np.minimum(p_ref_kw, dc.p_idle_kw).sum(-1) for share in self._bounds(request)
-        )
+        idle_kw = site_work.idle_draw(dc.p_idle_kw, p_ref_kw).sum(-1)
+        lower_kw, upper_kw = (share * dc.p_rated_kw.sum() - idle_kw for share in self._bounds(request))
         need_kw = arriving_kw + self.backlog_weight_per_s * local.backlog_kws
         served_kw = least_kw + shared(upper_kw - least_kw.sum(-1), need_kw, ready_kw - least_kw)
         served_kw = served_kw + shared(lower_kw - served_kw.sum(-1), most_kw - served_kw, most_kw - served_kw)

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario
+from dcgrid_env import Scenario, cost_prices
 from dcgrid_env.baselines.model_aided.operating_points import OperatingPoints
 from dcgrid_env.baselines.parameter_checks import require_non_negative
+from dcgrid_env.devices import converter
 
 
 @dataclass
@@ -82,27 +83,23 @@ class Site(NamedTuple):
     @property
     def effort(self) -> np.ndarray:
         """Price of a whole limit of reactive power, (n,)."""
-        return self.scenario.cost.weights.effort / self.scenario.n_agents / self.s_rated_kva * self.q_scale_kvar
+        return cost_prices(self.scenario).effort * self.q_scale_kvar
 
     @property
     def waiting(self) -> float:
         """Price of letting a kW of work wait, that of MPC: charged as if it were left at the end."""
-        s = self.scenario
-        return self.law.price * (s.cost.weights.backlog + s.cost.weights.leftover) * self._per_kw
+        prices = cost_prices(self.scenario)
+        return self.law.price * (prices.backlog + prices.leftover) * self.scenario.dt_s
 
     @property
     def never(self) -> float:
         """Price of a kW that is not served to the end, in the mean over the steps that it may be put off at."""
-        s = self.scenario
-        return (s.cost.weights.backlog * s.horizon / 2.0 + s.cost.weights.leftover) * self._per_kw
-
-    @property
-    def _per_kw(self) -> float:
-        return self.scenario.dt_s / (self.scenario.datacenters.parameters.p_rated_kw.sum() or 1.0)
+        s, prices = self.scenario, cost_prices(self.scenario)
+        return (prices.backlog * s.horizon / 2.0 + prices.leftover) * s.dt_s
 
     def limit_kvar(self, p_kw: np.ndarray) -> np.ndarray:
         """Reactive limit at a draw, of the draw's shape (.., n)."""
-        return np.minimum(self.q_scale_kvar, np.sqrt(np.maximum(self.s_rated_kva**2 - p_kw**2, 0.0)))
+        return converter.limit(self.s_rated_kva, self.q_scale_kvar, p_kw)
 
 
 class Commissioned(NamedTuple):

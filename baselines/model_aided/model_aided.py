@@ -33,6 +33,7 @@ from dcgrid_env.baselines.model_aided.average import Average
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun, resting
+from dcgrid_env.devices import site_work
 
 
 class _Work(NamedTuple):
@@ -132,8 +133,8 @@ class ModelAided(Law, LocalController):
         dc, p_ref_kw = s.datacenters.parameters, local.p_ref_next_kw
         if not s.sensing.preview:
             p_ref_kw = np.broadcast_to(np.maximum(known.mean_kw[:, :n_dc], dc.p_idle_kw), p_ref_kw.shape)
-        arrives_kw = np.maximum(p_ref_kw - dc.p_idle_kw, 0.0)
-        ceiling_kw = np.maximum(dc.p_dynamic_kw, arrives_kw)
-        all_kw = np.minimum(ceiling_kw, arrives_kw + local.backlog_kws / s.dt_s)
+        arriving_kw = site_work.arriving(dc.p_idle_kw, p_ref_kw)
+        ceiling_kw = site_work.top_power(dc.p_dynamic_kw, arriving_kw)
+        all_kw = np.minimum(ceiling_kw, site_work.at_hand(local.backlog_kws, arriving_kw, s.dt_s))
         least_kw = np.minimum(ceiling_kw * s.datacenters.f_min_mhz / s.datacenters.f_max_mhz, all_kw)
-        return _Work(np.minimum(p_ref_kw, dc.p_idle_kw), ceiling_kw, all_kw, least_kw)
+        return _Work(site_work.idle_draw(dc.p_idle_kw, p_ref_kw), ceiling_kw, all_kw, least_kw)

@@ -8,7 +8,9 @@ import math
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
+from dcgrid_env.devices import converter
 
+reactive_limit = converter.limit.scalar
 _FAST = {"reassoc", "contract", "nnan", "ninf", "nsz"}
 _TOP = 4.0  # beyond so many standard deviations an error does not come
 # (Phi(x) - 1/2) / x in powers of x^2, fitted by least squares on [-4, 4].
@@ -81,7 +83,7 @@ def decide(
                     x[k] += cut * drawn[k]
             limit = 0.0
             if q_scale[i] > 0.0:
-                limit = min(np.sqrt(max(s_rated[i] ** 2 - p_next**2, 0.0)) / q_scale[i], 1.0)
+                limit = reactive_limit(s_rated[i], q_scale[i], p_next) / q_scale[i]
             new[m, i], slope[m, i] = respond(
                 x, edge, apart, rises, together, effect, price, share[m, i], limit, effort[i], hold[of, i], rest[m, i]
             )

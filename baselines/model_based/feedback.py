@@ -39,9 +39,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from dcgrid_env import Scenario, voltage_targets
+from dcgrid_env import Scenario, cost_prices, voltage_targets
 from dcgrid_env.baselines.model_based.linear_model import Estimate, ModelController
 from dcgrid_env.baselines.parameter_checks import require_non_negative
+from dcgrid_env.devices import site_work
 
 
 @dataclass
@@ -74,13 +75,13 @@ class FeedbackOptimisation(ModelController):
     def reset(self, env_info: Scenario) -> None:
         """See :class:`ModelController`."""
         super().reset(env_info)
-        s, w, dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.parameters
-        n_node = len(s.feeder.load_nodes)
-        self._weights = w.voltage / n_node, w.violation / n_node
-        self._slope = (max(w.voltage, 0.01 * w.violation) or 1.0) / n_node / self.width_pu
-        self._backlog_price = (w.backlog + w.leftover) * s.dt_s / (dc.p_rated_kw.sum() or 1.0)  # of each kW held back
-        self._effort_price = w.effort / s.n_agents / self._rated_kva
-        self._size = np.concatenate((dc.p_dynamic_kw, self._q_scale))
+        s, prices = self.scenario, cost_prices(self.scenario)
+        self._weights = prices.voltage, prices.violation
+        steepest = max(prices.voltage, 0.01 * prices.violation) or 1.0 / len(s.feeder.load_nodes)
+        self._slope = steepest / self.width_pu
+        self._backlog_price = (prices.backlog + prices.leftover) * s.dt_s  # of each kW held back
+        self._effort_price = prices.effort
+        self._size = np.concatenate((s.datacenters.parameters.p_dynamic_kw, self._q_scale))
         self._target_pu = voltage_targets(s)[s.feeder.load_slice] - 1.0
         self._multipliers: tuple[np.ndarray, ...] | None = None
 
@@ -89,8 +90,8 @@ class FeedbackOptimisation(ModelController):
         s, dc, local = self.scenario, self.scenario.datacenters.parameters, now.local
         n_dc = s.datacenters.count
         p_ref_kw = local.p_ref_next_kw if s.sensing.preview else now.p_ref_kw
-        arrived_kw, arrives_kw = (np.maximum(p - dc.p_idle_kw, 0.0) for p in (now.p_ref_kw, p_ref_kw))
-        served_kw = local.p_kw[:, :n_dc] - np.minimum(now.p_ref_kw, dc.p_idle_kw)
+        arrived_kw, arrives_kw = (site_work.arriving(dc.p_idle_kw, p) for p in (now.p_ref_kw, p_ref_kw))
+        served_kw = local.p_kw[:, :n_dc] - site_work.idle_draw(dc.p_idle_kw, now.p_ref_kw)
         by_p = now.by_p[:, :n_dc]
         e = now.v_pu - 1.0 + np.matmul((p_ref_kw - now.p_ref_kw)[:, None], by_p)[:, 0]
         slopes = np.concatenate((by_p, now.by_q), axis=1)
@@ -99,8 +100,8 @@ class FeedbackOptimisation(ModelController):
 
         d = served_kw + arrives_kw - arrived_kw - step[:, :n_dc] * (pull[:, :n_dc] - self._backlog_price)
         # Where all work is to be served the clock may as well be at its top.
-        at_hand_kw = arrives_kw + local.backlog_kws / s.dt_s
-        share = np.where(d >= at_hand_kw, 1.0, d / np.maximum(dc.p_dynamic_kw, arrives_kw))
+        at_hand_kw = site_work.at_hand(local.backlog_kws, arrives_kw, s.dt_s)
+        share = np.where(d >= at_hand_kw, 1.0, d / site_work.top_power(dc.p_dynamic_kw, arrives_kw))
         q = local.q_kvar - step[:, n_dc:] * pull[:, n_dc:]
         q = np.copysign(np.maximum(np.abs(q) - step[:, n_dc:] * self._effort_price, 0.0), q)
         return np.clip(share * s.datacenters.f_max_mhz, s.datacenters.f_min_mhz, s.datacenters.f_max_mhz), np.clip(

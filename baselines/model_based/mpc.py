@@ -31,12 +31,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from dcgrid_env import RegulatorState, Scenario, acting_relays, voltage_targets
+from dcgrid_env import RegulatorState, Scenario, acting_relays, cost_prices, voltage_targets
 from dcgrid_env.baselines.model_based.linear_model import Estimate, ModelController
 from dcgrid_env.baselines.model_based.lookahead import Iterate, Program, moved_on, restarted, solve
 from dcgrid_env.baselines.model_based.relay_model import relay_model
 from dcgrid_env.baselines.model_based.tap_plan import Demands, Outlook, TapPlan
-from dcgrid_env.devices import may_leave
+from dcgrid_env.devices import converter, may_leave, site_work
 
 _SETTLED = 1e-3  # share of a site's dynamic power by which the solver's work served may fall short of all there is
 
@@ -72,13 +72,13 @@ class Mpc(ModelController):
     def reset(self, env_info: Scenario) -> None:
         """See :class:`ModelController`."""
         super().reset(env_info)
-        s, w, dc = self.scenario, self.scenario.cost.weights, self.scenario.datacenters.parameters
+        s, prices, dc = self.scenario, cost_prices(self.scenario), self.scenario.datacenters.parameters
         # Powers are shares of these in the program.
         self._size = np.concatenate((dc.p_dynamic_kw, s.inverters.parameters.s_rated_kva))
-        price = np.full((self.horizon, 1), w.backlog)
-        price[-1] += w.leftover
-        self._price = price * dc.p_dynamic_kw * s.dt_s / (dc.p_rated_kw.sum() or 1.0)
-        self._effort = w.effort / s.n_agents * self._size / self._rated_kva
+        price = np.full((self.horizon, 1), prices.backlog)
+        price[-1] += prices.leftover
+        self._price = price * dc.p_dynamic_kw * s.dt_s
+        self._effort = prices.effort * self._size
         is_nominal = s.cost.reference == "nominal"
         self._target_pu = None if is_nominal else voltage_targets(s)[s.feeder.load_slice] - 1.0
         self._solution: Iterate | None = None
@@ -154,8 +154,8 @@ class Mpc(ModelController):
             relay_v = without_q_v + np.matmul(change_kw[:, None], plan.model.by_p[:, :n_dc])[:, 0]
             outlooks.append(Outlook(deviation_pu, relay_v))
         usual, coming = outlooks
-        room = np.sqrt(np.maximum(program.s_rated[:, 0] ** 2 - (program.base[:, 0] + served) ** 2, 0.0))
-        q_high = np.concatenate((np.minimum(program.q_high[:, :n_dc], room), program.q_high[:, n_dc:]), axis=1)
+        of_sites = converter.limit(program.s_rated[:, 0], program.q_high[:, :n_dc], program.base[:, 0] + served)
+        q_high = np.concatenate((of_sites, program.q_high[:, n_dc:]), axis=1)
         by_q = plan.model.by_q * size_kvar
         reactive = plan.limited(program._replace(slopes=program.slopes[:, n_dc:], q_high=q_high), by_q)
         choice = plan.choose(reactive, usual, coming, self._regulators, self._steps_left)
@@ -181,16 +181,16 @@ class Mpc(ModelController):
 
     def _program(self, now: Estimate, p_ref_kw: np.ndarray) -> Program:
         s, local = self.scenario, now.local
-        w, dc, n_dc = s.cost.weights, s.datacenters.parameters, s.datacenters.count
-        base_kw = np.minimum(p_ref_kw, dc.p_idle_kw)
-        arrives_kw = np.maximum(p_ref_kw - dc.p_idle_kw, 0.0)
+        prices, dc, n_dc = cost_prices(s), s.datacenters.parameters, s.datacenters.count
+        base_kw = site_work.idle_draw(dc.p_idle_kw, p_ref_kw)
+        arrives_kw = site_work.arriving(dc.p_idle_kw, p_ref_kw)
         waits_kw = local.backlog_kws / s.dt_s
         at_hand_kw = arrives_kw.copy()  # at the least: what waits is counted in the first step alone
         at_hand_kw[:, 0] += waits_kw
-        ceiling_kw = np.maximum(dc.p_dynamic_kw, arrives_kw)
+        ceiling_kw = site_work.top_power(dc.p_dynamic_kw, arrives_kw)
         high_kw = ceiling_kw.copy()
         high_kw[:, 0] = np.minimum(high_kw[:, 0], at_hand_kw[:, 0])
-        by_p, size, n_node = now.by_p[:, :n_dc], self._size[:n_dc], len(s.feeder.load_nodes)
+        by_p, size = now.by_p[:, :n_dc], self._size[:n_dc]
         idle_pu = np.matmul(base_kw - local.p_kw[:, None, :n_dc], by_p) - np.matmul(local.q_kvar[:, None], now.by_q)
         return Program(
             offset=now.v_pu[:, None] - 1.0 + idle_pu,
@@ -203,8 +203,8 @@ class Mpc(ModelController):
             q_high=self._limit_kvar(now) / self._size,
             work=(waits_kw[:, None] + np.cumsum(arrives_kw, axis=1)) / size,
             price=self._price,
-            voltage=w.voltage / n_node,
-            violation=w.violation / n_node,
+            voltage=prices.voltage,
+            violation=prices.violation,
             effort=self._effort,
             band_pu=s.cost.band_pu,
             target=self._target_pu,

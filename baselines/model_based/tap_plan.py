@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcgrid_env import RegulatorState
+from dcgrid_env import RegulatorState, beyond_band
 from dcgrid_env.baselines.model_based.lookahead import Iterate, Program, restarted, solve
 from dcgrid_env.baselines.model_based.relay_model import RelayModel
 
@@ -270,8 +270,8 @@ class TapPlan:
         )
         found = solve(candidates, None if start is None else restarted(candidates, start), _ROUNDS)
         v_pu, beyond = np.split(offset + np.matmul(found.y, program.slopes), [-program.n_limits], axis=-1)
-        apart = np.abs(v_pu if program.target is None else v_pu - program.target) - program.uncharged_pu
-        cost = program.voltage * np.maximum(apart, 0.0).sum(axis=-1)
-        cost += program.violation * np.maximum(np.abs(v_pu) - program.band_pu, 0.0).sum(axis=-1)
+        off = v_pu if program.target is None else v_pu - program.target
+        cost = program.voltage * beyond_band(off, program.uncharged_pu).sum(axis=-1)
+        cost += program.violation * beyond_band(v_pu, program.band_pu).sum(axis=-1)
         cost += np.abs(found.y) @ program.effort
         return cost + demand_price / _PER_VOLT * np.maximum(beyond, 0.0).sum(axis=-1), found

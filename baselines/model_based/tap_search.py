@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import voltage_targets
+from dcgrid_env import beyond_band, voltage_targets
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.lookahead import Program, solve
 from dcgrid_env.baselines.model_based.tap_trajectory import ABOVE, ANY, BELOW, IN_BAND, MARGIN_V, Demands, TapTrajectory
@@ -210,8 +210,8 @@ class TapSearch:
         )
         y = solve(program, None, ROUNDS).y
         off, beyond = np.split(offset + np.matmul(y, program.slopes), [v_pu.shape[1]], axis=-1)
-        charged = np.maximum(np.abs(off - self._target) - program.uncharged_pu, 0.0).sum(axis=-1)
-        cost = voltage * charged + violation * np.maximum(np.abs(off) - program.band_pu, 0.0).sum(axis=-1)
+        cost = voltage * beyond_band(off - self._target, program.uncharged_pu).sum(axis=-1)
+        cost += violation * beyond_band(off, program.band_pu).sum(axis=-1)
         cost += np.abs(y) @ effort + program.beyond_limit * np.maximum(beyond, 0.0).sum(axis=-1)
         return cost[tuple(where)], volts + np.matmul(y, of_u)[tuple(where)]
 

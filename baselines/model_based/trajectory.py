@@ -10,6 +10,7 @@ from dcgrid_env import Control, Forecast, Recorder, Scenario, action_layout, nod
 from dcgrid_env.baselines.model_based.storage_rows import storages_of
 from dcgrid_env.baselines.model_based.voltage_rows import Linear
 from dcgrid_env.baselines.model_based.work_rows import WorkRows
+from dcgrid_env.devices import converter
 
 _SPAN = 1.0  # kW and kvar by which the power flow is tried to find its slopes
 
@@ -49,9 +50,10 @@ class Trajectory:
         # It begins with serving all work as it arrives, without reactive power.
         self.served_kw, self.q_kvar = self.arrived_kw, np.zeros((s.horizon, self.n))
         inverters = slice(n_dc, self.n - self.n_storages)
-        room = np.sqrt(np.maximum(self.s_rated_kva[inverters] ** 2 - episode.p_inverter_kw**2, 0.0))
         self.q_limit_kvar = np.tile(s.q_scale_kvar[: self.n], (s.horizon, 1))
-        self.q_limit_kvar[:, inverters] = np.minimum(self.q_limit_kvar[:, inverters], room)
+        self.q_limit_kvar[:, inverters] = converter.limit(
+            self.s_rated_kva[inverters], s.q_scale_kvar[inverters], episode.p_inverter_kw
+        )
         self.q_limit_kvar *= episode.available[:, : self.n]
         self._first_tap, self._first_on = np.zeros(0), np.zeros(0)
         self._tap, self._on = np.zeros((0, 0)), np.zeros((0, 0))

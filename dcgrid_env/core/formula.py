@@ -26,13 +26,13 @@ PerSlot = Array
 
 
 def least(a: Array, b: Array) -> Array:
-    """The smaller of two values; arrays or tensors."""
-    return namespace(a).minimum(a, b)
+    """The smaller of two values, of which the second may be a number."""
+    return namespace(a).minimum(a, _like(b, a))
 
 
 def most(a: Array, b: Array) -> Array:
-    """The larger of two values; arrays or tensors."""
-    return namespace(a).maximum(a, b)
+    """The larger of two values, of which the second may be a number."""
+    return namespace(a).maximum(a, _like(b, a))
 
 
 def positive(a: Array) -> Array:
@@ -48,6 +48,13 @@ def root(a: Array) -> Array:
 def choose(condition: Array, a: Array | float, b: Array | float) -> Array:
     """``a`` where the condition is True, else ``b``; one of them may be a number."""
     return namespace(condition).where(condition, a, b)
+
+
+def _like(value: Array | float, like: Array) -> Array:
+    """A number as a tensor without dimensions beside a tensor, which takes no number in minimum and maximum."""
+    if isinstance(value, float) and not isinstance(like, np.ndarray):
+        return namespace(like).full((), value, dtype=like.dtype, device=like.device)
+    return value
 
 
 class Formula:
@@ -87,12 +94,16 @@ class Formula:
 
     @cached_property
     def rows(self) -> Any:
-        """The kernel over arrays (row, slot), see ``formula``."""
+        """The kernel over arrays (row, slot), see ``formula``.
+
+        Several results are the parts of one array (result, row, slot), because each array that a kernel returns takes
+        as long as the formula of a few slots.
+        """
         from dcgrid_env.core.compiled import compiled
 
         names, kinds = list(signature(self.array_form).parameters), self.array_form.__annotations__
         assert self._like is not None
-        like, taken, checks, optional = names[self._like], [], [], []
+        like, taken, checks = names[self._like], [], []
         for name in names:
             if kinds[name] == "PerSlot":
                 taken.append(f"{name}[i]")
@@ -102,29 +113,22 @@ class Formula:
                 checks.append(f"{name}.shape != {like}.shape")
             elif kinds[name] == "Array | None":
                 taken.append(f"None if {name} is None else {name}[row, i]")
-                optional.append(name)
+                checks.append(f"{name} is not None and {name}.shape != {like}.shape")
             else:
                 taken.append(name)
-        out = [f"out_{k}" for k in range(kinds["return"].count("Array"))]
+        n_out = kinds["return"].count("Array")
+        shape, at = ("n_row, slots", "") if n_out == 1 else (f"{n_out}, n_row, slots", "{}, ")
+        filled = ", ".join(f"out[{at.format(k)}row, i]" for k in range(n_out))
         refuse = "        raise ValueError('arguments have different shapes')"
         lines = [
             f"def {self.array_form.__name__}_rows({', '.join(names)}):",
             f"    n_row, slots = {like}.shape",
             *(line for check in checks for line in (f"    if {check}:", refuse)),
-            *(
-                line
-                for name in optional
-                for line in (
-                    f"    if {name} is not None:",
-                    f"        if {name}.shape != {like}.shape:",
-                    f"    {refuse}",
-                )
-            ),
-            *(f"    {name} = np.empty((n_row, slots))" for name in out),
+            f"    out = np.empty(({shape}))",
             "    for row in range(n_row):",
             "        for i in range(slots):",
-            f"            {', '.join(f'{name}[row, i]' for name in out)} = scalar({', '.join(taken)})",
-            f"    return {', '.join(out)}",
+            f"            {filled} = scalar({', '.join(taken)})",
+            "    return out",
         ]
         space = {"np": np, "scalar": self.scalar, "__name__": self.array_form.__module__}
         exec("\n".join(lines), space)  # of the names of the arguments alone

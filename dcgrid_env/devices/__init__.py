@@ -1,6 +1,7 @@
 """Devices: groups of them with parameters, a state and a pure step."""
 
 from dcgrid_env.devices import converter
+from dcgrid_env.devices.datacenter import site_work
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, speed_share, work_classes_of
 from dcgrid_env.devices.datacenter.data_centers import DataCenters
 from dcgrid_env.devices.datacenter.power_cap import PowerCapDvfs
@@ -36,6 +37,7 @@ __all__ = [
     "is_known",
     "may_leave",
     "register_device",
+    "site_work",
     "speed_share",
     "work_classes_of",
 ]

@@ -19,8 +19,8 @@ from typing import NamedTuple
 from dcgrid_env.core.arrays import Array, namespace, sum_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.coverage import Coverage
-from dcgrid_env.core.formula import PerSlot, formula, least, most, positive
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs
+from dcgrid_env.devices.datacenter.site_work import arriving, at_hand, idle_draw, left_over, serve_linearly, top_power
 from dcgrid_env.devices.ratings import DataCenterParams
 
 COVERED = Coverage({LinearDvfs: ""})
@@ -96,58 +96,18 @@ def step(
     """
     if type(dvfs) is LinearDvfs and _is_compiled(dvfs):
         ratings = params.p_idle_kw, params.p_dynamic_kw, params.f_max_mhz
-        after = serve_linearly(*ratings, class_backlog_kws, p_ref_kw, f_mhz, dt_s, boost)
+        after = tuple(serve_linearly(*ratings, class_backlog_kws, p_ref_kw, f_mhz, dt_s, boost))
         return DataCenterStep(*after, *after[:3])
-    xp = namespace(p_ref_kw)
     arrived = arriving(params.p_idle_kw, p_ref_kw)
     if boost:
-        params = params._replace(p_dynamic_kw=xp.maximum(params.p_dynamic_kw, arrived))
-    base = xp.minimum(p_ref_kw, params.p_idle_kw)
+        params = params._replace(p_dynamic_kw=top_power(params.p_dynamic_kw, arrived))
+    base = idle_draw(params.p_idle_kw, p_ref_kw)
     return serve_arrived(params, dvfs, class_backlog_kws, base, arrived, f_mhz, dt_s, compute_share)
 
 
 @cached_on_owner
 def _is_compiled(dvfs: LinearDvfs) -> bool:
     return COVERED.includes(dvfs)
-
-
-@formula
-def left_over(backlog_kws: Array, arrived_kw: Array, served_kw: Array, dt_s: float) -> Array:
-    """Work queued after an interval, kW s.
-
-    The positive part takes off no more than the rounding of a queue that has just run empty.
-    """
-    return positive(backlog_kws + (arrived_kw - served_kw) * dt_s)
-
-
-@formula
-def at_hand(backlog_kws: Array, arrived_kw: Array, dt_s: float) -> Array:
-    """Work that arrives and waits, as the dynamic power that would serve all of it within an interval, kW."""
-    return arrived_kw + backlog_kws / dt_s
-
-
-@formula
-def arriving(p_idle_kw: PerSlot, p_ref_kw: Array) -> Array:
-    """Work that arrives, as the dynamic power that it takes at the top clock, kW."""
-    return positive(p_ref_kw - p_idle_kw)
-
-
-@formula(like="p_ref_kw", views=("f_mhz",))
-def serve_linearly(
-    p_idle_kw: PerSlot,
-    p_dynamic_kw: PerSlot,
-    f_max_mhz: PerSlot,
-    backlog_kws: Array,
-    p_ref_kw: Array,
-    f_mhz: Array,
-    dt_s: float,
-    boost: bool,
-) -> tuple[Array, Array, Array, Array]:
-    """Backlog, kW s, work arrived and served, and draw, kW, of ``step`` under the linear law."""
-    arrived = arriving(p_idle_kw, p_ref_kw)
-    ceiling = most(p_dynamic_kw + 0.0 * arrived, arrived) if boost else p_dynamic_kw + 0.0 * arrived
-    served = least(ceiling * (f_mhz / f_max_mhz), at_hand(backlog_kws, arrived, dt_s))
-    return left_over(backlog_kws, arrived, served, dt_s), arrived, served, least(p_ref_kw, p_idle_kw) + served
 
 
 def serve_arrived(

@@ -8,8 +8,9 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, work_classes_of
-from dcgrid_env.devices.datacenter.datacenter import DataCenterState, DataCenterStep, arriving, serve_arrived, step
+from dcgrid_env.devices.datacenter.datacenter import DataCenterState, DataCenterStep, serve_arrived, step
 from dcgrid_env.devices.datacenter.site_features import Given, Load, SiteState
+from dcgrid_env.devices.datacenter.site_work import arriving, idle_draw, top_power
 from dcgrid_env.devices.device import Work
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -81,7 +82,7 @@ class SiteSteps:
         share = load.compute_share if self.has_two_classes else None
         if self.boost_share > 1.0:  # no more than the boost, however much has come from elsewhere
             xp, most_kw = namespace(f_mhz), self.boost_share * params.p_rated_kw - params.p_idle_kw
-            at_once = xp.maximum(params.p_dynamic_kw, xp.minimum(load.arrived_kw, most_kw))
+            at_once = top_power(params.p_dynamic_kw, xp.minimum(load.arrived_kw, most_kw))
             params = params._replace(p_dynamic_kw=at_once)
         done = serve_arrived(
             params, self.clock_law, state.class_backlog_kws, load.base_kw, load.arrived_kw, f_mhz, dt_s, share,
@@ -92,8 +93,8 @@ class SiteSteps:
 
 def _load(params: DataCenterParams, work: Work) -> Load:
     """The work as it comes."""
-    base = namespace(work.p_ref_kw).minimum(work.p_ref_kw, params.p_idle_kw)
-    return Load(base, arriving(params.p_idle_kw, work.p_ref_kw), work.compute_share)
+    idle_kw, p_ref_kw = params.p_idle_kw, work.p_ref_kw
+    return Load(idle_draw(idle_kw, p_ref_kw), arriving(idle_kw, p_ref_kw), work.compute_share)
 
 
 def _after(done: DataCenterStep, state: DataCenterState, f_mhz: Array) -> tuple[DataCenterState, Array]:

@@ -80,7 +80,8 @@ def advance_rows(before, low, high, sags, pace, figures, widths, dt_s):
 def counted(state, figures):
     """See ``connection.counters``."""
     rows, slots, n_element = state.timer_s.shape
-    events, returns, largest = np.zeros((rows, slots)), np.zeros((rows, slots)), np.zeros((rows, slots))
+    out = np.zeros((3, rows, slots))  # one array, because each that a kernel returns takes time
+    events, returns, largest = out[0], out[1], out[2]
     for i in range(rows):
         for j in range(slots):
             for k in range(n_element):
@@ -91,4 +92,4 @@ def counted(state, figures):
                 events[i, j] += state.event_age_s[i, j, k] < figures.window_s
             for k in range(state.return_age_s.shape[2]):
                 returns[i, j] += state.return_age_s[i, j, k] < 60.0
-    return events, returns, largest
+    return out

@@ -28,13 +28,13 @@ import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.coverage import Coverage
-from dcgrid_env.devices import DataCenters, Q, converter
-from dcgrid_env.engine.cost.reward import terms
+from dcgrid_env.devices import DataCenters, Q, converter, site_work
+from dcgrid_env.engine.cost.reward import cost_prices, terms
 from dcgrid_env.engine.cost.tap_credit import ComingTaps, TapTargets, coming_taps
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.engine.physics.connections import connections, true_sensitivity
 from dcgrid_env.engine.physics.dynamics import device_slices, device_step
-from dcgrid_env.engine.physics.parameters import inverse, parameters
+from dcgrid_env.engine.physics.parameters import parameters
 from dcgrid_env.engine.physics.state import Exogenous, State
 from dcgrid_env.grid import Feeder
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
@@ -43,7 +43,7 @@ from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs import load_requests
 from dcgrid_env.scenario.costs.grid_terms import voltage_cost
 from dcgrid_env.scenario.costs.utility_limits import sites
-from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation, voltage_targets
+from dcgrid_env.scenario.costs.voltage_reference import beyond_band, voltage_deviation, voltage_targets
 from dcgrid_env.scenario.scenario import Scenario
 
 COVERED = Coverage(
@@ -149,8 +149,9 @@ def _set_clocks(
         if isinstance(device, DataCenters) and device.count:
             cut, site = device_slices(scenario)[i], device.parameters
             more_kw = 1e3 * k_p * (state.v_agent_pu[:, cut] - 1.0) + alpha_per_s * state.devices[i].backlog_kws
-            f_mhz = (p_ref_kw[:, sites] + more_kw - site.p_idle_kw) / site.p_dynamic_kw * site.f_max_mhz
-            setpoints[:, action_layout(scenario).columns[i][0]] = np.clip(f_mhz, site.f_min_mhz, site.f_max_mhz)
+            clocks = site.p_idle_kw, site.p_dynamic_kw, site.f_min_mhz, site.f_max_mhz
+            f_mhz = site_work.clock_for(*clocks, p_ref_kw[:, sites] + more_kw)
+            setpoints[:, action_layout(scenario).columns[i][0]] = f_mhz
         if device.input == "workload":
             first = sites.stop
 
@@ -334,12 +335,10 @@ class Charges(NamedTuple):
 @cached_on_owner
 def charges(scenario: Scenario) -> Charges:
     """Return the constants of a scenario's costs."""
-    t, weights = terms(scenario), scenario.cost.weights
-    effort = (weights.effort / t.n_converters) * inverse(parameters(scenario, np.empty(0)).converter_kva)
-    targets = voltage_targets(scenario)[..., t.judged]
+    targets, prices = voltage_targets(scenario)[..., terms(scenario).judged], cost_prices(scenario)
     if targets.ndim == 2:
         targets = targets[0]  # on several feeders all targets are 1 p.u., see check_difference_reward
-    return Charges(np.ascontiguousarray(targets), weights.voltage / t.n_judged, weights.violation / t.n_judged, effort)
+    return Charges(np.ascontiguousarray(targets), prices.voltage, prices.violation, prices.effort)
 
 
 @cached_on_owner
@@ -437,7 +436,7 @@ def _saved_costs_arrays(
 
     def costs(v_pu: np.ndarray) -> np.ndarray:
         deviation = voltage_cost(cost.voltage, voltage_deviation(scenario, v_pu, judged), cost.band_pu)
-        beyond = np.maximum(np.abs(v_pu - 1.0) - cost.band_pu, 0.0)
+        beyond = beyond_band(v_pu - 1.0, cost.band_pu)
         return charged.voltage * deviation.sum(-1) + charged.violation * beyond.sum(-1)
 
     return costs(v + (moved / v if by.is_squared else moved)) - costs(v) + more

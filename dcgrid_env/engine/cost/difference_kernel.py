@@ -7,8 +7,9 @@ import numpy as np
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.devices import converter
 from dcgrid_env.engine.cost.tap_credit import MARGIN, WIDTH
+from dcgrid_env.scenario.costs import voltage_reference
 
-dispatch = converter.dispatch.scalar
+dispatch, beyond_band = converter.dispatch.scalar, voltage_reference.beyond_band.scalar
 SUMS = {"reassoc", "nsz", "contract"}
 """Liberties that the compiler may take in sums over nodes, which it then vectorises."""
 
@@ -19,10 +20,8 @@ def _cost_with(v_pu, per_v, by, change, targets, uncharged_pu, band_pu, w_voltag
     cost = 0.0
     for j in range(len(v_pu)):
         v = v_pu[j] + by[j] * change * per_v[j]
-        from_target = abs(v - targets[j]) - uncharged_pu
-        from_one = abs(v - 1.0) - band_pu
-        cost += w_voltage * (from_target if from_target > 0.0 else 0.0)
-        cost += w_violation * (from_one if from_one > 0.0 else 0.0)
+        cost += w_voltage * beyond_band(v - targets[j], uncharged_pu)
+        cost += w_violation * beyond_band(v - 1.0, band_pu)
     return cost
 
 

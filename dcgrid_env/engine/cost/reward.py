@@ -18,18 +18,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, positive_part, sum_last
+from dcgrid_env.core.arrays import Array, all_true, as_like, namespace, sum_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.devices import CostTerm
 from dcgrid_env.devices.grid_equipment import is_equipment
+from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.engine.physics.dynamics import device_slices
-from dcgrid_env.engine.physics.parameters import parameters
+from dcgrid_env.engine.physics.parameters import inverse, parameters
 from dcgrid_env.engine.physics.state import State, VoltageFigures
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.grid_terms import TERMS, GridTerm, Step, voltage_cost
-from dcgrid_env.scenario.costs.voltage_reference import voltage_deviation
+from dcgrid_env.scenario.costs.voltage_reference import beyond_band, voltage_deviation
 from dcgrid_env.scenario.scenario import Scenario
 
 Costs = Any
@@ -69,7 +70,7 @@ def _step(
     if figures is not None:
         excess = figures.excess_pu
     else:
-        excess = sum_last(positive_part(namespace(v_pu).abs(v_pu[..., t.judged] - 1.0) - cost.band_pu))
+        excess = sum_last(beyond_band(v_pu[..., t.judged] - 1.0, cost.band_pu))
     params = parameters(scenario, v_pu)
     return Step(scenario, state, solution, params, t.judged, t.n_judged, t.n_converters, voltage, excess, nodes)
 
@@ -162,6 +163,31 @@ def terms(scenario: Scenario) -> Terms:
     grid = tuple((place(t.name), t.amount, weight / t.divisor(fixed)) for t, weight in charged_terms(scenario))
     listed = tuple(place(name) for name in names if name in constraints)
     return Terms(_costs(names), grid, charged, shares, listed, judged, n_judged, n_converters)
+
+
+class CostPrices(NamedTuple):
+    """What a unit costs in a step, for controllers and comparisons of actions."""
+
+    voltage: float
+    """Deviation of a node's voltage from its reference, 1/p.u."""
+    violation: float
+    """Excess of a node's voltage over the band, 1/p.u."""
+    effort: np.ndarray
+    """Reactive power of each agent, 1/kvar, (n_agent,); 0 without a converter."""
+    backlog: float
+    """Queued work, 1/(kW s)."""
+    leftover: float
+    """Work queued at the end of the episode, 1/(kW s)."""
+
+
+@cached_on_owner
+def cost_prices(scenario: Scenario) -> CostPrices:
+    """Return the cost of a unit of deviation, reactive power and waiting work."""
+    t, weights = terms(scenario), scenario.cost.weights
+    effort = (weights.effort / t.n_converters) * inverse(parameters(scenario, np.empty(0)).converter_kva)
+    rated_kw = float(scenario.datacenters.parameters.p_rated_kw.sum()) or 1.0
+    of_nodes = weights.voltage / t.n_judged, weights.violation / t.n_judged
+    return CostPrices(*of_nodes, read_only(effort), weights.backlog / rated_kw, weights.leftover / rated_kw)
 
 
 def _is_listed(scenario: Scenario, term: GridTerm) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.formula import PerSlot, formula, least, most
 from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.devices.device import DeviceInput, DeviceParams
@@ -305,17 +306,13 @@ def device_slices(scenario: Scenario) -> tuple[slice, ...]:
 def setpoints_of(scenario: Scenario, action: Array) -> Array:
     """Set points of joint actions, (row, n_action), each in the unit of its channel."""
     params = parameters(scenario, action)
-    return setpoints(action, params.middle, params.half_range, params.minus_one, params.one)
+    return setpoints(action, params.middle, params.half_range)
 
 
-@compiled_as("dcgrid_env.engine.physics.step_kernels:setpoints", like="action")
-def setpoints(action: Array, middle: Array, half_range: Array, lowest: Array, highest: Array) -> Array:
-    """Setpoints of actions, which are cut to [-1, 1], (row, n_action): the middle of a range and a part of its half.
-
-    ``lowest`` and ``highest`` are -1 and 1, of no dimension.
-    """
-    xp = namespace(action)
-    return middle + half_range * xp.minimum(xp.maximum(action, lowest), highest)
+@formula(like="action")
+def setpoints(action: Array, middle: PerSlot, half_range: PerSlot) -> Array:
+    """Setpoints of actions, which are cut to [-1, 1], (row, n_action): the middle of a range and a part of its half."""
+    return middle + half_range * least(most(action, -1.0), 1.0)
 
 
 @compiled_as("dcgrid_env.engine.physics.step_kernels:net_loads", like="p_load_kw")

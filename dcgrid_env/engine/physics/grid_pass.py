@@ -22,7 +22,7 @@ from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.engine.physics.loads import load_noise
 from dcgrid_env.engine.physics.state import Exogenous, GridStep, LoadsToDraw, VoltageFigures
-from dcgrid_env.engine.physics.step_kernels import net_loads
+from dcgrid_env.engine.physics.step_kernels import add_powers, net_loads
 from dcgrid_env.engine.physics.voltage_figures import fill_figures
 from dcgrid_env.grid import Feeder
 from dcgrid_env.grid.covered_fields import BALANCED
@@ -141,16 +141,10 @@ def _draw(
     a, b, key, step, noise, share, rho, sigma, p_base, q_base, q_fixed, nodes, p_agent, q_agent, noise_out, p, q,
 ):  # fmt: skip
     """Draw the loads of the environments from ``a`` up to ``b`` into p and q, and add the agents' powers."""
-    n, parts = noise.shape[1], nodes.shape[2]
     load_step(
         key[a:b], step[a:b], noise[a:b], share[a:b], rho, sigma, p_base, q_base, q_fixed, noise_out[a:b], p, q,
     )  # fmt: skip
-    for row in range(a, b):
-        for agent in range(nodes.shape[1]):
-            for part in range(parts):
-                node = nodes[row, agent, part] - row * n
-                p[row - a, node] += p_agent[row, agent] / parts
-                q[row - a, node] += -q_agent[row, agent] / parts
+    add_powers(p, q, nodes, p_agent, q_agent, a, b)
 
 
 @compiled(nogil=True)

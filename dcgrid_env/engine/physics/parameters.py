@@ -39,9 +39,6 @@ class Parameters(NamedTuple):
     """1 / q_scale_kvar, and 0 for a device without reactive power."""
     converter_kva: Array
     """Apparent-power rating, which reactive effort is a share of, kVA, (n_agent,)."""
-    one: Array
-    minus_one: Array
-    """1 and -1 without dimensions: tensors take no plain number in minimum and maximum."""
     p_all_kw: float
     """Sum of the feeder's base load and the ratings of devices that draw, kW, which losses are a share of."""
 
@@ -86,8 +83,6 @@ def _parameters(scenario: Scenario, xp: ModuleType, dtype: object, device: objec
         q_scale_kvar=array(scenario.q_scale_kvar),
         per_q_scale=array(inverse(scenario.q_scale_kvar)),
         converter_kva=array(np.concatenate([group.converter_kva for group in groups])),
-        one=array(1.0),
-        minus_one=array(-1.0),
         p_all_kw=float(drawing + _load_kw(scenario.family.feeder)) or 1.0,
     )
 

@@ -12,40 +12,43 @@ from dcgrid_env.powerflow.unbalance import TINY_PU
 
 @compiled
 def leg_loads(factor, leg_bus, p_kw, q_kvar):
-    """Loads of the legs, kW and kvar, (row, n_leg): base loads (n_leg,) times a factor of their bus (row, n_bus)."""
-    p, q = np.empty((factor.shape[0], len(leg_bus))), np.empty((factor.shape[0], len(leg_bus)))
+    """Loads of the legs, kW and kvar, (2, row, n_leg): base loads (n_leg,) times a factor of their bus (row, n_bus)."""
+    out = np.empty((2, factor.shape[0], len(leg_bus)))
+    p, q = out[0], out[1]
     for row in range(factor.shape[0]):
         for leg in range(len(leg_bus)):
             share = factor[row, leg_bus[leg]]
             p[row, leg] = share * p_kw[leg]
             q[row, leg] = share * q_kvar[leg]
-    return p, q
-
-
-@compiled
-def setpoints(action, middle, half_range, lowest, highest):
-    """Setpoints (row, n_action) of actions, which are cut: the middle of a range and a part of its half."""
-    low, high = lowest[()], highest[()]
-    out = np.empty(action.shape)
-    for row in range(action.shape[0]):
-        for i in range(action.shape[1]):
-            out[row, i] = middle[i] + half_range[i] * min(max(action[row, i], low), high)
     return out
+
+
+@compiled(inner=True)
+def add_powers(p_net, q_net, legs, p_kw, q_kvar, begin, end):
+    """Add what agents draw less what they inject to the legs of the rows from ``begin`` up to ``end``.
+
+    The nets are of these rows alone. ``legs`` (row, n_agent, k) are flat positions row * n_leg + leg; the rest is
+    (row, n_agent).
+    """
+    n_leg, parts = p_net.shape[1], legs.shape[2]
+    for row in range(begin, end):
+        for agent in range(legs.shape[1]):
+            for part in range(parts):
+                leg = legs[row, agent, part] - row * n_leg
+                p_net[row - begin, leg] += p_kw[row, agent] / parts
+                q_net[row - begin, leg] += -q_kvar[row, agent] / parts
 
 
 @compiled
 def net_loads(p_load_kw, q_load_kvar, legs, p_kw, q_kvar):
-    """See ``dynamics.net_loads``."""
-    p_net, q_net = p_load_kw.copy(), q_load_kvar.copy()
-    p_at, q_at = p_net.reshape(-1), q_net.reshape(-1)
-    n_row, agents, parts = legs.shape
+    """See ``dynamics.net_loads``; (2, row, n_leg)."""
+    (n_row, n_leg), begin = p_load_kw.shape, len(p_load_kw) * 0
+    out = np.empty((2, n_row, n_leg))
     for row in range(n_row):
-        for agent in range(agents):
-            for part in range(parts):
-                leg = legs[row, agent, part]
-                p_at[leg] += p_kw[row, agent] / parts
-                q_at[leg] += -q_kvar[row, agent] / parts
-    return p_net, q_net
+        for leg in range(n_leg):
+            out[0, row, leg], out[1, row, leg] = p_load_kw[row, leg], q_load_kvar[row, leg]
+    add_powers(out[0], out[1], legs, p_kw, q_kvar, begin, n_row)
+    return out
 
 
 @compiled(inner=True)

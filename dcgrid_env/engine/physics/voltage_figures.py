@@ -7,7 +7,9 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.engine.physics.state import VoltageFigures
+from dcgrid_env.scenario.costs import voltage_reference
 
+beyond_band = voltage_reference.beyond_band.scalar
 MOST_AT_ONCE = 128
 """Figures that ``np.add.reduce`` adds up without halving the row."""
 
@@ -55,8 +57,7 @@ def fill_figures(v_pu, begin, end, first, band_pu, deviation, excess, lowest, hi
             low = v if v < low else low
             high = v if v > high else high
             off[i] = abs(v - 1.0)
-            over = off[i] - band_pu
-            beyond[i] = 0.0 if over < 0.0 else over
+            beyond[i] = beyond_band(off[i], band_pu)
         deviation[row], excess[row] = _pairwise_sum(off, first, n - first), _pairwise_sum(beyond, first, n - first)
         lowest[row], highest[row] = low, high
 

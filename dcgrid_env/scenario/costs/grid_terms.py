@@ -17,7 +17,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.metric import Table
 from dcgrid_env.scenario.costs import equipment_moves, load_requests, overload, utility_limits
-from dcgrid_env.scenario.costs.voltage_reference import agents_deviation
+from dcgrid_env.scenario.costs.voltage_reference import agents_deviation, beyond_band
 
 
 class Step(NamedTuple):
@@ -99,7 +99,7 @@ def voltage_cost(kind: str, deviation: Array, band_pu: float) -> Array:
     if kind == "l2":
         return deviation * deviation
     if kind == "courant_beltrami":
-        excess = positive_part(deviation - band_pu)
+        excess = beyond_band(deviation, band_pu)
         return excess * excess
     if kind == "bowl":
         sigma = 0.1
@@ -119,8 +119,7 @@ def _voltage_of_agents(step: Step) -> Array:
 
 
 def _violation_of_agents(step: Step) -> Array:
-    v = step.state.v_agent_pu
-    return positive_part(namespace(v).abs(v - 1.0) - step.scenario.cost.band_pu)
+    return beyond_band(step.state.v_agent_pu - 1.0, step.scenario.cost.band_pu)
 
 
 def _effort(step: Step) -> Array:

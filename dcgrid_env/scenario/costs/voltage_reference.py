@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part
+from dcgrid_env.core.arrays import Array, as_like, namespace
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.checked import refuse
+from dcgrid_env.core.formula import formula, positive
 from dcgrid_env.core.suggestions import nearest
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.devices.tap_changer.settling import settled_taps
@@ -33,7 +34,7 @@ def voltage_deviation(scenario: Any, v_pu: Array, nodes: slice = slice(None)) ->
     """Deviation that the voltage cost is a function of, p.u., (..., node), of voltages at some of the nodes."""
     if scenario.cost.reference == "nominal":
         return namespace(v_pu).abs(v_pu - 1.0)
-    return beyond_band(scenario, v_pu - _targets_like(scenario, v_pu)[..., nodes])
+    return beyond_band(v_pu - _targets_like(scenario, v_pu)[..., nodes], scenario.cost.uncharged_pu)
 
 
 def agents_deviation(scenario: Any, v_agent_pu: Array, v_pu: Array, nodes: Array | None) -> Array:
@@ -46,12 +47,16 @@ def agents_deviation(scenario: Any, v_agent_pu: Array, v_pu: Array, nodes: Array
     if nodes is None:
         raise ValueError(f"scenario {scenario.name!r} has a target for each node; give the nodes of the agents")
     targets = (0.0 * v_pu + _targets_like(scenario, v_pu)).reshape(-1)[nodes]
-    return beyond_band(scenario, v_agent_pu - targets.sum(-1) / targets.shape[-1])
+    return beyond_band(v_agent_pu - targets.sum(-1) / targets.shape[-1], scenario.cost.uncharged_pu)
 
 
-def beyond_band(scenario: Any, off_pu: Array) -> Array:
-    """What a distance from the target costs, p.u., elementwise: what exceeds the band around it."""
-    return positive_part(namespace(off_pu).abs(off_pu) - scenario.cost.uncharged_pu)
+@formula
+def beyond_band(off_pu: Array, band_pu: float) -> Array:
+    """What of a distance from a voltage lies beyond a band around it, p.u., of the distance ``off_pu``.
+
+    The voltage cost has the target and ``Cost.uncharged_pu``, the violation 1 p.u. and ``Cost.band_pu``.
+    """
+    return positive(abs(off_pu) - band_pu)
 
 
 @cached_on_owner

@@ -32,7 +32,6 @@ def test_figures_worked_by_hand():
     np.testing.assert_allclose(known.p_scale_kw, [1000.0, 500.0, 200.0, 10.0, 20.0, 30.0, 40.0])
     np.testing.assert_allclose(known.q_scale_kvar, [400.0, 200.0, 80.0, 10.0, 20.0, 30.0, 40.0])
     np.testing.assert_allclose(known.converter_kva, [1200.0, 600.0, 240.0, 10.0, 20.0, 30.0, 40.0])
-    assert (known.one, known.minus_one) == (1.0, -1.0)
     assert known.p_all_kw == pytest.approx(1700.0 + scenario.feeder.p_load_kw.sum())
     np.testing.assert_allclose(known.devices[0].p_idle_kw, [250.0, 125.0, 50.0])
     np.testing.assert_allclose(known.devices[0].p_dynamic_kw, [750.0, 375.0, 150.0])
