@@ -27,6 +27,7 @@ COMMANDS = Group(
             "export-hub": _entry("Write a policy as a folder for the Hugging Face hub.", "hub:ExportHub"),
         },
         "Studies": {
+            "algorithms": _entry("Compare standard algorithms on seven tasks.", "algorithms:AlgorithmTables"),
             "ablate": _entry("Train a policy without some of its parts and score each.", "ablate:Ablate"),
             "circuits": _entry("Import every OpenDSS circuit in a folder.", "circuits:Circuits"),
             "corpus": _entry("Compare imports of public grids with their programs.", "corpus:Corpus"),

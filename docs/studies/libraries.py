@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import gc
 import json
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,8 +27,9 @@ from dcgrid_env.core.commands.names import split_names
 from dcgrid_env.core.commands.settings import at_least, check_file
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import versions
+from dcgrid_env.traces.timing import peak_mib
 from docs.studies.learning_tables import estimate
-from docs.studies.library_batches import DISCOUNTS, BestOnValidation, Setting
+from docs.studies.library_batches import DISCOUNTS, OFF_POLICY_BATCH, BestOnValidation, Outcome, Setting
 from docs.studies.scored import droop_on_test, on_test
 
 if TYPE_CHECKING:
@@ -34,12 +37,13 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
 DATA, PAGE = Path("docs/rl-libraries.json"), Path("docs/rl-libraries.md")
+CLEAR_PEAK = Path("/proc/self/clear_refs")
 MOST_EPISODES = 32
 """Test episodes whose hindsight is published for every preset."""
 
 
-def sb3(model_class: str, settings: Callable[[VecEnv], dict[str, Any]], on: Setting) -> np.ndarray:
-    """Train an algorithm of Stable-Baselines3 or sb3-contrib, and return J of the test episodes, (episode,)."""
+def sb3(model_class: str, settings: Callable[[VecEnv], dict[str, Any]], on: Setting) -> Outcome:
+    """Train an algorithm of Stable-Baselines3 or sb3-contrib."""
     envs = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
     model = resolve_name(model_class)(env=envs, seed=on.seed, **settings(envs))
     best, steps = BestOnValidation(model.policy, partial(predicted, model), on), on.steps * envs.rows_per_env
@@ -65,8 +69,8 @@ def predicted(model: BaseAlgorithm) -> Callable[[np.ndarray], np.ndarray]:
     return act
 
 
-def loop(function: str, *arguments: Any) -> np.ndarray:
-    """Train by a function, "module:name", whose module needs an optional library; return J of the test episodes."""
+def loop(function: str, *arguments: Any) -> Outcome:
+    """Train by a function, "module:name", whose module needs an optional library."""
     return resolve_name(function)(*arguments)
 
 
@@ -75,8 +79,8 @@ class Library(NamedTuple):
 
     package: str
     """Distribution whose version is stored."""
-    train: Callable[[Setting], np.ndarray]
-    """Function that trains and returns J of each test episode."""
+    train: Callable[[Setting], Outcome]
+    """Function that trains, and tests the policy that is best on validation."""
     steps: int
     """Default of ``Setting.steps``."""
     num_envs: int
@@ -122,12 +126,17 @@ def tqc(envs: VecEnv) -> dict[str, Any]:
     return sac_settings(envs) | {"batch_size": 1024}
 
 
+def sac(envs: VecEnv) -> dict[str, Any]:
+    """Return settings of SAC with small batches."""
+    return sac_settings(envs) | {"batch_size": OFF_POLICY_BATCH}
+
+
 def td3(envs: VecEnv) -> dict[str, Any]:
     """Return settings of TD3: noise for exploration, and networks as those of PPO."""
     from stable_baselines3.common.noise import NormalActionNoise
     from torch.nn import Tanh
 
-    settings = {name: value for name, value in sac_settings(envs).items() if name not in ("ent_coef", "target_entropy")}
+    settings = {name: value for name, value in sac(envs).items() if name not in ("ent_coef", "target_entropy")}
     settings["policy_kwargs"] |= {"activation_fn": Tanh}
     n_action = envs.action_space.shape
     noise = NormalActionNoise(np.zeros(n_action), np.full(n_action, 0.2))  # pyright: ignore
@@ -135,12 +144,13 @@ def td3(envs: VecEnv) -> dict[str, Any]:
 
 
 SB3, CONTRIB, PREDICTED = "stable-baselines3", "sb3-contrib", ("predicted",)
-LOOPS, BENCHMARL = "docs.studies.library_loops", "docs.studies.library_benchmarl:benchmarl_ppo"
-ROWS, TASK = (f"{LOOPS}:train_rows", f"{LOOPS}:best_mean"), ("Channels", "ChannelsTask")
+LOOPS, BENCHMARL = "docs.studies.library_loops", "docs.studies.library_benchmarl:benchmarl"
+ROWS = (f"{LOOPS}:train_rows", f"{LOOPS}:best_mean")
+TASK = (*ROWS, "Channels", "ChannelsTask")
 LIBRARIES = {
     "sb3-ppo": Library(SB3, partial(sb3, "stable_baselines3:PPO", ppo_settings), 600_000, 32, PREDICTED),
-    "sb3-sac": Library(SB3, partial(sb3, "stable_baselines3:SAC", sac_settings), 160_000, 16, PREDICTED),
-    "sb3-td3": Library(SB3, partial(sb3, "stable_baselines3:TD3", td3), 100_000, 16, PREDICTED),
+    "sb3-sac": Library(SB3, partial(sb3, "stable_baselines3:SAC", sac), 20_000, 8, PREDICTED),
+    "sb3-td3": Library(SB3, partial(sb3, "stable_baselines3:TD3", td3), 20_000, 8, PREDICTED),
     "sb3-contrib-tqc": Library(CONTRIB, partial(sb3, "sb3_contrib:TQC", tqc), 100_000, 16, PREDICTED),
     "sb3-contrib-recurrent-ppo": Library(
         CONTRIB, partial(sb3, "sb3_contrib:RecurrentPPO", recurrent), 50_000, 16, PREDICTED
@@ -151,8 +161,9 @@ LIBRARIES = {
         "torch", partial(loop, f"{LOOPS}:cleanrl_ppo"), 100_000, 32, (*ROWS, "docs.examples.cleanrl_ppo:train")
     ),
     "rllib-ppo": Library("ray", partial(loop, "docs.studies.library_rllib:rllib_ppo"), 100_000, 32, ROWS),
-    "benchmarl-ippo": Library("benchmarl", partial(loop, BENCHMARL, "ippo"), 100_000, 32, (*ROWS, *TASK)),
-    "benchmarl-mappo": Library("benchmarl", partial(loop, BENCHMARL, "mappo"), 100_000, 32, (*ROWS, *TASK)),
+    "benchmarl-ippo": Library("benchmarl", partial(loop, BENCHMARL, "ippo"), 100_000, 32, (*TASK, "on_policy")),
+    "benchmarl-mappo": Library("benchmarl", partial(loop, BENCHMARL, "mappo"), 100_000, 32, (*TASK, "on_policy")),
+    "benchmarl-maddpg": Library("benchmarl", partial(loop, BENCHMARL, "maddpg"), 20_000, 16, (*TASK, "off_policy")),
 }
 
 
@@ -161,16 +172,26 @@ def trained(name: str, on: Setting) -> dict[str, Any]:
     import torch
 
     torch.set_num_threads(1)
+    forget_peak_memory()
     library, began_s = LIBRARIES[name], time.process_time()
-    j = library.train(on)
+    tested = library.train(on)
     return {
         "library": name,
         "version": versions((library.package,))[library.package],
         **on._asdict(),
         "scenario_hash": scenario_hash(on_test(on.scenario)),
         "cpu_s": round(time.process_time() - began_s, 1),
-        "J": [round(cost, 6) for cost in j.tolist()],
+        "peak_mib": round(peak_mib()),
+        "J_validation": round(tested.validation, 6),
+        "J": [round(cost, 6) for cost in tested.J.tolist()],
     }
+
+
+def forget_peak_memory() -> None:
+    """Let the peak memory of this process begin at the present one, where the system has this (Linux)."""
+    gc.collect()
+    if CLEAR_PEAK.exists():
+        CLEAR_PEAK.write_text("5", encoding="utf-8")
 
 
 def score_of(records: Sequence[dict[str, Any]]) -> Estimate:
@@ -222,19 +243,19 @@ class LibraryTable(Command):
     """Train unmodified libraries and print their table.
 
     Each training is added to the file, in place of one with other steps or episodes. Finished trainings are skipped.
-    The libraries need their packages (docs/rl-libraries.md).
+    After a training that fails the others go on. The libraries need their packages (docs/rl-libraries.md).
     """
 
     library: str = ""
-    """Library to train, a key of LIBRARIES; none by default, which prints the table of the file."""
+    """Libraries to train, separated by commas, of LIBRARIES; none by default, which prints the table of the file."""
     scenarios: str = "ieee33-weak,khodr141,das69,mixed,ieee123-3ph"
     """Names of scenarios (dcgrid list), separated by commas."""
     rewards: str = "difference"
-    """Rewards, separated by commas: difference, shared."""
+    """Rewards, separated by commas: difference, local, shared."""
     seeds: int = 5
     """Number of training seeds: 0, 1, .."""
     steps: int | None = None
-    """Steps of all environments together, for each training; the library's by default."""
+    """Decisions in all environments together, for each training; the library's by default."""
     episodes: int = MOST_EPISODES
     """Test episodes: seeds 0, 1, .."""
     out: Path = DATA
@@ -249,27 +270,40 @@ class LibraryTable(Command):
         rewards = split_names(self.rewards)
         if unknown := [reward for reward in rewards if reward not in DISCOUNTS]:
             raise ValueError(f"rewards: {unknown[0]!r} is unknown; choose from {', '.join(DISCOUNTS)}")
-        if self.library and self.library not in LIBRARIES:
-            raise ValueError(f"library: {self.library!r} is unknown; choose one of {', '.join(LIBRARIES)}")
-        if self.library and versions((package := LIBRARIES[self.library].package,))[package] is None:
-            raise ValueError(f"library: {self.library} needs {package}, which is not installed; see {PAGE}")
-        for on in self._settings(rewards) if self.library else ():
-            records = records_in(self.out)
-            kept = [one for one in records if not _is_same(one, self.library, on, "scenario", "reward", "seed")]
-            if not any(_is_same(one, self.library, on, *on._fields) for one in records):
-                write_json(self.out, {"trainings": [*kept, trained(self.library, on)]})
+        libraries = split_names(self.library)
+        for name in libraries:
+            if name not in LIBRARIES:
+                raise ValueError(f"library: {name!r} is unknown; choose from {', '.join(LIBRARIES)}")
+            if versions((package := LIBRARIES[name].package,))[package] is None:
+                raise ValueError(f"library: {name} needs {package}, which is not installed; see {PAGE}")
+        failed = [name for name, on in self._settings(libraries, rewards) if not self._is_done(name, on)]
         print(table(records_in(self.out)))
+        if failed:
+            raise ValueError(f"library: {len(failed)} trainings failed, see above: {', '.join(sorted(set(failed)))}")
 
-    def _settings(self, rewards: Sequence[str]) -> list[Setting]:
-        """Return what to train on, seed after seed."""
-        library = LIBRARIES[self.library]
-        sizes = (self.steps or library.steps, library.num_envs, self.episodes)
+    def _settings(self, libraries: Sequence[str], rewards: Sequence[str]) -> list[tuple[str, Setting]]:
+        """Return what to train and on what, seed after seed."""
         return [
-            Setting(scenario, reward, seed, *sizes)
+            (name, Setting(scenario, reward, seed, self.steps or library.steps, library.num_envs, self.episodes))
             for seed in range(self.seeds)
-            for scenario in scenario_names(self.scenarios)
+            for scenario in (scenario_names(self.scenarios) if libraries else ())
+            for name, library in ((name, LIBRARIES[name]) for name in libraries)
             for reward in rewards
         ]
+
+    def _is_done(self, name: str, on: Setting) -> bool:
+        """Train and add the record to the file, unless it is there; print why a training fails and return False."""
+        records = records_in(self.out)
+        if any(_is_same(one, name, on, *on._fields) for one in records):
+            return True
+        try:
+            record = trained(name, on)
+        except Exception as error:  # a library may raise anything
+            print(f"{name} on {on.scenario}, {on.reward}, seed {on.seed}: {error!r}", file=sys.stderr)
+            return False
+        kept = [one for one in records if not _is_same(one, name, on, "scenario", "reward", "seed")]
+        write_json(self.out, {"trainings": [*kept, record]})
+        return True
 
 
 def _is_same(record: dict[str, Any], library: str, on: Setting, *fields: str) -> bool:

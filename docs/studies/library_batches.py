@@ -18,9 +18,11 @@ from dcgrid_env.baselines import rollout
 if TYPE_CHECKING:
     from torch import nn
 
-DISCOUNTS = {"difference": 0.0, "shared": 0.9}
-"""Discount for each reward. A difference reward charges later costs at once."""
-VALIDATION_EPISODES, EVALUATIONS = 32, 15
+DISCOUNTS = {"difference": 0.0, "local": 0.9, "shared": 0.9}
+"""Discount for each reward and second. A difference reward charges later costs at once."""
+VALIDATION_EPISODES, EVALUATIONS = 16, 4
+OFF_POLICY_BATCH = 256
+"""Rows of a batch of SAC, TD3 and MADDPG: for many updates in a short training."""
 
 
 def example(name: str) -> SimpleNamespace:
@@ -35,10 +37,19 @@ class Setting(NamedTuple):
     reward: str
     seed: int
     steps: int
-    """Steps of all environments of the batch together."""
+    """Decisions in all environments of the batch together. A decision is a step, except for power smoothing."""
     num_envs: int
     episodes: int
     """Number of test episodes."""
+
+
+class Outcome(NamedTuple):
+    """Results of the best policy of a training."""
+
+    validation: float
+    """Mean J of the validation episodes."""
+    J: np.ndarray
+    """J of each test episode, (episode,)."""
 
 
 class BestOnValidation:
@@ -66,12 +77,12 @@ class BestOnValidation:
         if j < self.best:
             self.best, self._kept = j, copy.deepcopy(self.network.state_dict())
 
-    def tested(self) -> np.ndarray:
-        """Evaluate once more, and return J of each test episode of the best network."""
+    def tested(self) -> Outcome:
+        """Evaluate once more, and return the results of the best network; it has those parameters from then on."""
         self._due = 0.0
         self.evaluate(1.0)
         self.network.load_state_dict(self._kept)
-        return self._costs("test", self.on.episodes)
+        return Outcome(self.best, self._costs("test", self.on.episodes))
 
     def _costs(self, split: str, episodes: int) -> np.ndarray:
         scenario = make_scenario(self.on.scenario, split=split)

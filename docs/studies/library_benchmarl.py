@@ -1,4 +1,4 @@
-"""IPPO and MAPPO of BenchMARL: the channels of an environment are the agents of one group, with shared parameters."""
+"""Algorithms of BenchMARL: the channels of an environment are the agents of one group, with shared parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from benchmarl.algorithms import IppoConfig, MappoConfig  # pyright: ignore[reportMissingImports]
+from benchmarl.algorithms import IppoConfig, MaddpgConfig, MappoConfig  # pyright: ignore[reportMissingImports]
 from benchmarl.environments.common import TaskClass  # pyright: ignore[reportMissingImports]
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig  # pyright: ignore[reportMissingImports]
 from benchmarl.models.mlp import MlpConfig  # pyright: ignore[reportMissingImports]
@@ -17,23 +17,14 @@ from torch import nn
 from torchrl.data import Bounded, Categorical, Composite, Unbounded  # pyright: ignore[reportMissingImports]
 from torchrl.envs import EnvBase, ExplorationType, set_exploration_type  # pyright: ignore[reportMissingImports]
 
-from docs.studies.library_batches import DISCOUNTS, Setting
-from docs.studies.library_loops import (
-    EPOCHS,
-    GRADIENT_NORM,
-    HORIZON,
-    LEARNING_RATE,
-    LOG_STD,
-    MINIBATCHES,
-    best_mean,
-    initialise,
-    n_updates,
-    tensor,
-    train_rows,
-)
+from dcgrid_env.agents import ppo_settings, sac_settings, sb3_vec_env
+from docs.studies.library_batches import OFF_POLICY_BATCH, Outcome, Setting
+from docs.studies.library_loops import GRADIENT_NORM, best_mean, initialise, tensor, train_rows
 
 GROUP = "channels"
-ALGORITHMS = {"ippo": IppoConfig, "mappo": MappoConfig}
+ALGORITHMS = {"ippo": IppoConfig, "mappo": MappoConfig, "maddpg": MaddpgConfig}
+STEPS_BETWEEN, NOISE = 4, 0.2
+"""Steps of the batch and of the optimisers in an iteration of BenchMARL's loop, off policy."""
 
 
 class Channels(EnvBase):
@@ -98,7 +89,7 @@ class ChannelsTask(TaskClass):
 
     def max_steps(self, env: EnvBase) -> int:
         """Return the steps of an episode."""
-        return HORIZON
+        return self.envs.rows.n_decisions
 
     def has_render(self, env: EnvBase) -> bool:
         """Return that nothing is drawn."""
@@ -148,36 +139,34 @@ class _Mean(nn.Module):
 class _Updates(Callback):
     """Validation before each update, and the falling learning rate."""
 
-    def __init__(self, updates: int):
+    def __init__(self, updates: int, rate: float):
         super().__init__()
-        self.updates = updates
+        self.updates, self.rate = updates, rate
         self.best: Any = None
 
     def on_batch_collected(self, batch: Any) -> None:
         share = self.experiment.n_iters_performed / self.updates
         self.best.evaluate(share)
         for optimizer in self.experiment.optimizers[GROUP].values():
-            optimizer.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - share)
+            optimizer.param_groups[0]["lr"] = self.rate * (1.0 - share)
 
 
-def benchmarl_ppo(algorithm: str, on: Setting) -> np.ndarray:
-    """Train IPPO or MAPPO of BenchMARL, and return J of the test episodes, (episode,)."""
+def benchmarl(algorithm: str, on: Setting) -> Outcome:
+    """Train an algorithm of BenchMARL with the settings of Stable-Baselines3's."""
     envs = train_rows(on)
-    frames = on.num_envs * HORIZON
-    config = ExperimentConfig.get_from_yaml()
-    config.gamma, config.lr, config.clip_grad_val = DISCOUNTS[on.reward], LEARNING_RATE, GRADIENT_NORM
-    config.max_n_frames = frames * n_updates(on)
-    config.on_policy_collected_frames_per_batch, config.on_policy_n_envs_per_worker = frames, on.num_envs
-    config.on_policy_minibatch_size, config.on_policy_n_minibatch_iters = frames // MINIBATCHES, EPOCHS
+    config, algorithm_config = ExperimentConfig.get_from_yaml(), ALGORITHMS[algorithm].get_from_yaml()
+    if algorithm_config.has_centralized_critic():
+        algorithm_config.share_param_critic = on.reward == "shared"  # else each agent has its own value
+    is_on_policy = algorithm_config.on_policy()
+    frames = on_policy(config, algorithm_config, on) if is_on_policy else off_policy(config, on)
+    n_updates = max(1, on.steps // frames)
+    config.max_n_frames = frames * n_updates
     config.loggers, config.evaluation, config.create_json = [], False, False
-    settings = ALGORITHMS[algorithm].get_from_yaml()
-    settings.lmbda, settings.critic_coef = 0.0, 0.5
-    settings.scale_mapping, settings.use_tanh_normal = f"biased_softplus_{np.exp(LOG_STD):.3f}", False
     network = MlpConfig(num_cells=[64, 64], layer_class=nn.Linear, activation_class=nn.Tanh)
-    updates = _Updates(n_updates(on))
+    updates = _Updates(n_updates, config.lr)
     with tempfile.TemporaryDirectory() as config.save_folder:
         experiment = Experiment(
-            task=ChannelsTask(on.scenario, envs), algorithm_config=settings, model_config=network,
+            task=ChannelsTask(on.scenario, envs), algorithm_config=algorithm_config, model_config=network,
             critic_model_config=network, seed=on.seed, config=config, callbacks=[updates],
         )  # fmt: skip
         policy = experiment.group_policies[GROUP]
@@ -185,3 +174,32 @@ def benchmarl_ppo(algorithm: str, on: Setting) -> np.ndarray:
         updates.best = best_mean(_Mean(policy, envs.rows.per_env), envs, on)
         experiment.run()
     return updates.best.tested()
+
+
+def on_policy(config: Any, algorithm: Any, on: Setting) -> int:
+    """Set up IPPO or MAPPO by ``ppo_settings``, and return the frames of a rollout."""
+    made = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
+    settings = ppo_settings(made)
+    frames = on.num_envs * settings["n_steps"]
+    config.gamma, config.lr, config.clip_grad_val = settings["gamma"], settings["learning_rate"](1.0), GRADIENT_NORM
+    config.on_policy_collected_frames_per_batch, config.on_policy_n_envs_per_worker = frames, on.num_envs
+    config.on_policy_minibatch_size = max(2, settings["batch_size"] // made.rows_per_env)
+    config.on_policy_n_minibatch_iters = settings["n_epochs"]
+    algorithm.lmbda, algorithm.critic_coef = settings["gae_lambda"], 0.5
+    deviation = np.exp(settings["policy_kwargs"]["log_std_init"])
+    algorithm.scale_mapping, algorithm.use_tanh_normal = f"biased_softplus_{deviation:.3f}", False
+    return frames
+
+
+def off_policy(config: Any, on: Setting) -> int:
+    """Set up MADDPG by ``sac_settings``, and return the frames of an iteration."""
+    made = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
+    settings = sac_settings(made)
+    config.gamma, config.lr, config.clip_grad_val = settings["gamma"], settings["learning_rate"](1.0), None
+    frames = on.num_envs * STEPS_BETWEEN
+    config.off_policy_collected_frames_per_batch, config.off_policy_n_envs_per_worker = frames, on.num_envs
+    config.off_policy_n_optimizer_steps = STEPS_BETWEEN
+    config.off_policy_train_batch_size = max(2, OFF_POLICY_BATCH // made.rows_per_env)
+    config.off_policy_memory_size = settings["buffer_size"] // made.rows_per_env
+    config.exploration_eps_init = config.exploration_eps_end = NOISE
+    return frames

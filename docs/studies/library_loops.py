@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from dcgrid_env.agents import training_env
-from docs.studies.library_batches import DISCOUNTS, BestOnValidation, Setting, example
+from docs.studies.library_batches import DISCOUNTS, BestOnValidation, Outcome, Setting, example
 
 HORIZON, EPOCHS, MINIBATCHES = 120, 3, 8
 """Steps between updates, passes over them, and minibatches of a pass."""
@@ -60,7 +60,7 @@ def check_no_discount(library: str, on: Setting) -> None:
         raise ValueError(f"reward: {library} is written for a discount of 0, not for {on.reward!r}; use difference")
 
 
-def cleanrl_ppo(on: Setting) -> np.ndarray:
+def cleanrl_ppo(on: Setting) -> Outcome:
     """Train the agent of docs/examples/cleanrl_ppo.py; advantages are those of a discount of 0."""
     check_no_discount("cleanrl-ppo", on)
     envs, script = train_rows(on), example("cleanrl_ppo")
@@ -70,7 +70,7 @@ def cleanrl_ppo(on: Setting) -> np.ndarray:
     return best.tested()
 
 
-def torchrl_ppo(on: Setting) -> np.ndarray:
+def torchrl_ppo(on: Setting) -> Outcome:
     """Train with the PPO loss and the advantages of TorchRL."""
     from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
     from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule  # pyright: ignore[reportMissingImports]
@@ -120,7 +120,7 @@ def torchrl_ppo(on: Setting) -> np.ndarray:
     return best.tested()
 
 
-def skrl_ppo(on: Setting) -> np.ndarray:
+def skrl_ppo(on: Setting) -> Outcome:
     """Train the PPO agent of skrl."""
     from skrl.agents.torch.ppo import PPO, PPO_CFG  # pyright: ignore[reportMissingImports]
     from skrl.memories.torch import RandomMemory  # pyright: ignore[reportMissingImports]

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
-import numpy as np
 import ray  # pyright: ignore[reportMissingImports]
 import torch
 from ray.rllib.algorithms.ppo import PPOConfig  # pyright: ignore[reportMissingImports]
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig  # pyright: ignore[reportMissingImports]
 from torch import nn
 
-from docs.studies.library_batches import DISCOUNTS, Setting
+from docs.studies.library_batches import DISCOUNTS, Outcome, Setting
 from docs.studies.library_loops import (
     EPOCHS,
     GRADIENT_NORM,
@@ -43,8 +42,8 @@ class _Mean(nn.Module):
         return self.module.forward_inference({"obs": observations})["action_dist_inputs"].chunk(2, -1)[0]
 
 
-def rllib_ppo(on: Setting) -> np.ndarray:
-    """Train PPO of RLlib in this process, and return J of the test episodes, (episode,)."""
+def rllib_ppo(on: Setting) -> Outcome:
+    """Train PPO of RLlib in this process."""
     check_no_discount("rllib-ppo", on)
     envs = train_rows(on, autoreset_mode="next_step")
     n_row, batch = envs.num_envs, HORIZON * envs.num_envs
@@ -80,8 +79,8 @@ def rllib_ppo(on: Setting) -> np.ndarray:
     for update in range(updates):
         best.evaluate(update / updates)
         algorithm.train()
-    j = best.tested()
+    tested = best.tested()
     algorithm.stop()
     ray.shutdown()
     gymnasium.registry.pop(NAME)
-    return j
+    return tested

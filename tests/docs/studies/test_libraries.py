@@ -12,14 +12,20 @@ from torch import nn
 from docs.studies import libraries
 from docs.studies.commands import main
 from docs.studies.libraries import DATA, Library, Setting, records_in, score_of, table
+from docs.studies.library_batches import Outcome
 from docs.studies.library_loops import initialise
 from docs.studies.scored import droop_on_test
 from helpers.places import ROOT
 
 
-def by_droop(on: Setting) -> np.ndarray:
+def by_droop(on: Setting) -> Outcome:
     """The costs of the tuned droop, a little lower with each seed."""
-    return droop_on_test(on.scenario, on.episodes).J - 0.01 * on.seed
+    return Outcome(1.0, droop_on_test(on.scenario, on.episodes).J - 0.01 * on.seed)
+
+
+def failing(on: Setting) -> Outcome:
+    """Fail as a library does."""
+    raise RuntimeError(f"diverged with seed {on.seed}")
 
 
 @pytest.fixture
@@ -49,15 +55,30 @@ def test_trainings_are_added_to_the_file_once_and_replaced_by_other_steps(tmp_pa
     ]
     row = capsys.readouterr().out.splitlines()[-2].split(" | ")
     assert row[3:7] == ["`toy6`", "difference", "40", "2"]
+    assert records[0]["J_validation"] == 1.0
+    assert records[0]["peak_mib"] > 10
     assert score_of(records[:1]).value == pytest.approx(0.0, abs=1e-5)
     assert score_of(records[:2]).value == pytest.approx(0.5 * score_of(records[1:2]).value, abs=1e-4)
+
+
+@pytest.mark.usefixtures("droop_library")
+def test_a_training_that_fails_leaves_no_record_and_the_others_go_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(libraries.LIBRARIES, "fails", Library("numpy", failing, 40, 2))
+    out = tmp_path / "libraries.json"
+    with pytest.raises(SystemExit):
+        run(out, "--library", "fails,droop", "--seeds", "2")
+    assert [(r["library"], r["seed"]) for r in records_in(out)] == [("droop", 0), ("droop", 1)]
+    printed = capsys.readouterr()
+    assert "fails on toy6, difference, seed 1: RuntimeError('diverged with seed 1')" in printed.err
+    assert "library: 2 trainings failed" in printed.err
+    assert "| droop |" in printed.out
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--library", "nope"), "library: 'nope' is unknown; choose one of sb3-ppo"),
-        (("--library", "sb3-ppo", "--rewards", "local"), "rewards: 'local' is unknown; choose from difference, shared"),
+        (("--library", "sb3-ppo,nope"), "library: 'nope' is unknown; choose from sb3-ppo"),
+        (("--library", "sb3-ppo", "--rewards", "team"), "rewards: 'team' is unknown; choose from difference, local"),
         (("--seeds", "0"), "seeds: must be at least 1, got 0"),
         (("--library", "sb3-ppo", "--steps", "0"), "steps: must be at least 1, got 0"),
     ],
@@ -93,15 +114,17 @@ def test_another_file_is_refused(tmp_path):
         ("cleanrl-ppo", "ieee33-weak"),
         ("skrl-ppo", "toy6"),
         ("torchrl-ppo", "ieee33-weak"),
+        ("benchmarl-mappo", "toy6"),
+        ("benchmarl-maddpg", "toy6"),
     ],
 )
 @pytest.mark.slow
 def test_a_library_trains_and_is_tested(name, scenario):
     library = libraries.LIBRARIES[name]
     pytest.importorskip(library.package.replace("-", "_"))
-    j = library.train(Setting(scenario, "difference", 0, 480, 2, 2))
-    assert np.isfinite(j).all()
-    assert j.shape == (2,)
+    tested = library.train(Setting(scenario, "difference", 0, 480, 2, 2))
+    assert np.isfinite([tested.validation, *tested.J]).all()
+    assert tested.J.shape == (2,)
     assert library.glue_lines > 10
 
 
