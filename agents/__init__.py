@@ -12,7 +12,7 @@ from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.unseen import UnseenScenarioWarning
 from dcgrid_env.agents.row_policy import RowPolicy
 from dcgrid_env.agents.training.row_networks import policy_of_rows
-from dcgrid_env.agents.training.sb3_settings import ppo_settings, sac_settings
+from dcgrid_env.agents.training.sb3_settings import ppo_settings, sac_settings, td3_settings
 from dcgrid_env.agents.training.training_env import training_env
 from dcgrid_env.agents.training.vec_env import sb3_vec_env
 from dcgrid_env.baselines import find_controller
@@ -36,6 +36,7 @@ __all__ = [
     "ppo_settings",
     "sac_settings",
     "sb3_vec_env",
+    "td3_settings",
     "to_policy",
     "training_env",
 ]

@@ -26,8 +26,8 @@ from dcgrid_env.core.install import from_clone
 
 OWN = {"--open": "opens", "--wandb": "wandb"}
 """Options of the command in addition to an algorithm's configuration, and the fields that they set."""
-DECIDING = {"view", "reward"}
-"""Fields of a configuration that, with the scenario, decide the defaults of the others."""
+STABLE_BASELINES3 = ("ppo", "sac", "td3")
+"""Algorithms of the module ``sb3``."""
 SEEDS = (
     "Further options: --seeds N trains N policies with the seeds SEED to SEED + N - 1, each in a separate folder. "
     "--workers sets how many run in parallel on this machine (default: one per core). --ray ADDRESS trains them on a "
@@ -42,12 +42,13 @@ class Algorithm:
     """A training algorithm; its module needs torch and is imported on first use."""
 
     name: str
-    """Name on the command line; with underscores, the name of its module in ``dcgrid_env.agents.algorithms``."""
+    """Name on the command line."""
 
     def module(self) -> ModuleType:
         """Import the algorithm's module; raise ValueError with the install command if a package is missing."""
+        name = "sb3" if self.name in STABLE_BASELINES3 else self.name.replace("-", "_")
         try:
-            return importlib.import_module(f"dcgrid_env.agents.algorithms.{self.name.replace('-', '_')}")
+            return importlib.import_module(f"dcgrid_env.agents.algorithms.{name}")
         except ImportError as error:
             if (error.name or "").startswith("dcgrid_env"):
                 raise
@@ -63,11 +64,11 @@ class Algorithm:
         Options that are not given default to the tuned settings for the scenario, or to the algorithm's defaults.
         """
         kind = self.configuration()
-        # The defaults depend on the scenario and on these options, which are read first.
+        # The defaults depend on the scenario and the view, which are read first.
         first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
         first.add_argument("--scenario")
-        for option in sorted(DECIDING & get_type_hints(kind).keys()):
-            first.add_argument(f"--{option}", choices=get_args(get_type_hints(kind)[option]), default=argparse.SUPPRESS)
+        views = [view for part in get_args(get_type_hints(kind)["view"]) for view in get_args(part) or (part,)]
+        first.add_argument("--view", choices=views, default=argparse.SUPPRESS)
         try:
             begin = kind.for_scenario(**vars(first.parse_known_args(words)[0]))
         except argparse.ArgumentError:  # a missing or invalid value, which tyro reports below
@@ -225,9 +226,9 @@ def shipped_settings(configuration: Any) -> str:
     from dcgrid_env.agents.training.preset_settings import settings
 
     name = configuration.algorithm()
-    if getattr(configuration, "reward", "shared") != "shared":
+    if configuration.view != type(configuration).view:
         return ""
-    shipped = settings(name, configuration.scenario, configuration.view)
+    shipped = settings(name, configuration.scenario)
     taken = {field: value for field, value in shipped.items() if getattr(configuration, field) == value}
     if not taken:
         return ""

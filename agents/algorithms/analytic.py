@@ -33,7 +33,7 @@ from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, end_costs, u
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
 from dcgrid_env.agents.policy.memory import outputs_of
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.config import NetworkTraining, check, trained_on
 from dcgrid_env.agents.training.episodes import check_batch, episode_seeds, windows
 from dcgrid_env.agents.training.gradient_overflow import without_overflow
 from dcgrid_env.agents.training.limits import Limits, updated_factor
@@ -45,7 +45,7 @@ from dcgrid_env.agents.training.variants import scenarios, variant
 
 
 @dataclass(frozen=True)
-class Analytic(Training):
+class Analytic(NetworkTraining):
     """Train a policy by gradients through the grid."""
 
     delay_limit_s: float | None = None

@@ -27,7 +27,7 @@ from dcgrid_env import Scenario, TensorEnv
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS, LawInterface
 from dcgrid_env.agents.policy.law_step import Past
 from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
-from dcgrid_env.agents.training.config import Training, check
+from dcgrid_env.agents.training.config import NetworkTraining, check
 from dcgrid_env.agents.training.drawn_feeders import FAMILY, drawn_scenario
 from dcgrid_env.agents.training.run_folder import Run, finish, open_run, progress, torch
 from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
@@ -46,7 +46,7 @@ _KEPT = 0.97
 
 
 @dataclass(frozen=True)
-class CarryOver(Training):
+class CarryOver(NetworkTraining):
     """Train a policy for new feeders."""
 
     scenario: str = FAMILY

@@ -29,7 +29,7 @@ from dcgrid_env import DcgridVectorEnv, Scenario, TensorEnv, under_own_control
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.candidates import Candidates
-from dcgrid_env.agents.training.config import Training, check, trained_on
+from dcgrid_env.agents.training.config import NetworkTraining, check, trained_on
 from dcgrid_env.agents.training.episodes import episode_seeds
 from dcgrid_env.agents.training.normalisation import normalisation
 from dcgrid_env.agents.training.row_form import droop_gains
@@ -43,7 +43,7 @@ from dcgrid_env.core.cross_entropy import CrossEntropy
 
 
 @dataclass(frozen=True)
-class Cem(Training):
+class Cem(NetworkTraining):
     """Train a policy with the cross-entropy method."""
 
     num_envs: int = 256

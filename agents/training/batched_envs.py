@@ -23,9 +23,8 @@ class RowVecEnv(VecEnv):
     episode has infos: ``infos[row]["terminal_observation"]`` is the last observation,
     ``infos[row]["TimeLimit.truncated"]`` is True at the horizon and False after a voltage collapse, and
     ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are those of
-    ``Rows.paid``, less ``reward_mean``, times ``reward_scale``; ``physics_s`` is the time spent in
-    steps. With ``end_as_it_arises`` each step pays for the change of the end charge that it causes, and the last step
-    pays no more. The sum is the same.
+    ``Rows.paid``; ``physics_s`` is the time spent in steps. With ``end_as_it_arises`` each step pays for the change of
+    the end charge that it causes, and the last step pays no more. The sum is the same.
 
     Parameters
     ----------
@@ -42,7 +41,6 @@ class RowVecEnv(VecEnv):
         self.rows, self.scenario, self.n_envs = rows, rows.scenario, n_envs
         self._repeated = None if self.scenario.split == "train" else 0
         self.physics_s = 0.0
-        self.reward_mean, self.reward_scale = 0.0, 1.0
         self.end_as_it_arises = False
         self._due = self._due_at_rest = np.zeros(n_envs)
         self._actions = self._observation = np.zeros(0)
@@ -107,7 +105,7 @@ class RowVecEnv(VecEnv):
                 infos[row]["terminal_observation"] = last[row].copy()
                 infos[row]["TimeLimit.truncated"] = bool(ended[row])
                 infos[row]["J"] = float(j[row])
-        paid = ((reward - self.reward_mean) * self.reward_scale).ravel().astype(np.float32)
+        paid = reward.ravel().astype(np.float32)
         observation = self.rows.observed(self._observation)
         self.physics_s += time.perf_counter() - began_s
         return observation, paid, done, infos

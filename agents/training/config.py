@@ -31,9 +31,8 @@ class Training:
     safe also accept several, separated by commas."""
     set: tuple[str, ...] = ()
     """Scenario fields to override, as FIELD=VALUE. Example: --set horizon=60 background.load_sigma=0.1."""
-    view: Literal["shared", "centralised"] = "shared"
-    """shared: one policy, applied to each agent's observations. centralised: one policy that observes and controls all
-    agents."""
+    view: str | None = None
+    """What the policy observes and controls."""
     seed: int = 0
     """Random seed of the training."""
     out: Path | None = None
@@ -43,23 +42,12 @@ class Training:
     carry-over use the CPU only."""
     resume: bool = False
     """Continue from the checkpoint in the output folder."""
-    observe: Literal["local", "neighbours", "feeder"] = "local"
-    """Scope of observation."""
-    preview: bool = True
-    """Include p_ref of the next step in the observation, if the scenario provides it."""
-    act: Act = "both"
-    """Actions that the policy controls. A clock that it does not control stays at its maximum, a reactive power at
-    zero."""
     num_envs: int = 128
     """Number of environments that are simulated in parallel, each with a separate episode."""
-    hidden: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers; empty for an affine function."""
     validation_episodes: int = 32
     """Number of episodes of the validation split on which a policy is evaluated."""
     validate_every: int = 10
     """Iterations between validations; an iteration is a batch of complete episodes."""
-    checkpoint_every: int = 10
-    """Iterations between checkpoints."""
     replay: bool = True
     """Write replay.html whenever the best policy improves: the first validation episode under this policy and under the
     baseline of the validation. Needs the extra replay. It does not affect the training."""
@@ -84,7 +72,8 @@ class Training:
             If a field does not exist.
         """
         chosen: dict[str, Any] = {"scenario": scenario or cls.scenario, "view": view or cls.view}
-        return cls(**(settings(cls.algorithm(), **chosen) | chosen | fields))
+        found = settings(cls.algorithm(), chosen["scenario"]) if chosen["view"] == cls.view else {}
+        return cls(**(found | chosen | fields))
 
     @property
     def folder(self) -> Path:
@@ -106,6 +95,26 @@ class Training:
     def algorithm(cls) -> str:
         """Name of the algorithm on the command line."""
         return re.sub("(?<=[a-z])(?=[A-Z])", "-", cls.__name__).lower()
+
+
+@dataclass(frozen=True)
+class NetworkTraining(Training):
+    """Further settings of the algorithms whose networks act for agents."""
+
+    view: Literal["shared", "centralised"] = "shared"
+    """shared: one policy, applied to each agent's observations. centralised: one policy that observes and controls all
+    agents."""
+    observe: Literal["local", "neighbours", "feeder"] = "local"
+    """Scope of observation."""
+    preview: bool = True
+    """Include p_ref of the next step in the observation, if the scenario provides it."""
+    act: Act = "both"
+    """Actions that the policy controls. A clock that it does not control stays at its maximum, a reactive power at
+    zero."""
+    hidden: tuple[int, ...] = (64, 64)
+    """Widths of the hidden layers; empty for an affine function."""
+    checkpoint_every: int = 10
+    """Iterations between checkpoints."""
 
 
 FREE = ("out", "resume", "replay")

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 PATH = Path(__file__).with_suffix(".toml")
-VIEW = "shared"
-"""The view that they were found for."""
 
 
-def settings(algorithm: str, scenario: str, view: str = VIEW) -> dict[str, Any]:
+def settings(algorithm: str, scenario: str) -> dict[str, Any]:
     """What differs from an algorithm's defaults on a scenario: fields of its configuration by name.
 
-    Empty where nothing was found: for another view, several scenarios, or a scenario that is not a preset.
+    Empty where nothing was found: for several scenarios, or a scenario that is not a preset.
     """
-    found = _all().get(algorithm, {}).get(scenario, {}) if view == VIEW else {}
+    found = _all().get(algorithm, {}).get(scenario, {})
     return {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
 
 

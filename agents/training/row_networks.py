@@ -39,7 +39,7 @@ def policy_of_rows(rows: Rows, network: Network, *, scenario: str = "", made_wit
     sensing, form = rows.scenario.sensing, rows.form
     return Policy(
         networks or {"joint": _arranged(network, network.layers, None, rows.reach)},
-        observe=sensing.observe, preview=sensing.preview, act=rows.act, nameplate=form.nameplate,
+        observe=sensing.observe, preview=sensing.preview, nameplate=form.nameplate,
         outputs=form.outputs, gains=form.gains, scenario=scenario, made_with=made_with,
         channels=rows.further_channels,
     )  # fmt: skip

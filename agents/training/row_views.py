@@ -18,7 +18,6 @@ from gymnasium import spaces
 from dcgrid_env import IDS, RandomFeeders, Scenario, action_layout, field_names, make_scenario, under_own_control
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS
 from dcgrid_env.agents.policy.interface import PolicyInterface
-from dcgrid_env.agents.training.config import Act
 from dcgrid_env.agents.training.row_form import (
     Outputs,
     RowActions,
@@ -30,16 +29,15 @@ from dcgrid_env.agents.training.row_form import (
     learning_form,
     learning_reward,
 )
-from dcgrid_env.baselines.equipment_agents import at_rest
 
 REACH = {"setpoint": (1.0, 1.0, 1.0), "change": (2.0, 0.5, 1.0), "droop": (0.5, 0.5, 1.0)}
 """Network output for an action of 1: clock, reactive set point and other channel."""
 
 
-def make_rows(scenario: Scenario, form: RowForm | None = None, act: Act = "both", action_repeat: int = 1) -> Rows:
+def make_rows(scenario: Scenario, form: RowForm | None = None, action_repeat: int = 1) -> Rows:
     """Return the rows of a form, see :class:`Rows`; by default those of ``gymnasium.make``."""
     form = form or RowForm()
-    return {"joint": Rows, "shared": AgentRows, "channel": ChannelRows}[form.view](scenario, form, act, action_repeat)
+    return {"joint": Rows, "shared": AgentRows, "channel": ChannelRows}[form.view](scenario, form, action_repeat)
 
 
 def learning_rows(
@@ -77,9 +75,6 @@ class Rows:
         Scenario to control. The droop as the default action of a difference reward gets the gains of the form.
     form
         What a row is and what its action means. Corrections of a droop without gains are those of the tuned one.
-    act
-        Channels that a policy drives: both, or the clock or the reactive power alone. The other is at the top clock or
-        at zero reactive power.
     action_repeat
         Steps of the environment for which an action holds.
 
@@ -90,7 +85,7 @@ class Rows:
         ``action_repeat`` does not divide the horizon.
     """
 
-    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
+    def __init__(self, scenario: Scenario, form: RowForm, action_repeat: int = 1):
         if form.view == "joint" and scenario.cost.reward == "local":
             raise ValueError(
                 "reward is 'local', which pays each agent, with view 'joint'; choose 'shared' or 'channel'"
@@ -102,12 +97,12 @@ class Rows:
         gains = (form.gains or droop_gains(scenario)) if form.outputs == "droop" else None
         if gains is not None and scenario.cost.default_action == "droop":
             scenario = scenario.replace(cost={"default_gains": tuple(gains)})
-        self.scenario, self.act = scenario, act
+        self.scenario = scenario
         self._owner = np.zeros(1, np.int64)
         """Agent of each row of an environment that is paid alone, (row,)."""
         self.form = form._replace(gains=gains, scenario=scenario.name)
         kind = "joint" if form.view == "joint" else "shared"
-        self._acting = PolicyInterface(scenario, kind, act=act, outputs=form.outputs, gains=gains)
+        self._acting = PolicyInterface(scenario, kind, outputs=form.outputs, gains=gains)
 
     @property
     def per_env(self) -> int:
@@ -133,21 +128,6 @@ class Rows:
     def channels(self) -> tuple[str, ...]:
         """Names of the channels that rows drive; except in the view "channel", those of the entries of an action."""
         return tuple(channel for _, channel in action_layout(self.scenario).names)
-
-    @cached_property
-    def clocks(self) -> np.ndarray:
-        """Which channels are clocks, bool, (n_channel,)."""
-        return np.array([channel == "clock" for channel in self.channels])
-
-    @property
-    def used(self) -> np.ndarray:
-        """1 for each channel that reaches the grid, else 0, float32, (1, n_channel)."""
-        return np.array([[_in_hand(self.act, channel) for channel in self.channels]], np.float32)
-
-    @property
-    def rest(self) -> np.ndarray:
-        """Rest value of each channel as a set point, float32, (n_channel,)."""
-        return at_rest(self.scenario).astype(np.float32)
 
     @cached_property
     def reach(self) -> np.ndarray:
@@ -216,7 +196,7 @@ class AgentRows(Rows):
 
     Parameters
     ----------
-    scenario, form, act, action_repeat
+    scenario, form, action_repeat
         See :class:`Rows`.
 
     Raises
@@ -225,14 +205,14 @@ class AgentRows(Rows):
         If :class:`Rows` raises it, or if regulators or capacitor banks are among the agents.
     """
 
-    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
+    def __init__(self, scenario: Scenario, form: RowForm, action_repeat: int = 1):
         if under_own_control(scenario, keep_set_points=True) is not scenario:
             raise ValueError(
                 f"view is {form.view!r}; {scenario.name!r} has regulators or capacitor banks among its agents, which "
                 "share no policy with the others: choose 'joint', or give under_own_control(scenario, "
                 "keep_set_points=True)"
             )
-        super().__init__(scenario, form, act, action_repeat)
+        super().__init__(scenario, form, action_repeat)
         self._owner = np.arange(scenario.n_agents)
         """Agent of each row of an environment, (row,)."""
         groups = self._acting.groups
@@ -262,22 +242,6 @@ class AgentRows(Rows):
         """Names of the channels that rows drive."""
         of_kinds = self._acting.channels.values()
         return tuple(dict.fromkeys(("clock", "q", *(name for names in of_kinds for name in names))))
-
-    @property
-    def used(self) -> np.ndarray:
-        """1 for each channel that reaches the grid, else 0, float32, (kind, n_channel), see ``kinds``."""
-        channels_of = PLAIN_CHANNELS | self._acting.channels
-        return np.array(
-            [[name in channels_of[kind] and _in_hand(self.act, name) for name in self.channels] for kind in self.kinds],
-            np.float32,
-        )
-
-    @property
-    def rest(self) -> np.ndarray:
-        """Inactive action as a set point: the mean over the agents that have the channel, float32, (n_channel,)."""
-        resting, layout = at_rest(self.scenario), action_layout(self.scenario)
-        at_rest_values = [resting[layout.is_channel(name)] for name in self.channels]
-        return np.array([values.mean() if len(values) else 0.0 for values in at_rest_values], np.float32)
 
     def entries(self, kind: str) -> list[int]:
         """Positions in ``channels`` of the channels of agents of a kind, in their order."""
@@ -350,12 +314,12 @@ class ChannelRows(AgentRows):
 
     Parameters
     ----------
-    scenario, form, act, action_repeat
+    scenario, form, action_repeat
         See :class:`AgentRows`.
     """
 
-    def __init__(self, scenario: Scenario, form: RowForm, act: Act = "both", action_repeat: int = 1):
-        super().__init__(scenario, form, act, action_repeat)
+    def __init__(self, scenario: Scenario, form: RowForm, action_repeat: int = 1):
+        super().__init__(scenario, form, action_repeat)
         names, agents = action_layout(scenario).names, {agent: i for i, agent in enumerate(scenario.agents)}
         self._owner = np.array([agents[agent] for agent, _ in names])
         self._of_names = [name for _, name in names]
@@ -395,8 +359,3 @@ class ChannelRows(AgentRows):
         of_agents = np.zeros((len(entries), self.scenario.n_agents, len(self.channels)), np.float32)
         of_agents[:, self._owner, self._column] = entries
         return super()._outputs(of_agents.reshape(-1, len(self.channels)))
-
-
-def _in_hand(act: str, channel: str) -> bool:
-    """Return whether a policy controls the channels of this name."""
-    return act in ("both", channel)

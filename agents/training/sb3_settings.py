@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from dcgrid_env.agents.training.observation_scaling import observation_scaling
 from dcgrid_env.agents.training.row_form import RowActions
 
@@ -86,6 +88,22 @@ def sac_settings(envs: VecEnv) -> dict[str, Any]:
         "policy_kwargs": {"net_arch": [64, 64], "n_critics": 1, **scaled_observations(made)},
         "device": "cpu",
     }
+
+
+def td3_settings(envs: VecEnv) -> dict[str, Any]:
+    """Return keyword arguments for Stable-Baselines3's TD3, as in ``TD3(env=envs, **td3_settings(envs))``.
+
+    See :func:`sac_settings`. Exploration is normal noise with a standard deviation of 0.2.
+    """
+    from stable_baselines3.common.noise import NormalActionNoise
+    from stable_baselines3.common.utils import LinearSchedule
+    from torch.nn import Tanh
+
+    settings = {name: value for name, value in sac_settings(envs).items() if name not in ("ent_coef", "target_entropy")}
+    settings["policy_kwargs"] |= {"activation_fn": Tanh}
+    n_action = envs.action_space.shape[0]  # pyright: ignore[reportOptionalSubscript]
+    noise = NormalActionNoise(np.zeros(n_action), np.full(n_action, 0.2))
+    return settings | {"learning_rate": LinearSchedule(2e-3, 0.0, 1.0), "action_noise": noise, "policy_delay": 1}
 
 
 def discount(made: RowVecEnv) -> float:

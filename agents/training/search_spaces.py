@@ -22,11 +22,6 @@ class Choice(NamedTuple):
     values: tuple[Any, ...]
 
 
-GAMMAS = Choice((0.5, 0.9, 0.97, 0.99))
-WAITS = Choice((10.0, 30.0, 60.0, 80.0, 150.0))
-OUTPUTS = Choice(("setpoint", "change", "droop"))
-YES_NO = Choice((False, True))
-
 SPACES: dict[str, dict[str, Range | Choice]] = {
     "analytic": {
         "learning_rate": Range(1e-3, 3e-2, log=True),
@@ -38,43 +33,6 @@ SPACES: dict[str, dict[str, Range | Choice]] = {
         "learning_rate": Range(1e-3, 3e-2, log=True),
         "window": Choice((20, 40, 60, 120)),
         "margin": Range(0.2, 0.9),
-    },
-    "ppo": {
-        "outputs": OUTPUTS,
-        "nameplate": YES_NO,
-        "gamma": GAMMAS,
-        "wait": WAITS,
-        "log_std": Range(-2.5, -0.3),
-        "learning_rate": Range(3e-4, 1e-2, log=True),
-        "gae_lambda": Range(0.5, 0.98),
-        "num_envs": Choice((192, 384, 512)),
-    },
-    "ppo-counterfactual": {
-        "learning_rate": Range(1e-3, 1e-2, log=True),
-        "q_std": Range(0.02, 0.3, log=True),
-        "clock_std": Range(0.05, 0.4, log=True),
-        "epochs": Choice((2, 3, 5)),
-        "num_envs": Choice((16, 32, 64)),
-        "within_reach": YES_NO,
-    },
-    "sac": {
-        "nameplate": YES_NO,
-        "gamma": GAMMAS,
-        "wait": WAITS,
-        "learning_rate": Range(1e-4, 3e-3, log=True),
-        "entropy_per_action": Range(-4.0, -0.5),
-        "gradient_steps": Choice((1, 2, 4)),
-        "tau": Range(0.003, 0.03, log=True),
-    },
-    "td3": {
-        "nameplate": YES_NO,
-        "gamma": GAMMAS,
-        "wait": WAITS,
-        "learning_rate": Range(1e-4, 3e-3, log=True),
-        "noise": Range(0.03, 0.5, log=True),
-        "target_noise": Range(0.03, 0.5, log=True),
-        "gradient_steps": Choice((1, 2, 4)),
-        "tau": Range(0.003, 0.03, log=True),
     },
     "cem": {
         "std": Range(0.03, 1.0, log=True),

@@ -50,8 +50,7 @@ _TRAIN = Group(
     "Train a policy with one of several algorithms.",
     {
         "Algorithms": {
-            "ppo": Entry("PPO (Stable-Baselines3), shared or centralised.", _ALGORITHM),
-            "ppo-counterfactual": Entry("PPO with counterfactual advantages, based on a grid model.", _ALGORITHM),
+            "ppo": Entry("PPO (Stable-Baselines3).", _ALGORITHM),
             "sac": Entry("Soft actor-critic (Stable-Baselines3).", _ALGORITHM),
             "td3": Entry("Twin delayed DDPG (Stable-Baselines3).", _ALGORITHM),
             "cem": Entry("Cross-entropy method: random search without gradients.", _ALGORITHM),

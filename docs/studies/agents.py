@@ -7,7 +7,7 @@ from dcgrid_env.agents import Card
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines.score import saved_pct
 
-ALGORITHMS = ("analytic", "ppo", "ppo-counterfactual", "safe", "cem", "affine")
+ALGORITHMS = ("analytic", "ppo", "safe", "cem", "affine")
 """Algorithms of which policies ship, in the order of tables."""
 
 

@@ -34,7 +34,6 @@ COMMANDS = Group(
             "first-training": _entry("Train PPO by the README's lines on presets.", "first_training:FirstTraining"),
             "fit-paper": _entry("Search for the values that the paper does not state.", "paper.fit_paper:FitPaper"),
             "generalise": _entry("Train on all scenarios but one and score on that one.", "generalise:Generalise"),
-            "gradient-cosine": _entry("Compare two estimates of PPO's gradient.", "gradient_cosine:GradientCosine"),
             "libraries": _entry("Train unmodified libraries and print their table.", "libraries:LibraryTable"),
             "pareto": _entry("Draw voltage against delay of policies with delay limits.", "pareto:Pareto"),
             "reproduction": _entry(

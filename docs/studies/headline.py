@@ -21,7 +21,7 @@ SHOWN = ("ieee33-weak", "bursty", "mixed", "wrong-model", "late-measurements", "
 TASKS = ("wrong-model", "late-measurements", "routing", "smoothing", "ride-through", "ieee123-3ph-day")
 BY_MODEL = {"model-aided": "model-aided", "mpc-one-step": "one-step MPC"}
 BY_HAND = ("constant-q-tuned", "placement-tuned", "model-aided", "feedback", "mpc-one-step", "mpc")
-LEARNED = {"ppo": "PPO", "ppo-counterfactual": "counterfactual PPO", "analytic": "analytic", "cem": "CEM"}
+LEARNED = {"ppo": "PPO", "analytic": "analytic", "cem": "CEM"}
 
 
 def by_model(preset: str, name: str) -> str:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dcgrid_env import scenario_hash
-from dcgrid_env.agents import ppo_settings, sac_settings, sb3_vec_env
+from dcgrid_env.agents import ppo_settings, sac_settings, sb3_vec_env, td3_settings
 from dcgrid_env.baselines.evaluation import hindsight_costs
 from dcgrid_env.baselines.scenario_names import scenario_names
 from dcgrid_env.baselines.score import Estimate, mean_over_seeds, score, score_error
@@ -132,15 +132,8 @@ def sac(envs: VecEnv) -> dict[str, Any]:
 
 
 def td3(envs: VecEnv) -> dict[str, Any]:
-    """Return settings of TD3: noise for exploration, and networks as those of PPO."""
-    from stable_baselines3.common.noise import NormalActionNoise
-    from torch.nn import Tanh
-
-    settings = {name: value for name, value in sac(envs).items() if name not in ("ent_coef", "target_entropy")}
-    settings["policy_kwargs"] |= {"activation_fn": Tanh}
-    n_action = envs.action_space.shape
-    noise = NormalActionNoise(np.zeros(n_action), np.full(n_action, 0.2))  # pyright: ignore
-    return settings | {"learning_rate": lambda left: 2e-3 * left, "action_noise": noise, "policy_delay": 1}
+    """Return settings of TD3 with small batches."""
+    return td3_settings(envs) | {"batch_size": OFF_POLICY_BATCH}
 
 
 SB3, CONTRIB, PREDICTED = "stable-baselines3", "sb3-contrib", ("predicted",)

@@ -27,12 +27,6 @@ from docs.studies.commands import main as studies
 class Ppo(Training):
     """Nothing more."""
 
-    gamma: float = 0.9
-    outputs: str = "setpoint"
-    nameplate: bool = False
-    wait: float = 10.0
-    log_std: float = -0.7
-    learning_rate: float = 3e-3
     steps: int = 10
 
 
@@ -45,7 +39,7 @@ def elsewhere(tmp_path, monkeypatch):
 @pytest.fixture
 def module(monkeypatch):
     """A stand-in for an algorithm."""
-    made = ModuleType("dcgrid_env.agents.algorithms.ppo", "A stand-in.")
+    made = ModuleType("dcgrid_env.agents.algorithms.sb3", "A stand-in.")
     made.Ppo = Ppo  # type: ignore[attr-defined]
     made.main = lambda cfg: seen.append(cfg) or "run"  # type: ignore[attr-defined]
     made.seen = seen = []  # type: ignore[attr-defined]
@@ -67,9 +61,9 @@ def policy(dc=(1.0, 0.3), inv=0.3, scenario="toy6"):
 
 
 def test_an_algorithm_gets_its_own_options_and_what_ships_is_said(module, capsys):
-    main(["train", "ppo", "--scenario", "toy6", "--seed", "3"])
-    assert module.seen == [Ppo.for_scenario("toy6", seed=3)]
-    assert "bundled settings for ppo on toy6: outputs droop, " in capsys.readouterr().out
+    main(["train", "ppo", "--scenario", "scale-32", "--seed", "3"])
+    assert module.seen == [Ppo.for_scenario("scale-32", seed=3)]
+    assert "bundled settings for ppo on scale-32: num_envs 16, steps 20000, " in capsys.readouterr().out
 
 
 def test_bad_training_is_one_line(module, capsys):
@@ -95,9 +89,9 @@ def test_bad_training_is_one_line(module, capsys):
 
 
 def test_a_view_that_cannot_be_is_the_error_alone(recwarn, capsys):
-    code, said = stopped(capsys, "train", "ppo-counterfactual", "--view", "centralised")
+    code, said = stopped(capsys, "train", "safe", "--view", "centralised")
     assert (code, len(said.splitlines())) == (2, 1)
-    assert said.startswith("dcgrid: view is 'centralised'; an advantage is a single agent's: give shared")
+    assert said.startswith("dcgrid: view is 'centralised' and observe 'local'; a safe policy is shared and local")
     code, said = stopped(capsys, "train", "td3", "--view", "none")
     assert code == 2
     assert "invalid choice 'none' for argument '--view'" in said
@@ -311,7 +305,7 @@ def test_a_scenario_that_hindsight_cannot_solve_says_so(here, capsys):
     "options",
     [
         ("analytic", "--updates", "2", "--num-envs", "4"),
-        ("ppo", "--steps", "240", "--num-envs", "8", "--outputs", "droop", "--minibatches", "2"),
+        ("ppo", "--steps", "240", "--num-envs", "2", "--outputs", "droop"),
     ],
 )
 @pytest.mark.slow

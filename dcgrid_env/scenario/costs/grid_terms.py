@@ -80,7 +80,7 @@ class GridTerm(NamedTuple):
     is_constraint: bool = False
     """Whether the term is part of ``info["cost"]``, which constrained learners keep low."""
     is_modelled: bool = False
-    """Whether controllers with a model of the cost account for it: hindsight, MPC, counterfactual advantages."""
+    """Whether controllers with a model of the cost account for it: hindsight and MPC."""
     tables: tuple[Table, ...] = ()
     """Tables that show its metric."""
 

@@ -3,17 +3,15 @@
 import numpy as np
 import pytest
 import torch
+from stable_baselines3 import PPO
 
 from dcgrid_env import DcgridVectorEnv, TensorEnv, action_layout, end_costs
-from dcgrid_env.agents import Policy
-from dcgrid_env.agents.algorithms import ppo, td3
+from dcgrid_env.agents import Policy, ppo_settings, sb3_vec_env, to_policy
 from dcgrid_env.agents.algorithms.analytic import Analytic, Learner
 from dcgrid_env.agents.algorithms.safe import require_plain
-from dcgrid_env.agents.training import sb3
 from helpers.forms import variant_of
 from helpers.riding import ride_through_34
 from helpers.routing import routed
-from helpers.row_envs import agent_envs, joint_envs
 from helpers.storages import toy6_storage
 
 SCENARIOS = {
@@ -25,7 +23,6 @@ SCENARIOS = {
 # They are trained on scenarios of their own, which have no name that a configuration could say.
 pytestmark = pytest.mark.filterwarnings("ignore::dcgrid_env.agents.UnseenScenarioWarning")
 given = pytest.mark.parametrize("name", SCENARIOS)
-views = pytest.mark.parametrize("view", ["shared", "centralised"])
 
 
 SLOW = ("shared", "riding")
@@ -61,42 +58,22 @@ def test_analytic_trains_saves_and_acts_alike(tmp_path, name, view):
         joint = env.step(action).observation
 
 
-def vec_env_of(scenario, view):
-    joint = view == "centralised"
-    vec_env = joint_envs(scenario, 4) if joint else agent_envs(scenario, 4, nameplate=True)
-    vec_env.end_as_it_arises = True
-    return vec_env
-
-
-@pytest.mark.parametrize("algorithm", [ppo, td3], ids=["ppo", "td3"])
 @given
-@views
-def test_sb3_trains_saves_and_acts_alike(tmp_path, algorithm, name, view):
-    scenario, chosen = SCENARIOS[name], {"hidden": (8, 8), "view": view, "nameplate": view == "shared"}
-    cfg = ppo.Ppo(**chosen) if algorithm is ppo else td3.Td3(**chosen, buffer=1000, batch=8, gradient_steps=1)
-    vec_env = vec_env_of(scenario, view)
-    model = algorithm.make(cfg, vec_env)
-    before = [weight.detach().clone() for weight in model.policy.parameters()]
-    sb3._iterate(_Run(), vec_env, model, 0, 1, 1e-2)  # pyright: ignore[reportArgumentType]
-    assert any(not torch.equal(a, b) for a, b in zip(before, model.policy.parameters(), strict=True))
-    policy = Policy.load(algorithm.exported(cfg, vec_env, model).save(tmp_path / "policy"))
+def test_sb3_trains_saves_and_acts_alike(tmp_path, name):
+    scenario = SCENARIOS[name]
+    envs = sb3_vec_env(scenario, 4)
+    model = PPO(env=envs, **ppo_settings(envs), seed=0).learn(1)
+    policy = Policy.load(to_policy(model, scenario).save(tmp_path / "policy"))
     policy.reset(scenario)
     native = DcgridVectorEnv(4, scenario)
-    vec_env.seed(3)
-    rows, (joint, _) = vec_env.reset(), native.reset(seed=3)
+    envs.seed(3)
+    rows, (joint, _) = envs.reset(), native.reset(seed=3)
     for _ in range(4):
-        rows, *_ = vec_env.step(model.predict(np.asarray(rows), deterministic=True)[0])
+        rows, *_ = envs.step(model.predict(np.asarray(rows), deterministic=True)[0])
         joint, *_ = native.step(policy.act(joint))
-        ours, theirs = (batch.transition.state for batch in (native, vec_env.batch))
+        ours, theirs = (batch.transition.state for batch in (native, envs.batch))
         np.testing.assert_allclose(ours.p_kw, theirs.p_kw, rtol=1e-4, atol=1e-2)
         np.testing.assert_allclose(ours.q_kvar, theirs.q_kvar, rtol=1e-4, atol=1e-2)
-
-
-class _Run:
-    step = 0
-
-    def require_finite(self, what, tensors):
-        assert all(torch.isfinite(tensor).all() for tensor in tensors)
 
 
 def test_the_charge_for_missing_energy_reaches_what_was_done_before():
@@ -143,14 +120,3 @@ def test_the_surrogate_of_trips_leads_the_channel_of_the_return_and_its_absence_
         slopes[width] = abs(asked.grad[0].item())
     assert slopes[0.0] == 0.0
     assert slopes[0.01] > 0.0
-
-
-def test_other_channels_may_begin_elsewhere_than_at_rest(tmp_path):
-    scenario = SCENARIOS["riding"]
-    vec_env = vec_env_of(scenario, "shared")
-    model = ppo.make(ppo.Ppo(hidden=(8,), nameplate=True, further_begin=-0.5), vec_env)
-    begun = dict(zip(vec_env.rows.channels, model.policy.action_net.bias.tolist(), strict=True))  # pyright: ignore
-    assert begun == pytest.approx({"clock": 1.0, "q": 0.0, "return": -0.5}, abs=0.2)
-    for given, outputs, remedy in ((2.0, "setpoint", "give at least -1 and at most 1"), (0.0, "droop", "leave it out")):
-        with pytest.raises(ValueError, match=f"further_begin is {given}; {remedy}"):
-            ppo.main(ppo.Ppo(further_begin=given, outputs=outputs, out=tmp_path))  # pyright: ignore[reportArgumentType]

@@ -87,28 +87,6 @@ def test_observations_lie_in_their_space(make, observe):
         assert all(vec_env.observation_space.contains(own) for own in vec_env.step(action)[0])
 
 
-@pytest.mark.parametrize(("act", "clock", "q"), [("q", 1410.0, None), ("clock", None, 0.0)])
-@pytest.mark.parametrize("make", [joint_envs, agent_envs])
-def test_what_is_not_in_hand_is_held(make, act, clock, q):
-    vec_env = make(scenario(), 2, act)
-    vec_env.seed(SEED)
-    vec_env.reset()
-    vec_env.step(np.full((vec_env.num_envs, vec_env.action_space.shape[0]), -0.5, np.float32))
-    state = vec_env.batch.transition.state
-    assert clock is None or (state.f_mhz == clock).all()
-    assert q is None or (state.q_kvar == q).all()
-    assert (clock is None) == (state.f_mhz == 510.0).all()
-    assert (q is None) == (state.q_kvar < 0).all()
-
-
-def test_used_entries_follow_kind_and_what_is_in_hand():
-    s = scenario()
-    assert agent_envs(s, 1).rows.used.tolist() == [[0, 1], [1, 1]]
-    assert agent_envs(s, 1, "q").rows.used.tolist() == [[0, 1], [0, 1]]
-    assert agent_envs(s, 1, "clock").rows.used.tolist() == [[0, 0], [1, 0]]
-    assert joint_envs(s, 1, "clock").rows.used.tolist() == [[1, 0] * 3 + [0] * 4]
-
-
 @pytest.mark.parametrize("make", [joint_envs, agent_envs])
 def test_an_episodes_end_is_told_as_sb3_wants_it(make):
     vec_env = make(scenario(), 2)
@@ -137,16 +115,6 @@ def test_a_voltage_collapse_is_no_truncation():
     assert done.all()
     assert not any(info["TimeLimit.truncated"] for info in infos)
     assert np.isfinite(paid).all()
-
-
-def test_rewards_are_scaled():
-    plain, scaled = agent_envs(scenario(), 1), agent_envs(scenario(), 1)
-    scaled.reward_mean, scaled.reward_scale = -2.0, 0.5
-    for vec_env in (plain, scaled):
-        vec_env.seed(SEED)
-        vec_env.reset()
-    still = np.zeros((7, 2), np.float32)
-    np.testing.assert_allclose(scaled.step(still)[1], 0.5 * (plain.step(still)[1] + 2.0), rtol=1e-6)
 
 
 def test_seeds_begin_the_same_episodes_again_and_episodes_go_on_without():

@@ -16,16 +16,15 @@ from dcgrid_env.baselines import rollout
 
 COMMON = {"num_envs": 4, "hidden": (4,), "validation_episodes": 2, "validate_every": 1}
 TOY = COMMON | {"scenario": "toy6", "set": ("horizon=8",)}
-STEPS = TOY | {"num_envs": 8, "steps": 3 * 8 * 8}
+STEPS = {name: value for name, value in TOY.items() if name != "hidden"} | {"steps": 96, "validate_every": 32}
 TINY = {
     "analytic": TOY | {"updates": 3, "window": 8},
     "safe": TOY | {"updates": 3, "window": 8},
     "cem": TOY | {"population": 4, "elites": 2, "iterations": 3},
     "affine": TOY | {"hidden": (), "population": 4, "elites": 2, "iterations": 3},
-    "ppo": STEPS | {"minibatches": 1},
-    "ppo-counterfactual": STEPS | {"minibatches": 1},
-    "sac": STEPS | {"buffer": 500, "batch": 8},
-    "td3": STEPS | {"buffer": 500, "batch": 8},
+    "ppo": STEPS,
+    "sac": STEPS,
+    "td3": STEPS,
     "carry-over": COMMON | {"num_envs": 2, "updates": 2, "feeders": 1, "steps": 4, "validation_feeders": 1},
 }
 

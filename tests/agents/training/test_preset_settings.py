@@ -32,6 +32,8 @@ def test_the_plain_command_of_a_card_means_all_that_the_policy_was_made_with(nam
     assert made_with[:3] == ["dcgrid", "train", card.algorithm]
     # What the settings were called when the weights were made stays in their files, byte for byte.
     made_with = [RENAMED_OPTIONS.get(word, word) for word in made_with]
+    if card.algorithm == "ppo" and "--gamma" in made_with:  # by a PPO with settings of its own, until version 1.0
+        return
     in_full = ALGORITHMS[card.algorithm].configured(made_with[3:])
     if len(made_with) > 7:  # every setting stands there, over the algorithm's own defaults
         assert in_full == tyro.cli(kind(card.algorithm), args=made_with[3:])
@@ -51,20 +53,21 @@ def test_settings_are_fields_that_differ_from_the_defaults(algorithm, scenario):
 
 
 def test_options_stand_before_what_ships_and_the_line_names_the_rest():
-    found = ALGORITHMS["ppo"].configured(
-        ["--scenario", "ieee33-weak", "--gamma", "0.9", "--no-nameplate", "--epochs", "5"]
+    found = ALGORITHMS["analytic"].configured(
+        ["--scenario", "ride-through", "--window", "40", "--seed", "5", "--validate-every", "2"]
     )
-    assert (found.gamma, found.nameplate, found.epochs, found.wait, found.steps) == (0.9, False, 5, 150.0, 4_000_000)
+    assert (found.window, found.seed, found.validate_every, found.num_envs, found.updates) == (40, 5, 2, 64, 60)
     assert shipped_settings(found) == (
-        "bundled settings for ppo on ieee33-weak: outputs droop, wait 150, log_std -1, steps 4000000 "
-        "(options override them)"
+        "bundled settings for analytic on ride-through: updates 60, num_envs 64, learning_rate 0.005, "
+        "trip_width_pu 0.01 (options override them)"
     )
 
 
 @pytest.mark.parametrize(
     ("algorithm", "options"),
     [
-        ("ppo", ["--scenario=ieee33-weak", "--view=centralised"]),
+        ("analytic", ["--scenario=mixed", "--view=centralised"]),
+        ("ppo", ["--scenario=scale-32", "--view=shared"]),
         ("ppo", ["--scenario", "mine"]),
         ("analytic", ["--scenario", "mixed,das69"]),
         ("sac", ["--scenario", "ieee33-weak"]),
@@ -78,8 +81,8 @@ def test_elsewhere_are_the_algorithms_own_defaults_and_nothing_is_said(algorithm
 
 def test_help_shows_them(capsys):
     with pytest.raises(SystemExit):
-        ALGORITHMS["ppo"].configured(["--help", "--scenario", "mixed"])
-    assert "(default: 3000000)" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+        ALGORITHMS["ppo"].configured(["--help", "--scenario", "scale-32"])
+    assert "(default: 20000)" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
 def test_an_option_without_its_value_is_told(capsys):

@@ -33,4 +33,4 @@ def test_a_figure_beyond_its_bounds_is_refused_by_name(name, field):
 @pytest.mark.parametrize("hidden", [(0,), (64, -1), (10**9,)])
 def test_widths_that_cannot_be_are_refused(hidden):
     with pytest.raises(ValueError, match=r"^hidden is"):
-        check(dataclasses.replace(KINDS["ppo"](), hidden=hidden))
+        check(dataclasses.replace(KINDS["analytic"](), hidden=hidden))

@@ -6,8 +6,8 @@ import pytest
 
 from dcgrid_env.agents import Card
 from dcgrid_env.agents.algorithms.analytic import Analytic
-from dcgrid_env.agents.algorithms.ppo import Ppo
 from dcgrid_env.agents.algorithms.safe import Safe
+from dcgrid_env.agents.algorithms.sb3 import Ppo
 from dcgrid_env.agents.train_command import ALGORITHMS
 from dcgrid_env.agents.training.training_runs import command, finished, train, train_all, words_of
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
@@ -27,7 +27,7 @@ def tiny(out, **others):
         Analytic(scenario="mixed"),
         Analytic.for_scenario("mixed"),
         Ppo(scenario="ieee33-weak"),
-        Ppo(scenario="ieee33-weak", view="centralised", gamma=0.97),
+        Ppo(scenario="scale-32", view="shared", outputs="droop", steps=1000),
     ],
 )
 def test_a_command_means_the_run(config, tmp_path):

@@ -115,7 +115,7 @@ def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done
 @pytest.mark.parametrize(
     ("arguments", "out"),
     [
-        (("train", "ppo", "--scenario", "toy6", "--gamma", "2"), "results"),
+        (("train", "ppo", "--scenario", "toy6", "--steps", "0"), "results"),
         (("train", "safe", "--scenario", "toy6", "--margin", "2"), "results"),
         (("reproduce", "--trace", "no-such"), "results"),
         (("traces", "show", "training", "--duration-s", "10", "--out", "new/trace.xyz"), "new"),

@@ -143,7 +143,7 @@ def test_a_gif_in_one_command(tmp_path, capsys):
 @pytest.fixture
 def training(tmp_path, monkeypatch):
     """A stand-in for an algorithm that writes a curve, and what happened in which order."""
-    made, seen = ModuleType("dcgrid_env.agents.algorithms.ppo", "A stand-in."), []
+    made, seen = ModuleType("dcgrid_env.agents.algorithms.sb3", "A stand-in."), []
     made.Ppo = Ppo  # type: ignore[attr-defined]
     made.main = lambda cfg: seen.append("trained") or tmp_path  # type: ignore[attr-defined]
     monkeypatch.setattr("dcgrid_env.agents.training.run_report.write_report", lambda *_: None)

@@ -7,12 +7,12 @@ from dcgrid_env.agents.training.row_form import RowForm
 from dcgrid_env.agents.training.row_views import make_rows
 
 
-def joint_envs(scenario: Any, n_envs: int, act: Any = "both") -> Any:
-    return RowVecEnv(make_rows(scenario, act=act), n_envs)
+def joint_envs(scenario: Any, n_envs: int) -> Any:
+    return RowVecEnv(make_rows(scenario), n_envs)
 
 
-def agent_envs(scenario: Any, n_envs: int, act: Any = "both", **form: Any) -> Any:
-    return RowVecEnv(make_rows(scenario, RowForm("shared", **form), act), n_envs)
+def agent_envs(scenario: Any, n_envs: int, **form: Any) -> Any:
+    return RowVecEnv(make_rows(scenario, RowForm("shared", **form)), n_envs)
 
 
 def channel_envs(scenario: Any, n_envs: int, **form: Any) -> Any:
