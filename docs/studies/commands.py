@@ -23,8 +23,8 @@ COMMANDS = Group(
             ),
         },
         "Publish a policy": {
-            "ship": _entry("Score training runs with different seeds; save the best.", "ship:Ship"),
-            "export-hub": _entry("Write a policy as a folder for the Hugging Face hub.", "hub:ExportHub"),
+            "ship": _entry("Score training runs with different seeds; save the best.", "shipping:Ship"),
+            "export-hub": _entry("Write a policy as a folder for the Hugging Face hub.", "hub_export:ExportHub"),
         },
         "Studies": {
             "algorithms": _entry("Compare standard algorithms on seven tasks.", "algorithms:AlgorithmTables"),

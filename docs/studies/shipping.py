@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import tyro
 
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents.controllers import preset_of, without_horizon
@@ -20,6 +22,9 @@ from dcgrid_env.agents.training.config import FREE, stored_config
 from dcgrid_env.baselines import NeedsPlacement, make_controller
 from dcgrid_env.baselines.evaluation import Evaluation, evaluate, hindsight_costs
 from dcgrid_env.baselines.score import REFERENCE, SPLIT, mean_over_seeds, score_error
+from dcgrid_env.cli.listing import card_line
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.terminal import plain_console, say, working
 from dcgrid_env.core.files import write_bytes
 
 
@@ -166,3 +171,32 @@ def _check_settings(folders: Sequence[Path]) -> None:
                     f"{folder}: {field} is {settings.get(field)!r}, that of {first} is {other.get(field)!r}; give runs "
                     "that differ in the seed alone"
                 )
+
+
+@dataclass(frozen=True)
+class Ship(Command):
+    """Score training runs with different seeds; save the best.
+
+    All runs are scored on the test split. The run with the best validation cost is saved as a policy, with its card.
+    """
+
+    folders: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of training runs (dcgrid train), one for each seed."""
+    name: str
+    """Name of the policy, usually SCENARIO-ALGORITHM."""
+    scenario: str | None = None
+    """Preset to score on. Default: the preset of the training."""
+    episodes: int = 100
+    """Number of test episodes, at least 2, with seeds 0, 1, ..."""
+    out: Path = Path("results/policies")
+    """Folder for NAME.safetensors and NAME.json."""
+
+    def run(self) -> None:
+        """Score, write and print; raise ValueError before writing if the runs do not belong together."""
+        if self.episodes < 2:
+            raise ValueError(f"episodes: must be at least 2 for a score's interval, got {self.episodes}")
+        console = plain_console()
+        with working(console, f"{len(self.folders)} policies, {self.episodes} episodes each"):
+            card = ship(self.folders, self.name, self.scenario, self.episodes, self.out)
+        say(console, f"{self.name}: {card_line(card)}")
+        say(console, f"wrote {self.out / self.name}.safetensors and .json")

@@ -9,12 +9,11 @@ import pytest
 
 from dcgrid_env import PRESETS, make_scenario, scenario_hash
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, evaluate
-from dcgrid_env.agents.controllers import preset_of
+from dcgrid_env.agents.controllers import preset_of, without_horizon
 from dcgrid_env.agents.policy.card import Scored
 from dcgrid_env.agents.policy.input_range import InputRange
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 from dcgrid_env.baselines import NeedsPlacement
-from docs.studies.shipping import without_horizon
 
 SCORED = Scored("toy6", "test", 100, "7b9bd19834108981", 0.27, 0.0, 0.0, (0.5, 0.4, 0.6), (0, 1), (0.5, 0.3))
 CARD = Card("0.1.0", 12, "0" * 64, "ppo", "toy6", "dcgrid train ppo", 0, 1.5, 0.3, SCORED)

@@ -8,10 +8,10 @@ import tyro
 
 from dcgrid_env import PRESETS
 from dcgrid_env.agents import Card, Policy
+from dcgrid_env.agents.controllers import without_horizon
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 from dcgrid_env.agents.train_command import ALGORITHMS, shipped_settings
 from dcgrid_env.agents.training.preset_settings import _all, settings
-from docs.studies.shipping import without_horizon
 
 RENAMED_OPTIONS = {"--lanes": "--num-envs"}
 EVERY = [(algorithm, scenario) for algorithm, found in _all().items() for scenario in found]
