@@ -66,15 +66,11 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
     (here / f"{NAME}.csv").write_text("".join(f"{time_s},{100 + time_s}\n" for time_s in range(10)))
     monkeypatch.setattr(pareto, "K_P_MW_PER_PU", (0.0,))
     monkeypatch.setattr(ablate, "VARIANTS", {"all": {}})
-    monkeypatch.setattr(
-        "dcgrid_env.apps.reproduction.study.study", lambda runs, done, place: done(NAME) or {"claims": []}
-    )
-    monkeypatch.setattr("docs.studies.paper.paper_figures.draw_all", lambda runs, folder: [])
+    records = {"claims": [], "setting": {"load_description": f"{NAME}.csv"}}
+    monkeypatch.setattr("dcgrid_env.apps.reproduction.study.study", lambda runs, done, place: done(NAME) or records)
     monkeypatch.setattr("dcgrid_env.apps.reproduction.markdown.render", lambda records: "")
-    monkeypatch.setattr(
-        "dcgrid_env.apps.reproduction.load.choose_load", lambda trace: SimpleNamespace(description=trace)
-    )
-    monkeypatch.setattr("dcgrid_env.apps.reproduction.reproduce_command._origin", lambda runs: {})
+    command_class = "dcgrid_env.apps.reproduction.reproduce_command.Reproduce"
+    monkeypatch.setattr(f"{command_class}.setting", lambda self: (None, {}))
     noted = {"samples": 2, "gpus": [1], "missed": 0, "jitter_s": {"mean": 0.0, "p99": 0.0}}
     monkeypatch.setattr("dcgrid_env.traces.recorder.record", lambda *given, **named: noted)
     recording = SimpleNamespace(description="a recording", sha256="0", licence="[/]", citation="[/]")

@@ -49,7 +49,7 @@ def quick(monkeypatch):
     tuned = Tuned(parameters={}, score=1.0, trials=1)
     monkeypatch.setattr("dcgrid_env.baselines.tuning.search.tune", lambda law, scenarios, episodes: tuned)
     monkeypatch.setattr("dcgrid_env.apps.reproduction.study.study", lambda runs, done, place: {"claims": []})
-    monkeypatch.setattr("docs.studies.paper.paper_figures.draw_all", lambda runs, folder: [])
+    monkeypatch.setattr("dcgrid_env.apps.reproduction.markdown.render", lambda records: "")
 
 
 def signalled(monkeypatch, sign, file):
