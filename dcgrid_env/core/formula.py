@@ -51,7 +51,7 @@ def choose(condition: Array, a: Array | float, b: Array | float) -> Array:
 
 
 def _like(value: Array | float, like: Array) -> Array:
-    """A number as a tensor without dimensions beside a tensor, which takes no number in minimum and maximum."""
+    """A number as a tensor without dimensions, if the other value is a tensor: its minimum takes no number."""
     if isinstance(value, float) and not isinstance(like, np.ndarray):
         return namespace(like).full((), value, dtype=like.dtype, device=like.device)
     return value
