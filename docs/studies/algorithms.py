@@ -85,7 +85,7 @@ def interquartile_mean(scores: np.ndarray, seed: int = 0) -> Estimate:
     Seeds are drawn again within each task, so the interval is for other seeds of the same tasks. With one seed there is
     none, and its ends are not a number.
     """
-    value = float(trim_mean(scores, TRIMMED, axis=None))
+    value = float(trim_mean(scores.ravel(), TRIMMED))
     n_seed, n_task = scores.shape
     if n_seed == 1:
         return Estimate(value, np.nan, np.nan)

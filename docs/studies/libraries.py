@@ -42,11 +42,18 @@ MOST_EPISODES = 32
 """Test episodes whose hindsight is published for every preset."""
 
 
-def sb3(model_class: str, settings: Callable[[VecEnv], dict[str, Any]], on: Setting) -> Outcome:
-    """Train an algorithm of Stable-Baselines3 or sb3-contrib."""
-    envs = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
-    model = resolve_name(model_class)(env=envs, seed=on.seed, **settings(envs))
-    best, steps = BestOnValidation(model.policy, partial(predicted, model), on), on.steps * envs.rows_per_env
+def sb3(
+    model_class: str, settings: Callable[[VecEnv], dict[str, Any]], on: Setting, *, scales_rewards: bool = False
+) -> Outcome:
+    """Train an algorithm of Stable-Baselines3 or sb3-contrib, whose VecNormalize may scale the rewards."""
+    made = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
+    arguments, envs = settings(made), made
+    if scales_rewards:
+        from stable_baselines3.common.vec_env import VecNormalize
+
+        envs = VecNormalize(made, norm_obs=False, gamma=arguments["gamma"])
+    model = resolve_name(model_class)(env=envs, seed=on.seed, **arguments)
+    best, steps = BestOnValidation(model.policy, partial(predicted, model), on), on.steps * made.rows_per_env
 
     def on_step(found: dict[str, Any], _: Any) -> bool:
         best.evaluate(found["self"].num_timesteps / steps)
@@ -143,7 +150,7 @@ TASK = (*ROWS, "Channels", "ChannelsTask")
 LIBRARIES = {
     "sb3-ppo": Library(SB3, partial(sb3, "stable_baselines3:PPO", ppo_settings), 600_000, 32, PREDICTED),
     "sb3-sac": Library(SB3, partial(sb3, "stable_baselines3:SAC", sac), 20_000, 8, PREDICTED),
-    "sb3-td3": Library(SB3, partial(sb3, "stable_baselines3:TD3", td3), 20_000, 8, PREDICTED),
+    "sb3-td3": Library(SB3, partial(sb3, "stable_baselines3:TD3", td3, scales_rewards=True), 20_000, 8, PREDICTED),
     "sb3-contrib-tqc": Library(CONTRIB, partial(sb3, "sb3_contrib:TQC", tqc), 100_000, 16, PREDICTED),
     "sb3-contrib-recurrent-ppo": Library(
         CONTRIB, partial(sb3, "sb3_contrib:RecurrentPPO", recurrent), 50_000, 16, PREDICTED
