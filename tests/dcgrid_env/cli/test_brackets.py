@@ -35,7 +35,7 @@ TINY = f"--updates 2 --episodes 2 --workers 1 --runs {NAME}/runs --out {NAME}/ou
 PLAIN = NAME.replace("/", "")
 SAID = {
     f"curves {NAME}/run --out {NAME}/c.png": (f"toy6, {NAME}: 1 run", f"wrote {NAME}/c.png"),
-    f"ship {NAME}/run --name {PLAIN} --scenario toy6 --episodes 2 --out {NAME}": (
+    f"{PROG} ship {NAME}/run --name {PLAIN} --scenario toy6 --episodes 2 --out {NAME}": (
         f"{PLAIN}: {NAME} trained on toy6",
         f"wrote {NAME}/{PLAIN}",
     ),
