@@ -66,7 +66,7 @@ class StableBaselines3(Training):
     validate_every: int = 5_000
     """Steps of a stage, after which the policy is evaluated on validation and a checkpoint is written."""
 
-    model: ClassVar[type[BaseAlgorithm]]
+    model: ClassVar[Any]
     """Algorithm of Stable-Baselines3."""
     settings: ClassVar[Callable[[Any], dict[str, Any]]]
     """Function that returns its settings for environments."""
@@ -222,7 +222,7 @@ def vec_env_for(cfg: StableBaselines3) -> RowVecEnv:
     spec = ScenarioSpec(cfg.scenario, cfg.set)
     scenario = under_own_control(spec.make("train"), keep_set_points=True)
     make_controller("droop-tuned", spec.make("validation"))  # ValueError where it has no gains, before all the work
-    overrides = {} if cfg.reward is None else {"reward": cfg.reward}
+    overrides: dict[str, Any] = {} if cfg.reward is None else {"reward": cfg.reward}
     return sb3_vec_env(scenario, cfg.num_envs, cfg.view, outputs=cfg.outputs, **overrides)
 
 
