@@ -15,7 +15,7 @@ from helpers.places import ROOT
 ROOMS = ("core", "traces", "grid", "powerflow", "devices", "scenario", "engine", "rendering", "envs")
 """Each room may import those before it, and itself; then comes what the package gives under its own name."""
 ABOVE = ("", "baselines", "agents", "cli", "command", "apps")
-"""These use public names: of the package, of its rooms, and all of core and of traces."""
+"""These use public names: of the package, of its rooms, and all of core and of traces. Nothing else imports apps."""
 STUDIES = "studies"
 """docs/studies, which is not installed: it may import everything, and nothing imports it."""
 ORDER = (*ROOMS, *ABOVE, STUDIES)

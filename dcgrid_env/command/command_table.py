@@ -113,8 +113,10 @@ COMMANDS = Group(
             ),
         },
         "Publish": {
-            "submit": Entry("Create an entry for the leaderboard.", "cli.submit:Submit"),
-            "verify": Entry("Rerun leaderboard entries and report their scores.", "cli.verify:Verify"),
+            "submit": Entry("Create an entry for the leaderboard.", "apps.leaderboard.submit_command:Submit"),
+            "verify": Entry(
+                "Score leaderboard entries in a round and write reports.", "apps.leaderboard.verify_command:Verify"
+            ),
             "export-sb3": Entry(
                 "Convert a Stable-Baselines3 model into a policy file.", "agents.export_sb3_command:ExportSb3"
             ),

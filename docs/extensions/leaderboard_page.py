@@ -1,4 +1,4 @@
-"""The leaderboard's table, made from the signed reports in docs/leaderboard when the site is built."""
+"""The leaderboard's table, made from the reports in docs/leaderboard when the site is built."""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ from dcgrid_env.baselines.evaluation import hindsight_costs
 from dcgrid_env.baselines.reproduction.drawing import new_figure
 from dcgrid_env.baselines.reproduction.drawing import say as label_axes
 from dcgrid_env.baselines.score import Estimate
-from dcgrid_env.cli.command import Command
-from dcgrid_env.cli.settings import check_file
+from dcgrid_env.core.commands.command import Command
+from dcgrid_env.core.commands.settings import check_file
 from dcgrid_env.core.files import write_figure
 from docs.studies.learning_tables import NONE, estimate
 from docs.studies.libraries import records_in

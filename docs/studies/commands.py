@@ -19,7 +19,7 @@ COMMANDS = Group(
             "benchmark-data": _entry("Write the data file of a benchmark's page.", "benchmark_data:PublishBenchmark"),
             "leaderboard": _entry("Check that verified folders can be listed.", "leaderboard:Leaderboard"),
             "entries": _entry(
-                "Make, verify and sign our own entries of the leaderboard.", "leaderboard:LeaderboardEntries"
+                "Make our own entries of the leaderboard and score them in a round.", "leaderboard:LeaderboardEntries"
             ),
         },
         "Publish a policy": {

@@ -10,100 +10,58 @@ from typing import NamedTuple
 
 import tyro
 
-from dcgrid_env import PRESETS, scenario_hash
-from dcgrid_env.agents.leaderboard.entry_files import (
-    CODE,
-    NAMED,
-    SUBMISSION,
-    VERIFIED,
-    Learned,
-    Submission,
-    SubmissionError,
-    Verified,
-    check_contents,
-    read,
-)
-from dcgrid_env.agents.leaderboard.running import episodes_hash, reference, scenario_of
-from dcgrid_env.agents.leaderboard.signing import NEW_KEY, make_keys, private_key, private_key_file
-from dcgrid_env.agents.leaderboard.submitting import submit
-from dcgrid_env.agents.leaderboard.verifying import draw_seed, require_report, verify
-from dcgrid_env.agents.policy.policy import SHIPPED, Policy
-from dcgrid_env.baselines.registry import CONTROLLER_REGISTRY, split_prefix
-from dcgrid_env.baselines.scenario_names import scenario_names
+from dcgrid_env import PRESETS
+from dcgrid_env.agents.policy.policy import SHIPPED
+from dcgrid_env.apps.leaderboard.entries import SUBMISSION, Learned, Submission, SubmissionError
+from dcgrid_env.apps.leaderboard.rounds import Report, read_report, verify
+from dcgrid_env.apps.leaderboard.submit_command import submit
 from dcgrid_env.baselines.score import PUBLISHED_EPISODES, Estimate
 from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.commands.terminal import plain_console, say
 from docs.studies.agents import ALGORITHMS
-from docs.studies.site_tables import NBSP, number, plain, sortable, unbroken, with_interval
+from docs.studies.site_tables import number, plain, sortable, unbroken, with_interval
 
 FOLDER = Path(__file__).parents[1] / "leaderboard"
 """Our entries."""
 LAWS: dict[str, Learned] = {"mpc": "nothing", "model-aided": "nothing", "constant-q-tuned": "validation"}
 """Further controllers, and the split that their parameters were found on."""
 LEFT_OUT = {("ieee123-3ph-day", "mpc")}
-"""Takes more than two minutes of CPU for 32 episodes, of which an entry needs 96."""
-HEADER = (
-    "entry", "preset", "J saved, fresh, %", "J saved, published, %", "score", "J", "mean delay, s", "episodes", "sent",
-    "learned on",
-)  # fmt: skip
+"""Takes more than two minutes of CPU for 32 episodes."""
+HEADER = ("entry", "preset", "J saved, %", "J", "mean delay, s", "information", "learned on")
 
 
 class Listed(NamedTuple):
     """A verified entry."""
 
     submission: Submission
-    verified: Verified
+    report: Report
 
 
-def listed(folder: Path) -> Listed:
-    """The entry of a verified folder.
+def all_listed(folders: Sequence[Path]) -> list[Listed]:
+    """Return the entries of verified folders, or of folders that contain such.
 
     Raises
     ------
     SubmissionError
-        For a folder that was not verified, or of which anything has changed since: a file, a record, the preset, or
-        the policy that ships under the entry's name.
-    """
-    submission, record = read(folder / SUBMISSION, Submission), read(folder / VERIFIED, Verified)
-    path = folder / VERIFIED
-    require_report(folder, record)
-    check_contents(folder, submission)
-    for path_, name, n in (
-        (folder / SUBMISSION, "episodes", submission.episodes), (path, "fresh_episodes", record.fresh_episodes),
-    ):  # fmt: skip
-        if n < PUBLISHED_EPISODES:
-            raise SubmissionError(f"{path_}: {name} is {n}; the page takes at least {PUBLISHED_EPISODES}")
-    scenario = scenario_of(submission.scenario)
-    now = {
-        "scenario_hash": scenario_hash(scenario), "episodes_hash": episodes_hash(scenario, submission.episodes),
-        "reference": reference(scenario),
-    }  # fmt: skip
-    for name, value in now.items():
-        if (reported := getattr(record, name)) != value:
-            raise SubmissionError(f"{path}: {name} is {reported}, now {value}; submit and verify again")
-    _, inner = split_prefix(submission.policy)
-    if submission.kind == NAMED and inner not in CONTROLLER_REGISTRY:
-        raise SubmissionError(f"{path}: policy is {inner!r}, which no longer ships; delete the folder")
-    if submission.kind == NAMED and inner in SHIPPED and Policy.load(inner).sha256 != record.policy:
-        raise SubmissionError(f"{path}: policy is of other weights than {inner} that ships; submit and verify again")
-    return Listed(submission, record)
-
-
-def all_listed(folders: Sequence[Path]) -> list[Listed]:
-    """Entries of verified folders, or of folders of such.
-
-    SubmissionError for a folder that cannot be listed, and for two entries of one name on a preset.
+        If an entry is invalid or has changed since verification, two entries of a preset have the same name, or
+        reports are of different rounds.
     """
     seen: dict[tuple[str, str], Path] = {}
-    entries = []
+    entries: list[Listed] = []
     for folder in _entry_folders(folders):
-        entry = listed(folder)
+        entry = Listed(*read_report(folder))
         name, preset = entry.submission.name, entry.submission.scenario
         if (other := seen.setdefault((preset, name), folder)) is not folder:
             raise SubmissionError(
                 f"{folder / SUBMISSION}: {other} also has the name {name!r} on {preset}; give it another name"
             )
         entries.append(entry)
+        rounds = [(one.report.round_seed, len(one.report.J)) for one in (entries[0], entry)]
+        if rounds[0] != rounds[1]:
+            raise SubmissionError(
+                f"{folder}: round_seed and number of episodes are {rounds[1]}, other reports have {rounds[0]}; verify "
+                "all entries in one round"
+            )
     return entries
 
 
@@ -114,49 +72,45 @@ def _entry_folders(folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def tables(entries: Sequence[Listed]) -> str:
-    """The table as Markdown, and another one of entries that were learned on the test split."""
+    """Return the table as Markdown, and another one of entries that were learned on the test split."""
     others = [entry for entry in entries if entry.submission.learned_on != "test"]
     on_test = [entry for entry in entries if entry.submission.learned_on == "test"]
-    parts = [_table(others)] if others else []
+    rounds = {(entry.report.round_seed, len(entry.report.J)) for entry in entries}
+    parts = [f"Round {seed}, {n} episodes on each preset." for seed, n in rounds]
+    parts += [_table(others)] if others else []
     parts += ["### Learned or tuned on the test split", _table(on_test)] if on_test else []
     return "\n\n".join(parts) + "\n"
 
 
 def _table(entries: Sequence[Listed]) -> str:
-    """A row for each entry, by preset, the largest saving on fresh episodes first."""
+    """Return a table with a row for each entry, by preset, the largest saving first."""
     order = list(PRESETS)
-    placed = sorted(entries, key=lambda e: (order.index(e.submission.scenario), -e.verified.fresh.gain[0]))
+    placed = sorted(entries, key=lambda e: (order.index(e.submission.scenario), -e.report.saved_pct[0]))
     return sortable(HEADER, [_row(entry) for entry in placed])
 
 
 def _row(entry: Listed) -> tuple[str, ...]:
-    submission, record = entry
-    found, name = record.found, plain(submission.name)
+    submission, report = entry
+    name = plain(submission.name)
     if submission.paper:
         link = submission.paper.startswith(("https://", "http://")) and not set(submission.paper) & set(" ()<>|")
         name = f"[{name}]({submission.paper})" if link else f"{name} ({plain(submission.paper)})"
-    code = " (code)" if submission.kind == CODE else ""
     return (
-        name + code, submission.scenario, _gain(record.fresh.gain) + f"{NBSP}below" * record.gains_less,
-        _gain(found.gain), with_interval(Estimate(*record.score), 2), number(found.J, 4),
-        number(found.delay_mean_s, 2), unbroken(f"{submission.episodes} + {record.fresh_episodes}"),
-        unbroken(record.scope), submission.learned_on,
+        name + " (code)" * submission.has_code, submission.scenario, with_interval(Estimate(*report.saved_pct), 1),
+        number(sum(report.J) / len(report.J), 4), number(report.delay_mean_s, 2), unbroken(plain(report.information)),
+        submission.learned_on,
     )  # fmt: skip
-
-
-def _gain(gain: tuple[float, float, float]) -> str:
-    return with_interval(Estimate(*(100.0 * share for share in gain)), 1)
 
 
 @dataclass(frozen=True)
 class Leaderboard(Command):
     """Check that verified folders can be listed.
 
-    Checks the signatures of their reports, and runs nothing. The page of the site is made from docs/leaderboard.
+    Checks files, hashes and reports, and runs nothing. The page of the site is made from docs/leaderboard.
     """
 
     folders: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders that dcgrid verify has been through, or folders of such."""
+    """Folders with reports of dcgrid verify, or folders that contain such."""
 
     def run(self) -> None:
         """Check, print. ValueError for a folder that cannot be listed."""
@@ -165,33 +119,20 @@ class Leaderboard(Command):
 
 @dataclass(frozen=True)
 class LeaderboardEntries(Command):
-    """Make, verify and sign our own entries of the leaderboard.
+    """Make our own entries of the leaderboard and score them in a round."""
 
-    The fresh episodes of a run begin at one seed, which is drawn after the last
-    entry was submitted. Reports are signed with the key in $DCGRID_VERIFIER_KEY, by default
-    ~/.config/dcgrid/verifier.key.
-    """
-
+    round_seed: int
+    """Number of the round."""
     scenarios: str = "all"
     """Names of presets, separated by commas, or all."""
-    new_key: bool = False
-    """Make a new key first. Reports that were signed with the keys before stay valid."""
 
     def run(self) -> None:
-        """Submit, verify and write the entries. Raise ValueError before the first run if the key is missing."""
-        console, scenarios = plain_console(), scenario_names(self.scenarios)
-        if self.new_key:
-            make_keys()
-        if private_key() is None:
-            raise ValueError(
-                f"there is no key in {private_key_file()}; copy the verifier's, or make one with {NEW_KEY}"
-            )
-        folders = [folder for scenario in scenarios for folder in _submitted(scenario)]
-        seed = draw_seed()
-        for folder in folders:
-            _, found = verify(folder, seed, fresh=PUBLISHED_EPISODES)
-            say(console, f"{folder}: score {found.score.value:.3f}, J {found.found.J:.4f}")
-        Leaderboard((FOLDER,)).run()
+        """Submit, verify and write the entries."""
+        console = plain_console()
+        for scenario in scenario_names(self.scenarios):
+            for folder in _submitted(scenario):
+                _, report = verify(folder, self.round_seed)
+                say(console, f"{folder}: saves {report.saved_pct[0]:.2f} % of the tuned droop's J")
 
 
 def _submitted(scenario: str) -> Iterator[Path]:

@@ -17,7 +17,6 @@ _A_YEAR_S = 366.0 * 86_400.0
 _ANY_SEED = (0, 2**63 - 1)
 LIMITS: Mapping[str, tuple[float, float]] = {
     "episodes": (1, MOST_EPISODES),
-    "fresh": (2, MOST_EPISODES),
     "samples": (1, MOST_SAMPLES),
     "horizon": (1, 100_000_000),
     "trials": (1, 100_000),
@@ -25,6 +24,7 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "workers": (1, MOST_WORKERS),
     "seeds": (1, 10_000),
     "seed": _ANY_SEED,
+    "round_seed": _ANY_SEED,
     "behaviour_seed": _ANY_SEED,
     "gpus": (0, 4095),
     "every": (1, 1_000_000),

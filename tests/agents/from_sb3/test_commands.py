@@ -1,13 +1,11 @@
 """A zip of Stable-Baselines3 on the command line: every command takes it as a controller, and unpickles nothing."""
 
-import json
-
 import pytest
 import torch
 from stable_baselines3 import PPO
 
-from dcgrid_env.agents import Card, ppo_settings, sb3_vec_env
-from dcgrid_env.agents.leaderboard.verifying import verify
+from dcgrid_env.agents import Card, Policy, ppo_settings, sb3_vec_env
+from dcgrid_env.apps.leaderboard.entries import SUBMISSION, Submission, controller_of, read_record, scenario_of, spec_of
 from dcgrid_env.cli.main import main
 
 SHORT = ("--set", "horizon=4")
@@ -63,11 +61,10 @@ def test_evaluate_takes_the_scenario_of_the_zip_and_shows_the_droop_of_the_same_
 def test_a_zip_becomes_a_policy_file_on_the_leaderboard(model, tmp_path, capsys):
     main(["submit", model, "--name", "mine", "--episodes", "2", "--out", str(tmp_path / "entry")])
     assert "which uses no measurements" in " ".join(capsys.readouterr().out.split())
-    entry = json.loads((tmp_path / "entry" / "submission.json").read_text())
-    assert (entry["kind"], entry["policy"], entry["scenario"]) == ("file", "policy.safetensors", "toy6")
+    entry = read_record(tmp_path / "entry" / SUBMISSION, Submission)
+    assert (entry.policy, entry.scenario) == ("policy.safetensors", "toy6")
     assert Card.load(tmp_path / "entry" / "policy.json").algorithm == "sb3-ppo"
-    _, found = verify(tmp_path / "entry", fresh=2)
-    assert pytest.approx(entry["claimed"]["J"], rel=1e-6) == found.found.J
+    assert isinstance(controller_of(spec_of(tmp_path / "entry", entry), scenario_of("toy6")), Policy)
 
 
 def test_without_torch_the_error_says_what_to_install(model, monkeypatch, capsys):

@@ -1,0 +1,1 @@
+"""The leaderboard: entries as folders of data, and rounds on fresh episodes."""
