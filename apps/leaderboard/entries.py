@@ -15,7 +15,8 @@ from typing import Literal, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from dcgrid_env import PRESETS, Scenario, baselines, scenario_hash
+import dcgrid_env.baselines as baselines
+from dcgrid_env import PRESETS, Scenario, scenario_hash
 from dcgrid_env.agents.policy.guard import GuardedPolicy
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import MOST_MIB
@@ -38,7 +39,7 @@ LONGEST = 80
 """Maximum length of a name or a reference, in characters."""
 LONGEST_POLICY = 300
 """Maximum length of the text that names a controller, in characters."""
-MOST_RECORD_MIB = 4
+MOST_RECORD_MIB = 1
 """Maximum size of submission.json and verified.json."""
 Learned = Literal["train", "validation", "test", "nothing"]
 """Split on which an entry was trained or tuned."""
@@ -88,7 +89,7 @@ def read_record(path: Path, kind: type[T]) -> T:
     Parameters
     ----------
     path
-        The file, of at most 4 MiB.
+        The file, of at most 1 MiB.
     kind
         Dataclass of its content.
 

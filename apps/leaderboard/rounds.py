@@ -48,7 +48,9 @@ SAVED_TOLERANCE = 1e-3
 """Largest difference of J saved in per cent from the costs of the same report."""
 DIGITS = 8
 """Significant digits of the costs in a report."""
-Costs = Annotated[tuple[float, ...], Field(min_length=LEAST_EPISODES, max_length=MOST_EPISODES)]
+Costs = Annotated[
+    tuple[Annotated[float, Field(ge=1e-9, le=1e12)], ...], Field(min_length=LEAST_EPISODES, max_length=MOST_EPISODES)
+]
 """Cost of each episode."""
 
 
@@ -220,8 +222,7 @@ def read_report(folder: Path) -> tuple[Submission, Report]:
             raise SubmissionError(f"{path}: {name} is {reported!r:.80}, now {value!r:.80}; submit and verify again")
     if len(report.J) != len(report.J_droop):
         raise SubmissionError(f"{path}: J_droop has {len(report.J_droop)} costs, J has {len(report.J)}; verify again")
-    with np.errstate(all="ignore"):  # of costs that no verification wrote
-        value = saved(report.J, report.J_droop)
+    value = saved(report.J, report.J_droop)
     if not np.allclose(report.saved_pct, value, rtol=0.0, atol=SAVED_TOLERANCE):
         raise SubmissionError(
             f"{path}: saved_pct is {report.saved_pct}, that of its costs is {tuple(value)}; verify again"

@@ -15,6 +15,7 @@ from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.apps.leaderboard.entries import SUBMISSION, Learned, Submission, SubmissionError
 from dcgrid_env.apps.leaderboard.rounds import Report, read_report, verify
 from dcgrid_env.apps.leaderboard.submit_command import submit
+from dcgrid_env.baselines.scenario_names import scenario_names
 from dcgrid_env.baselines.score import PUBLISHED_EPISODES, Estimate
 from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.commands.terminal import plain_console, say

@@ -67,7 +67,7 @@ def test_guarded_policies_and_laws_with_arguments_need_no_trust(policy, informat
         ({"files": {}}, "policy is 'policy.safetensors', which does not fit its files []"),
         ({"files": {"../policy.json": "0"}}, "which does not fit its files ['../policy.json']"),
         ({"policy": "toy6-analytic"}, "policy is 'toy6-analytic', which does not fit its files"),
-        ({"policy": "x" * 10_000_000}, "has more than 4 MiB"),
+        ({"policy": "x" * 10_000_000}, "has more than 1 MiB"),
         ({"learned_on": "luck"}, "learned_on: "),
         ({"more\x1b\n": 1}, "more\\x1b\\n: "),
     ],
@@ -104,14 +104,14 @@ def test_no_policy_text_runs_code_without_trust(policy, files, copied, capsys, t
 
 def test_files_that_would_exhaust_the_process_are_refused(copied, capsys):
     weights, card, record = (copied / name for name in ("policy.safetensors", "policy.json", "submission.json"))
-    text = record.read_text()
+    text, many = record.read_text(), json.dumps({f"{i}": i for i in range(60_000)})
     os.truncate(weights, 2**40)  # without blocks on the disk
     assert "policy.safetensors: has 1048576 MiB; give" in error_line(capsys, "verify", copied, "--round-seed", 1)
     card.unlink()
     os.mkfifo(card)
     weights.write_bytes(POLICY.read_bytes())
     assert "policy.json is a pipe" in error_line(capsys, "verify", copied, "--round-seed", 1)
-    for hostile in ("[" * 1_000_000, '{"format":' * 100_000, "9" * 1_000_000, "\x00", text.replace("3", "1e999")):
+    for hostile in ("[" * 1_000_000, '{"format":' * 100_000, "9" * 1_000_000, many, "\x00", text.replace("3", "1e999")):
         record.write_text(hostile)
         assert "submission.json: " in error_line(capsys, "verify", copied, "--round-seed", 1)
     record.unlink()

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from dcgrid_env import PRESETS
-from dcgrid_env.agents import Policy
 from dcgrid_env.apps.leaderboard.entries import SubmissionError
 from dcgrid_env.apps.leaderboard.rounds import FIRST_SEED, read_report, round_seeds, verify, verify_again
 from dcgrid_env.apps.leaderboard.submit_command import submit
@@ -22,7 +21,7 @@ from helpers.leaderboard_entries import change, error_line
 
 def test_the_seeds_of_a_round_follow_from_its_number():
     seeds = round_seeds(7, 1024)
-    assert seeds[:2] == (2083679832909361219, 3470846391254461043)  # or published rounds cannot be repeated
+    assert seeds[:2] == (3085237330503497560, 610735763743393210)  # or published rounds cannot be repeated
     assert seeds[:256] == round_seeds(7, 256)
     assert len({*seeds, *round_seeds(8, 1024)}) == 2048
     assert min(seeds) >= FIRST_SEED  # published episodes have the seeds 0 to 99
@@ -78,9 +77,9 @@ def test_a_report_can_be_repeated(copied, capsys):
         ("verified.json", {"J": [0.1] * 255}, "J: tuple should have at least 256 items"),
         ("verified.json", {"J": [0.1] * 100_000}, "J: tuple should have at most 1024 items"),
         ("verified.json", {"J": [0.1] * 257}, "J_droop has 256 costs, J has 257"),
-        ("verified.json", {"J_droop": [0.0] * 256}, "saved_pct is "),
-        ("verified.json", {"J_droop": [1e308] * 256}, "saved_pct is "),
-        ("verified.json", {"reference": "Droop(k_p_mw_per_pu=9.0)"}, "reference is 'Droop.*, now 'Droop"),
+        ("verified.json", {"J_droop": [0.0] * 256}, "J_droop.0: input should be greater than"),
+        ("verified.json", {"J_droop": [1e308] * 256}, "J_droop.0: input should be less than"),
+        ("verified.json", {"reference": "Droop(k_p_mw_per_pu=9.0)"}, "reference is 'Droop.*, now .Droop"),
         ("verified.json", {"policy": "0" * 64}, "policy is '0000"),
         ("verified.json", {"delay_mean_s": float("nan")}, "delay_mean_s: input should be a finite number"),
         ("verified.json", {"format": 2, "signature": ""}, "format: input should be 3"),
@@ -98,9 +97,8 @@ def test_an_entry_without_report_or_of_other_weights_is_not_listed(copied, named
     (copied / "verified.json").unlink()
     with pytest.raises(SubmissionError, match="run dcgrid verify on the folder"):
         all_listed([copied])
-    other = Policy.load("toy6-ppo")
-    monkeypatch.setattr(Policy, "load", lambda name: other)
-    with pytest.raises(SubmissionError, match=r"policy is 'bc7ead.*, now '"):
+    monkeypatch.setattr("dcgrid_env.apps.leaderboard.rounds.policy_sha256", lambda _: "0" * 64)
+    with pytest.raises(SubmissionError, match=r"policy is 'bc7ead.*, now '0000"):
         all_listed([named])
 
 
