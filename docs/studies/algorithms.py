@@ -16,11 +16,10 @@ from matplotlib.figure import Figure
 from scipy.stats import trim_mean
 
 from dcgrid_env.baselines.evaluation import hindsight_costs
-from dcgrid_env.baselines.reproduction.drawing import new_figure
-from dcgrid_env.baselines.reproduction.drawing import say as label_axes
 from dcgrid_env.baselines.score import Estimate
 from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.commands.settings import check_file
+from dcgrid_env.core.figure_axes import label_axes, new_figure
 from dcgrid_env.core.files import write_figure
 from docs.studies.learning_tables import NONE, estimate
 from docs.studies.libraries import records_in
@@ -146,7 +145,7 @@ def profiles_figure(runs: dict[tuple[str, str], Runs]) -> Figure:
 
 @dataclass(frozen=True)
 class AlgorithmTables(Command):
-    """Print the tables of standard algorithms and draw their performance profiles.
+    """Print tables of algorithms and their profiles.
 
     The trainings are those of `libraries --out docs/algorithms.json`.
     """

@@ -19,7 +19,7 @@ COMMANDS = Group(
             "benchmark-data": _entry("Write the data file of a benchmark's page.", "benchmark_data:PublishBenchmark"),
             "leaderboard": _entry("Check that verified folders can be listed.", "leaderboard:Leaderboard"),
             "entries": _entry(
-                "Make our own entries of the leaderboard and score them in a round.", "leaderboard:LeaderboardEntries"
+                "Make our leaderboard entries and score them in a round.", "leaderboard:LeaderboardEntries"
             ),
         },
         "Publish a policy": {
@@ -27,7 +27,7 @@ COMMANDS = Group(
             "export-hub": _entry("Write a policy as a folder for the Hugging Face hub.", "hub_export:ExportHub"),
         },
         "Studies": {
-            "algorithms": _entry("Compare standard algorithms on seven tasks.", "algorithms:AlgorithmTables"),
+            "algorithms": _entry("Print tables of algorithms and their profiles.", "algorithms:AlgorithmTables"),
             "ablate": _entry("Train a policy without some of its parts and score each.", "ablate:Ablate"),
             "circuits": _entry("Import every OpenDSS circuit in a folder.", "circuits:Circuits"),
             "corpus": _entry("Compare imports of public grids with their programs.", "corpus:Corpus"),

@@ -120,7 +120,7 @@ class Leaderboard(Command):
 
 @dataclass(frozen=True)
 class LeaderboardEntries(Command):
-    """Make our own entries of the leaderboard and score them in a round."""
+    """Make our leaderboard entries and score them in a round."""
 
     round_seed: int
     """Number of the round."""

@@ -202,7 +202,7 @@ def test_the_command(tmp_path, trained, monkeypatch, capsys):
     assert (tmp_path / "results/tune-agent/toy6-analytic/journal.log").exists()
     for asked, message in (
         (["tune-agent", "carry-over"], "algorithm: must have a search space, got 'carry-over'; choose from"),
-        (["tune-agent", "dqn"], "no algorithm 'dqn'; choose from analytic, safe, ppo"),
+        (["tune-agent", "dqn"], "no algorithm 'dqn'; choose from analytic, safe, cem"),
         (
             [*words[:-1], "colour=1"],
             "fixed: no analytic setting 'colour'; `dcgrid train analytic --help` lists all",

@@ -9,6 +9,7 @@ from dcgrid_env import Scenario, action_layout, make_scenario
 from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.engine import simulation as simulations
 from dcgrid_env.engine.cost import difference
+from dcgrid_env.engine.family_simulation import simulation as simulation_of
 from dcgrid_env.engine.simulation import Simulation, Transition, difference_scale
 from dcgrid_env.scenario.costs import difference_reward
 from helpers.forms import each_preset
@@ -18,7 +19,7 @@ N_ENV = 3
 
 def after_some_steps(scenario: Scenario, steps: int = 4) -> tuple[Simulation, np.ndarray]:
     """A simulation within an episode, and random actions for its next step, with little reactive power."""
-    simulation = Simulation(scenario, N_ENV)
+    simulation = simulation_of(scenario, N_ENV)
     simulation.reset(range(N_ENV))
     rng, layout = np.random.default_rng(1), action_layout(scenario)
     widest = np.where(layout.is_channel("q"), 0.3, 1.0)
