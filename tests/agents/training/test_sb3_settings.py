@@ -1,4 +1,4 @@
-"""Settings of PPO, SAC and TD3: what they are for, what they refuse, and what they learn."""
+"""Settings of PPO, SAC and TD3: their form, errors and results."""
 
 import gymnasium
 import numpy as np

@@ -74,7 +74,7 @@ def test_an_unknown_command_is_one_line(capsys, arguments, message):
         ),
         ("run --trace infrence", "no trace 'infrence'; did you mean inference. `dcgrid list traces` lists all"),
         ("evaluate toy6-anlytic", "no controller 'toy6-anlytic'; did you mean toy6-analytic, "),
-        ("tune-agent pp", "no algorithm 'pp'; did you mean ppo. "),
+        ("tune-agent saf", "no algorithm 'saf'; did you mean safe. "),
     ],
 )
 def test_an_unknown_name_gets_suggestions_and_where_all_are_listed(capsys, arguments, said):
