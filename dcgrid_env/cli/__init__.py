@@ -1,1 +1,1 @@
-"""Commands of the `dcgrid` command line: one configuration dataclass a file, with `run()`; `main` registers them."""
+"""The command line: ``main`` runs any command of the table, and ``run``, ``list``, ``replay`` and ``traces`` are here."""

@@ -1,1 +1,1 @@
-"""File formats of feeders, one a file."""
+"""The project's own folders of CSV files; files of other programs are read by ``dcgrid_env.apps.importers``."""
