@@ -1,1 +1,1 @@
-"""The command line: ``main`` runs any command of the table, and ``run``, ``list``, ``replay`` and ``traces`` are here."""
+"""The command line: ``main`` runs every command; ``run``, ``list``, ``replay`` and ``traces`` are in this folder."""
