@@ -85,6 +85,7 @@ ELSEWHERE = {
     "python -m docs.studies benchmark-data": "tests/docs/studies/test_benchmark_data.py",
     "python -m docs.studies pareto": "tests/docs/studies",
     "python -m docs.studies libraries": "tests/docs/studies/test_libraries.py",
+    "python -m docs.studies algorithms": "tests/docs/studies/test_algorithms.py",
     "python -m docs.studies ablate": "tests/docs/studies",
     "python -m docs.studies generalise": "tests/docs/studies",
     "python -m docs.studies unseen-feeders": "tests/docs/studies",
