@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -10,7 +12,9 @@ REFERENCE_COLOUR, FRONT_COLOUR, REST_COLOUR = "#D55E00", "#0072B2", "#6b6b6b"
 """Colours of the reference, of controllers on the Pareto front, and of the rest."""
 
 
-def new_figure(width_in: float, height_in: float, layout: str | None = "constrained") -> Figure:
+def new_figure(
+    width_in: float, height_in: float, layout: Literal["constrained", "tight"] | None = "constrained"
+) -> Figure:
     """Return a figure without a window; ``layout`` is Matplotlib's."""
     figure = Figure(figsize=(width_in, height_in), layout=layout)
     FigureCanvasAgg(figure)

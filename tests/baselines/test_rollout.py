@@ -83,7 +83,7 @@ def test_what_is_no_action(action, message):
 def test_the_reward_of_training_changes_nothing():
     paid = {"reward": "difference", "default_action": "droop", "default_gains": (1.0, 1.0, 1.0)}
     plain, trained_on = (make_scenario("toy6", horizon=5, **fields) for fields in ({}, {"cost": paid}))
-    costs = [
+    expected, costs = (
         rollout(scenario, make_controller("droop-tuned", plain), range(2)).costs() for scenario in (plain, trained_on)
-    ]
-    np.testing.assert_array_equal(*costs)
+    )
+    np.testing.assert_array_equal(costs, expected)

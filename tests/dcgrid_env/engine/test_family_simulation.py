@@ -40,7 +40,8 @@ def test_a_difference_reward_is_that_of_the_episode_s_own_feeder():
     seeds = [0, 4, 8, 9]  # on three feeders
     batch = DcgridVectorEnv(len(seeds), scenario)
     batch.reset(seed=seeds)
-    actions = np.random.default_rng(1).uniform(-0.2, 0.2, (5, *batch.action_space.shape)).astype(np.float32)
+    n_action = batch.single_action_space.shape[0]  # pyright: ignore[reportOptionalSubscript]
+    actions = np.random.default_rng(1).uniform(-0.2, 0.2, (5, len(seeds), n_action)).astype(np.float32)
     together = []
     for action in actions:
         batch.step(action)
@@ -50,10 +51,12 @@ def test_a_difference_reward_is_that_of_the_episode_s_own_feeder():
     for i, (seed, member) in enumerate(zip(seeds, members, strict=True)):
         alone = DcgridVectorEnv(1, member)
         alone.reset(seed=seed)
-        for action, saved in zip(actions, together, strict=True):
+        by_itself = []
+        for action in actions:
             alone.step(action[i : i + 1])
-            np.testing.assert_allclose(saved[i : i + 1], alone.transition.reward_vector, rtol=1e-9, atol=1e-12)
-        assert np.abs(saved[i]).max() > 1e-3
+            by_itself.append(alone.transition.reward_vector)
+        np.testing.assert_allclose(np.array(together)[:, i : i + 1], np.array(by_itself), rtol=1e-9, atol=1e-12)
+        assert np.abs(np.array(by_itself)).max() > 1e-3
 
 
 def course(env, n_env, seed):
