@@ -5,7 +5,6 @@ COPY pyproject.toml README.md LICENSE ./
 COPY dcgrid_env dcgrid_env
 COPY baselines baselines
 COPY agents agents
-COPY apps apps
 COPY traces traces
 COPY apps apps
 RUN pip install --no-cache-dir torch --index-url https://download.pytorch.org/whl/cpu \

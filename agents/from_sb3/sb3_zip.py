@@ -185,6 +185,8 @@ def _contents(file: Path | IO[bytes]) -> tuple[dict[str, Any], dict[str, np.ndar
         with zipfile.ZipFile(file) as archive:
             content = _part(archive, "policy.pth")
         state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        if sum(tensor.numel() for tensor in state.values()) > MOST_MIB * 2**18:  # views of a few stored figures can be
+            raise PolicyError(f"policy.pth has weights of more than {MOST_MIB} MiB; give a smaller model")
         return about, {name: tensor.detach().float().numpy() for name, tensor in state.items()}
     except PolicyError:
         raise
@@ -199,10 +201,14 @@ def _part(archive: zipfile.ZipFile, name: str) -> bytes:
     """Read a file of the zip; raise PolicyError if it is missing or too large."""
     if name not in archive.namelist():
         raise PolicyError(f"{name} is missing; give a zip that Stable-Baselines3's model.save wrote")
-    size_mib = archive.getinfo(name).file_size / 2**20
+    part = archive.getinfo(name)
+    size_mib = part.file_size / 2**20
     if size_mib > MOST_MIB:
         raise PolicyError(f"{name} has {size_mib:.0f} MiB; give a model of at most {MOST_MIB} MiB")
-    return archive.read(name)
+    if part.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others are unpacked without a bound
+        raise PolicyError(f"{name} is compressed in another way than by model.save; save the model again")
+    with archive.open(part) as file:  # archive.read would unpack more than the size that the file states
+        return file.read(part.file_size)
 
 
 def _check_expressible(about: Mapping[str, Any], kwargs: Mapping[str, Any], algorithm: str) -> None:

@@ -7,8 +7,6 @@ feeder's load, so small feeders have small devices. Splits have no scenario in c
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from dcgrid_env import Feeder, FeederError, Scenario, make_scenario, random_feeder
@@ -53,14 +51,6 @@ def drawn_scenario(split: str, i: int) -> Scenario:
         background={"load_sigma": float(rng.uniform(0.02, 0.08))},
         split=split,
     )
-
-
-def drawn_scenarios(split: str) -> Iterator[Scenario]:
-    """Yield the scenarios of a split, 0, 1, .., without end."""
-    i = 0
-    while True:
-        yield drawn_scenario(split, i)
-        i += 1
 
 
 def _feeder(load_kw: float, seed: int, n_bus: int, style: str) -> tuple[Feeder, float]:

@@ -300,12 +300,6 @@ class Layout(NamedTuple):
     """Raw figure behind each entry of the joint observation, (n_observation,)."""
 
 
-def raw_layout(scenario: Scenario) -> Layout:
-    """The layout of the joint observation for NumPy arrays of float64."""
-    like = np.empty(0)
-    return _layout(scenario, namespace(like), like.dtype, like.device)
-
-
 @cached_on_owner
 def _layout(scenario: Scenario, xp: ModuleType, dtype: object, device_of: object) -> Layout:
     """How the raw figures, in the order in which ``observe`` joins them, become the joint observation."""

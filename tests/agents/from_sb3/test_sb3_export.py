@@ -249,6 +249,19 @@ def test_weights_that_are_more_than_weights_are_refused(tmp_path, capsys):
     assert not mark.exists()
 
 
+def test_a_small_file_cannot_fill_the_memory(tmp_path, capsys):
+    made(PPO).save(tmp_path / "plain")
+    views, written = torch.zeros(1).expand(2**27), io.BytesIO()
+    torch.save({"action_net.weight": views}, written)  # 512 MiB of one stored figure
+    rewritten(tmp_path / "plain.zip", tmp_path / "views.zip", lambda about: about, written.getvalue())
+    with zipfile.ZipFile(tmp_path / "plain.zip") as old, zipfile.ZipFile(tmp_path / "bzip2.zip", "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name), zipfile.ZIP_BZIP2)
+    for name, message in (("views", "weights of more than 256 MiB"), ("bzip2", "is compressed in another way")):
+        said = stopped(capsys, "export-sb3", str(tmp_path / f"{name}.zip"), "--scenario", SCENARIO)
+        assert message in said
+
+
 def pickled(mark):
     """Return SB3's entry for an object that JSON cannot represent; loading this one leaves a mark."""
     return {":type:": "<class 'object'>", ":serialized:": base64.b64encode(pickle.dumps(Marked(mark))).decode()}
