@@ -4,7 +4,7 @@ Environments, rows and rewards are those of ``sb3_vec_env``. The settings are th
 ``sac_settings`` and ``td3_settings``, the same for every scenario. By default a row is a channel of an agent, and
 training is paid by difference rewards, which use the grid model. With ``--reward shared`` all rows receive the team
 reward, and training needs no model. The policy uses the agents' observations only. Regulators and capacitor banks keep
-their own control.
+their own control, unless agents choose its set points.
 
 A training consists of stages. At the end of each one the policy is evaluated on the validation split, and the best is
 kept.

@@ -24,8 +24,8 @@ def ppo_settings(envs: VecEnv, steps: int = 60_000) -> dict[str, Any]:
 
     A rollout has 480 decisions of all environments together, so that the policy is improved often, and in a training of
     more than 60,000 steps a 125th of these. It has 320 where a decision lasts for 10 s or more. Where rewards of later
-    steps count it has 960, and the policy changes more slowly. Where relays of regulators act it has 960 too, and
-    exploration is narrower, because it makes them tap.
+    steps count it has 960, and the policy changes more slowly. If relays of regulators act, it has 960 too, and
+    exploration is narrower, because exploration makes relays tap.
 
     The policy scales its observations itself, by the means and standard deviations in one episode of eight environments
     with small random actions. A saved model therefore needs no file of VecNormalize.

@@ -25,9 +25,9 @@ def sb3_vec_env(
 ) -> RowVecEnv:
     """Make a Stable-Baselines3 VecEnv that steps ``num_envs`` environments as one native batch.
 
-    By default rows, actions and reward have the form with which training is fastest: a row is a channel of an agent,
-    an action of 0 is no control, and training is paid by difference rewards. On random feeders each environment has a
-    feeder of its own. :func:`ppo_settings` returns the settings of PPO that go with it.
+    By default rows, actions and reward have the form with which training is fastest. A row is a channel of an agent,
+    an action of 0 means no control, and training is paid by difference rewards. On random feeders each environment has
+    another feeder. :func:`ppo_settings` returns the settings of PPO that go with it.
     ``view="joint", outputs="setpoint", reward="shared"`` is the form of ``gymnasium.make``.
 
     Its algorithms and wrappers (VecMonitor, EvalCallback) accept it unchanged. After ``seed(n)`` the next reset begins

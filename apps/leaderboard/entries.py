@@ -152,7 +152,7 @@ def _laws() -> frozenset[str]:
 
 
 def require_unchanged(folder: Path, submission: Submission) -> None:
-    """Raise SubmissionError if an entry is invalid or differs from what was submitted; run nothing of it.
+    """Raise SubmissionError if an entry is invalid or differs from what was submitted; nothing in it runs.
 
     Parameters
     ----------

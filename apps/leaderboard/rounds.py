@@ -192,7 +192,7 @@ def verify_again(folder: Path, episodes: int | None = None, *, trust: bool = Fal
 
 
 def read_report(folder: Path) -> tuple[Submission, Report]:
-    """Read a verified entry; run nothing of it.
+    """Read a verified entry; nothing in it runs.
 
     Parameters
     ----------
