@@ -67,7 +67,7 @@ class TuneAgent(OverWorkers):
             there = f"choose from {', '.join(SPACES)}"
             if self.algorithm in ALGORITHMS:
                 raise ValueError(f"algorithm: must have a search space, got {self.algorithm!r}; {there}")
-            raise ValueError(unknown("algorithm", self.algorithm, ALGORITHMS, there))
+            raise ValueError(unknown("algorithm", self.algorithm, SPACES, there))
         base = self._base()
         folder = self.out or Path("results/tune-agent") / f"{base.scenario}-{self.algorithm}"
         place, console = self.place, plain_console()
