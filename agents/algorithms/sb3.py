@@ -68,8 +68,8 @@ class StableBaselines3(Training):
 
     model: ClassVar[Any]
     """Algorithm of Stable-Baselines3."""
-    settings: ClassVar[Callable[[Any], dict[str, Any]]]
-    """Function that returns its settings for environments."""
+    settings: ClassVar[Callable[..., dict[str, Any]]]
+    """Function that returns its settings for environments and their steps."""
 
     @property
     def kind(self) -> str:
@@ -93,7 +93,7 @@ class Sac(StableBaselines3):
     """Number of environments that are simulated in parallel, each with a separate episode."""
 
     model = SAC
-    settings = staticmethod(sac_settings)
+    settings = staticmethod(lambda envs, _: sac_settings(envs))
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Td3(StableBaselines3):
     """Number of environments that are simulated in parallel, each with a separate episode."""
 
     model = TD3
-    settings = staticmethod(td3_settings)
+    settings = staticmethod(lambda envs, _: td3_settings(envs))
 
 
 class Stages(BaseCallback):
@@ -228,7 +228,7 @@ def vec_env_for(cfg: StableBaselines3) -> RowVecEnv:
 
 def make(cfg: StableBaselines3, envs: RowVecEnv) -> BaseAlgorithm:
     """Return the initialised algorithm."""
-    model = cfg.model(env=envs, seed=cfg.seed, **(cfg.settings(envs) | {"device": cfg.device}))
+    model = cfg.model(env=envs, seed=cfg.seed, **(cfg.settings(envs, cfg.steps) | {"device": cfg.device}))
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 

@@ -133,7 +133,7 @@ def learning_form(
 ) -> RowForm:
     """Return the form with which training is fastest, with fields that are given unchanged.
 
-    An action of 0 serves all work and keeps reactive power as it is. It is the tuned droop on the presets
+    An action of 0 serves all work and does not change the reactive power. It is the tuned droop on the presets
     ``CORRECTS_DROOP``, and the middle of each range if regulators or capacitor banks are among the agents. Decision 51
     has the measurements.
 

@@ -43,11 +43,11 @@ MOST_EPISODES = 32
 
 
 def sb3(
-    model_class: str, settings: Callable[[VecEnv], dict[str, Any]], on: Setting, *, scales_rewards: bool = False
+    model_class: str, settings: Callable[[VecEnv, int], dict[str, Any]], on: Setting, *, scales_rewards: bool = False
 ) -> Outcome:
     """Train an algorithm of Stable-Baselines3 or sb3-contrib, whose VecNormalize may scale the rewards."""
     made = sb3_vec_env(on.scenario, on.num_envs, reward=on.reward)
-    arguments, envs = settings(made), made
+    arguments, envs = settings(made, on.steps), made
     if scales_rewards:
         from stable_baselines3.common.vec_env import VecNormalize
 
@@ -121,24 +121,24 @@ def code_lines(module: str, *names: str) -> int:
     return sum(1 for number, line in enumerate(text.splitlines(), 1) if number in lines and line.strip())
 
 
-def recurrent(envs: VecEnv) -> dict[str, Any]:
+def recurrent(envs: VecEnv, steps: int) -> dict[str, Any]:
     """Return settings of PPO with small recurrent networks."""
-    settings = ppo_settings(envs)
+    settings = ppo_settings(envs, steps)
     settings["policy_kwargs"] |= {"lstm_hidden_size": 32, "net_arch": [64]}
     return settings | {"policy": "MlpLstmPolicy"}
 
 
-def tqc(envs: VecEnv) -> dict[str, Any]:
+def tqc(envs: VecEnv, _: int) -> dict[str, Any]:
     """Return settings of TQC: those of SAC with smaller batches."""
     return sac_settings(envs) | {"batch_size": 1024}
 
 
-def sac(envs: VecEnv) -> dict[str, Any]:
+def sac(envs: VecEnv, _: int) -> dict[str, Any]:
     """Return settings of SAC with small batches."""
     return sac_settings(envs) | {"batch_size": OFF_POLICY_BATCH}
 
 
-def td3(envs: VecEnv) -> dict[str, Any]:
+def td3(envs: VecEnv, _: int) -> dict[str, Any]:
     """Return settings of TD3 with small batches."""
     return td3_settings(envs) | {"batch_size": OFF_POLICY_BATCH}
 

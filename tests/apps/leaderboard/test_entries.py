@@ -1,4 +1,4 @@
-"""Entries of the leaderboard: what can be submitted, and hostile or changed folders, which are refused."""
+"""Entries of the leaderboard: what can be submitted. Hostile or changed folders are refused."""
 
 import json
 import os
