@@ -15,6 +15,7 @@ from dcgrid_env import make_scenario, scenario_hash
 from dcgrid_env.agents import Card, Policy, evaluate
 from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.baselines import make_controller
+from dcgrid_env.cli.main import main as dcgrid
 from docs.studies.commands import main
 from docs.studies.hub_export import export_hub
 
@@ -99,7 +100,7 @@ def test_the_hub_reads_the_card(exported):
 def test_a_training_run_is_exported_with_its_configuration(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--scenario", "toy6", "--set", "horizon=8", "--updates", "1", "--num-envs", "2", "--hidden", "4"]
-    main(["train", "analytic", *words, "--validation-episodes", "2", "--no-replay", "--out", "run"])
+    dcgrid(["train", "analytic", *words, "--validation-episodes", "2", "--no-replay", "--out", "run"])
     main(["export-hub", "run", "--out", "hub", "--episodes", "2", "--scenario", "toy6", "--set", "horizon=8"])
     assert "wrote hub; upload it with the hub's client: hf upload USER/NAME hub" in capsys.readouterr().out
     config = json.loads((tmp_path / "hub" / "config.json").read_text())
