@@ -322,7 +322,7 @@ class Sags(OverWorkers):
     controllers: str = "none,return-by-hand,staggered-return,staggered-return-tuned,ride-through-analytic"
     """Controllers separated by commas, a column of the figure each; the best known result follows if it exists for all
     episodes."""
-    beside: str = "droop-tuned,ride-through-ppo"
+    beside: str = "droop-tuned,ride-through-ppo,ride-through-affine"
     """Controllers that are only in the table, separated by commas; empty for none."""
     episodes: int = 32
     """Number of test episodes: seeds 0, 1, .."""
