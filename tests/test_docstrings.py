@@ -14,7 +14,7 @@ NO_SENTENCE = re.compile(r"(?:Of|The same|As)\b")
 """How a text begins that cannot be read without the one before it."""
 IN_EVERY_PACKAGE = ("__init__", "__main__")
 ONE_IDEA = {
-    "model_aided": {"baselines/model_aided/model_aided.py", "docs/studies/model_aided.py"},
+    "model_aided": {"baselines/model_aided/model_aided.py", "docs/studies/laws/model_aided.py"},
     "registry": {"baselines/registry.py", "dcgrid_env/devices/registry.py"},
 }
 """Files of one bare name that share one idea: a command bears the name of what it runs, a registry finds by name."""

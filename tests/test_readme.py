@@ -14,8 +14,8 @@ from dcgrid_env.agents import find_controller
 from dcgrid_env.baselines import make_controller, published, rollout
 from dcgrid_env.baselines.score import score
 from dcgrid_env.cli.main import main
-from docs.studies import agents
-from docs.studies.benchmark_data import all_data
+from docs.studies.publishing import agents
+from docs.studies.publishing.benchmark_data import all_data
 from helpers.needs import has_policy
 from helpers.places import ROOT
 

@@ -10,7 +10,7 @@ Sources: lengths of contexts and of follow-up answers are the log-normal fits to
 (Splitwise, ISCA 2024). The exponent 0.12 of the plateau fits the median H100 serving power of 0.61, 0.67, 0.82 and
 0.84 of rated at batch 8, 32, 128 and 256, over an idle 0.15. The time between tokens, 21 to 27 ms, lies within the 17
 to 40 ms of a 70B model. Gap, cap, levels and ripple are calibrated on the recording of Chen and Zhang (arXiv
-2507.06416); `python -m dcgrid_env.traces.compare` shows how well.
+2507.06416); `python -m docs.studies.traces.generated_inference` shows how well.
 """
 
 import math

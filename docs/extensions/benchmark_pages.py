@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from dcgrid_env.apps.benchmark.summary import BestKnownCost, Hindsight
 from dcgrid_env.baselines.score import REFERENCE
-from docs.studies.benchmark_data import FOLDER, METRICS_SHOWN, BenchmarkData, Row
-from docs.studies.site_tables import NONE, number, plain, sortable, unbroken, with_interval
+from docs.studies.publishing.benchmark_data import FOLDER, METRICS_SHOWN, BenchmarkData, Row
+from docs.studies.publishing.site_tables import NONE, number, plain, sortable, unbroken, with_interval
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

@@ -1,6 +1,6 @@
 """Draw the pictures and animations of presets: python docs/extensions/draw_environments.py FOLDER PRESET..
 
-They are the same as those of ``python -m docs.studies.picture`` and ``python -m docs.studies.animation``.
+They are the same as those of ``docs.studies.pictures.picture`` and ``docs.studies.pictures.animation``.
 """
 
 import os
@@ -13,9 +13,9 @@ os.environ["MPLBACKEND"] = "agg"
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from headroom import shown_controller
 
-from docs.studies.animation import animate
-from docs.studies.picture import draw as draw_picture
-from docs.studies.picture import shown_scenario
+from docs.studies.pictures.animation import animate
+from docs.studies.pictures.picture import draw as draw_picture
+from docs.studies.pictures.picture import shown_scenario
 
 SLOW = ("ieee123-3ph-day", "ieee123-3ph", "bursty", "ride-through")
 """Presets that are slow to draw; they start first and the others run in parallel."""

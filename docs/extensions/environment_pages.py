@@ -18,7 +18,7 @@ from sphinx.util import logging
 from dcgrid_env import IDS, PRESETS, Scenario, field_names, make_scenario, scenario_hash
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
-from docs.studies.picture import STEPS, shown_scenario
+from docs.studies.pictures.picture import STEPS, shown_scenario
 
 FOLDER = "environments"
 SUFFIX = ".myst"
@@ -68,7 +68,7 @@ def page(preset: str) -> str:
         f"{sentence(PRESETS[preset])}.",
         animation(preset, scenario.horizon),
         f"![{preset} under the tuned droop: the voltages of the feeder and the episode's time series]({picture})",
-        f"*`python -m docs.studies.picture {preset}.png {preset} droop-tuned`: "
+        f"*`python -m docs.studies.pictures.picture {preset}.png {preset} droop-tuned`: "
         f"test split, seed 0, after {steps} steps.*",
         f"```python\nimport gymnasium, dcgrid_env\n\n"
         f'env = gymnasium.make("{gym_id}")  # one agent controls all devices\n'
@@ -109,7 +109,7 @@ def animation(preset: str, horizon: int) -> str:
         f"*The same episode (test split, seed 0) without control (orange) and under `{name}` "
         "(blue). Above: the lowest voltage (thick) and the highest voltage (thin); the red areas are outside the "
         f"limits. Below: the total power of the data centres.{part} "
-        f"`python -m docs.studies.animation {preset}.gif {preset} {name}` draws it.*"
+        f"`python -m docs.studies.pictures.animation {preset}.gif {preset} {name}` draws it.*"
     )
     return "\n\n".join([*pictures, caption])
 

@@ -11,7 +11,7 @@ from dcgrid_env.agents.policy.policy import FOLDER
 from dcgrid_env.apps.benchmark.summary import BestKnownCost
 from dcgrid_env.baselines.score import REFERENCE, STATIC, saved_pct
 from dcgrid_env.baselines.tuning.tuned import tuned_parameters
-from docs.studies.benchmark_data import BenchmarkData, Row, all_data
+from docs.studies.publishing.benchmark_data import BenchmarkData, Row, all_data
 
 
 class Line(NamedTuple):

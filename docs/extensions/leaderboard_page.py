@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from docs.studies.leaderboard import FOLDER, all_listed, tables
+from docs.studies.publishing.leaderboard import FOLDER, all_listed, tables
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

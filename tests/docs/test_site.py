@@ -13,8 +13,8 @@ import pytest
 from dcgrid_env import PRESETS, make_scenario
 from dcgrid_env.agents.policy.policy import SHIPPED
 from dcgrid_env.baselines.score import PUBLISHED_EPISODES
-from docs.studies.benchmark_data import METRICS_SHOWN, all_data
-from docs.studies.site_tables import NONE, sortable
+from docs.studies.publishing.benchmark_data import METRICS_SHOWN, all_data
+from docs.studies.publishing.site_tables import NONE, sortable
 from helpers.needs import has_policy
 from helpers.places import ROOT
 
@@ -75,7 +75,7 @@ def test_every_page_of_an_environment_has_an_animation_of_its_best_policy():
         assert (name == "droop-tuned") != has_policy(preset)
         assert f":::{{image}} pictures/{preset}.gif\n:class: moving\n" in text
         assert f":::{{image}} pictures/{preset}-whole.png\n:class: still\n" in text
-        assert f"`python -m docs.studies.animation {preset}.gif {preset} {name}`" in text
+        assert f"`python -m docs.studies.pictures.animation {preset}.gif {preset} {name}`" in text
         assert ("Only the first 150 of 1440 steps" in text) == (preset == "ieee123-3ph-day")
     assert "@media (prefers-reduced-motion: reduce) { img.moving { display: none; }" in style
 

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from docs.studies.site_tables import NONE
+from docs.studies.publishing.site_tables import NONE
 from helpers.places import ROOT
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -20,7 +20,7 @@ import dcgrid_env
 from dcgrid_env import PRESETS, Scenario, episode_hash, make_scenario, scenario_hash
 from dcgrid_env.agents.policy.policy import SHIPPED, Policy
 from dcgrid_env.baselines import Controller, make_controller, rollout
-from docs.studies.agents import ALGORITHMS
+from docs.studies.publishing.agents import ALGORITHMS
 
 GOLDEN = Path(__file__).with_name("golden.json")
 EPISODES = 3

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from dcgrid_env.traces import compare, compare_power, compare_requests, compare_tasks
+from docs.studies.traces import compared_tasks, generated_inference, generated_power, generated_requests
 from helpers.places import GPU_RECORDING, ROOT, SHARED_TRACES, require
 
 README = ROOT / "traces" / "README.md"
@@ -26,15 +26,15 @@ def rows(text):
 @pytest.mark.parametrize("command", ["recording", "power", "requests", "tasks"])
 def test_tables_are_what_the_command_prints(command, capsys):
     if command == "recording":
-        compare.main([str(require(GPU_RECORDING))])
+        generated_inference.main([str(require(GPU_RECORDING))])
     elif command == "power":
         logs = {"chat": "azure_2023_conversation.csv", "code": "azure_2023_code.csv"}
         files = {"inference": GPU_RECORDING} | {service: SHARED_TRACES / name for service, name in logs.items()}
-        compare_power.main([f"{source}={require(file)}" for source, file in files.items()])
+        generated_power.main([f"{source}={require(file)}" for source, file in files.items()])
     elif command == "requests":
-        compare_requests.main([])
+        generated_requests.main([])
     else:
-        compare_tasks.main()
+        compared_tasks.main()
     printed, written = rows(capsys.readouterr().out), rows(README.read_text(encoding="utf-8"))
     assert len(printed) >= 8
     for label, numbers in printed:

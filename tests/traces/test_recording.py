@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env.traces import PowerTrace, from_recordings
-from dcgrid_env.traces.compare import ACTIVE_SHARE, comparison, figures, main
+from docs.studies.traces.generated_inference import ACTIVE_SHARE, comparison, figures, main
 from helpers.places import GPU_RECORDING, needs_gpu_recording
 
 SHA256 = "c0c15af80a91a73fd23434c571d48a8156fa28119df7bccf4015141d67b52d83"

@@ -10,7 +10,7 @@ Generative LLM Inference Using Phase Splitting", ISCA 2024; CC-BY 4.0): rate, co
 Fano factor of counts at 1 s and 60 s; tokens by expectation maximisation. A single log-normal law with the mean and
 standard deviation of the logarithms (6.63, 0.99 etc.) is off by 26 % at the median and 85 % at the 99 % quantile. The
 reason is that contexts and answers accumulate at a few lengths, which a mixture represents by narrow parts.
-`python -m dcgrid_env.traces.compare_requests` prints the quality of the fit.
+`python -m docs.studies.traces.generated_requests` prints the quality of the fit.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from dcgrid_env.apps.leaderboard.submit_command import submit
 from dcgrid_env.baselines.score import saved
 from dcgrid_env.cli.main import main
 from docs.studies.commands import main as studies
-from docs.studies.leaderboard import FOLDER, Listed, all_listed, tables
+from docs.studies.publishing.leaderboard import FOLDER, Listed, all_listed, tables
 from helpers.leaderboard_entries import change, error_line
 
 

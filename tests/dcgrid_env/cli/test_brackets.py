@@ -7,9 +7,9 @@ import pytest
 
 from dcgrid_env.agents import Network, Policy
 from dcgrid_env.cli.main import main
-from docs.studies import ablate, pareto
 from docs.studies.commands import PROG
 from docs.studies.commands import main as studies
+from docs.studies.learning import ablate, pareto
 
 NAME = "[/b]:key:"
 

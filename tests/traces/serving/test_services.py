@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcgrid_env.traces import SERVICES, Arrivals, Requests, Service, TokenLaw, TraceError, requests
-from dcgrid_env.traces.compare_requests import FIGURES, RECORDED, TOLERANCE, fano, figures
+from docs.studies.traces.generated_requests import FIGURES, RECORDED, TOLERANCE, fano, figures
 
 DAY_S = 86_400.0
 SEEDS = (0, 1, 2)

@@ -9,7 +9,7 @@ from dcgrid_env import load_feeder
 
 pytest.importorskip("dss", reason="OpenDSSDirect.py is not installed")
 
-from docs.studies.relays import (
+from docs.studies.grids.relays import (
     FEEDERS,
     PLAYED,
     agreement,

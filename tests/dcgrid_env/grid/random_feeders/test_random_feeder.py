@@ -9,7 +9,7 @@ from dcgrid_env import FeederError, distflow, random_feeder
 from dcgrid_env.core.digest import digest
 from dcgrid_env.grid.random_feeders.drawn import HEADROOM, LARGEST_LOADING, LARGEST_REACH_PU, draw_feeder
 from dcgrid_env.grid.random_feeders.styles import STYLES
-from docs.studies.random_feeders import PUBLISHED, drawn_figures
+from docs.studies.grids.random_feeders import PUBLISHED, drawn_figures
 
 DRAWS = 8
 COLUMNS = ("base_kv", "v0_pu", "bus_ids", "p_load_kw", "q_load_kvar", "parent", "r_ohm", "x_ohm", "rating_a", "x", "y")

@@ -1,0 +1,1 @@
+"""Grids of other programs and random feeders."""

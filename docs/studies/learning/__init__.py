@@ -1,0 +1,1 @@
+"""Trainings, their scores and the tables of learning algorithms."""

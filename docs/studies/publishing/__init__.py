@@ -1,0 +1,1 @@
+"""Data, policies and entries that the project publishes."""

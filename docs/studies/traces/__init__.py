@@ -1,0 +1,1 @@
+"""Comparisons of the trace generators with recordings."""
