@@ -27,6 +27,8 @@ from docs.studies.learning.scored import droop_on_test, on_test
 
 DATA, FIGURE = Path("docs/algorithms.json"), Path("docs/images/algorithms.png")
 TASKS = ("ieee33-weak", "mixed", "late-measurements", "wrong-model", "routing", "ride-through", "smoothing")
+COMPARED = TASKS[:-1]
+"""Tasks of the figures over tasks: only PPO was trained on the last one."""
 NAMES = {
     "sb3-ppo": "PPO",
     "benchmarl-ippo": "IPPO",
@@ -60,15 +62,15 @@ class Runs:
         """Score of each training seed, for each task."""
 
     def mean_of(self, field: str) -> float:
-        """Return the mean of a field of the records: that of each task's mean."""
-        values = [[one[field] for one in self.records if one["scenario"] == task] for task in self.scores]
-        return float(np.mean([np.mean(each) for each in values]))
+        """Return the mean of a field over the compared tasks: that of each task's mean."""
+        values = [[one[field] for one in self.records if one["scenario"] == task] for task in COMPARED]
+        return float(np.mean([np.mean(each) for each in values if each]))
 
     @property
     def matrix(self) -> np.ndarray:
-        """Scores of as many seeds as every task has, (seed, task)."""
-        n = min(map(len, self.scores.values()))
-        return np.array([scores[:n] for scores in self.scores.values()]).T
+        """Scores on the compared tasks, of as many seeds as each of these has, (seed, task)."""
+        compared = [scores for task, scores in self.scores.items() if task in COMPARED]
+        return np.array([scores[: min(map(len, compared))] for scores in compared]).T
 
 
 def run_score(record: dict[str, Any]) -> float:
@@ -110,7 +112,7 @@ def runs_by_reward(records: Sequence[dict[str, Any]]) -> dict[tuple[str, str], R
 
 
 def tables(runs: dict[tuple[str, str], Runs]) -> str:
-    """Return the scores of each task, and figures over all tasks, as Markdown."""
+    """Return the scores of each task, and figures over the compared tasks, as Markdown."""
     heads = ["reward", "algorithm", *(f"`{task}`" for task in TASKS)]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for (reward, name), each in runs.items():

@@ -31,7 +31,8 @@ def record(task: str, reward: str, seed: int, share: float) -> dict[str, object]
 
 def test_the_tables_have_as_many_seeds_as_every_task(tmp_path, capsys):
     records = [record("ieee33-weak", "difference", seed, 0.99) for seed in (1, 0)]
-    records += [record("routing", "local", 0, 0.9), record("mixed", "shared", 0, 1.0)]
+    records += [record("routing", "difference", 0, 0.9), record("smoothing", "local", 0, 0.9)]
+    records += [record("mixed", "shared", 0, 1.0)]
     data, figure = tmp_path / "data.json", tmp_path / "profiles.png"
     write_json(data, {"trainings": records})
     main(["algorithms", "--data", str(data), "--figure", str(figure)])
