@@ -20,7 +20,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.core.versions import PACKAGES, command_of, command_words, versions
 from dcgrid_env.core.work.unit import ONE_THREAD, Item, Lost, Place, Result, Unit, attempt, packed, share, shared
 

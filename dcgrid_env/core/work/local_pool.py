@@ -48,7 +48,7 @@ class LocalPool(Place):
                 yield unit, result
             return
         others = set(active_children())
-        pool = ProcessPoolExecutor(n, get_context("spawn"), _begin, tuple(packed([values])))
+        pool = ProcessPoolExecutor(n, get_context("spawn"), _begin, (packed([values])[0],))
         try:
             with _settings_of_workers():  # submit starts the processes
                 pending = {pool.submit(_attempt, command_words(), unit.work, unit.item): unit for unit in units}
