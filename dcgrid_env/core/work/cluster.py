@@ -27,7 +27,7 @@ from dcgrid_env.core.work.unit import ONE_THREAD, Item, Lost, Place, Result, Uni
 _SECONDS_TO_ANSWER = 5.0
 """Time in which a cluster's address must accept a connection."""
 _ADDRESS = re.compile(r"auto|(?:ray://)?(?P<host>[^\s:/]+|\[[^\s/]+\]):(?P<port>\d{1,5})")
-_QUIET = ("RAY_USAGE_STATS_ENABLED=0", "RAY_DEDUP_LOGS_SKIP_REGEX=.", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO=0")
+_QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS_SKIP_REGEX": ".", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
 """Environment variables without which Ray warns, or reports workers that died."""
 _REFERENCE = "reference"
 
@@ -100,8 +100,7 @@ def cluster(address: str) -> Cluster:
     match = _ADDRESS.fullmatch(address)
     if match is None or not 0 < int(match["port"] or 1) < 1 << 16:
         raise ValueError(f"ray is {address!r}; give auto, HOST:PORT, or ray://HOST:PORT")
-    for variable, _, value in (text.partition("=") for text in _QUIET):
-        os.environ.setdefault(variable, value)
+    os.environ.update(_QUIET | dict(os.environ))
     try:
         if match["host"]:  # Ray waits for minutes, or ends the process, where nothing listens
             socket.create_connection((match["host"].strip("[]"), int(match["port"])), _SECONDS_TO_ANSWER).close()

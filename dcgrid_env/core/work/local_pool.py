@@ -51,7 +51,7 @@ class LocalPool(Place):
         pool = ProcessPoolExecutor(n, get_context("spawn"), _begin, (packed([values])[0],))
         try:
             with _settings_of_workers():  # submit starts the processes
-                pending = {pool.submit(_attempt, command_words(), unit.work, unit.item): unit for unit in units}
+                pending = {_submitted(pool, unit): unit for unit in units}
             for future in as_completed(pending):
                 yield pending.pop(future), _result(future)
         except BaseException:
@@ -68,6 +68,15 @@ class LocalPool(Place):
 
 ONE_PROCESS = LocalPool()
 """This process alone."""
+
+
+def _submitted(pool: ProcessPoolExecutor, unit: Unit[Any, Any]) -> Future[Any]:
+    try:
+        return pool.submit(_attempt, command_words(), unit.work, unit.item)
+    except BrokenProcessPool as error:  # a worker died already
+        future: Future[Any] = Future()
+        future.set_exception(error)
+        return future
 
 
 def _result(future: Future[Any]) -> Any:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children
 
 import pytest
@@ -58,6 +59,14 @@ def test_a_killed_worker_costs_the_units_without_a_result_and_the_error_names_th
     assert {*found[1].split(" / ")} == {"seed 1", "seed 2", "seed 3"}
     assert not raised.value.traced
     assert not active_children()
+
+
+def test_units_that_come_after_the_death_of_a_worker_are_lost(monkeypatch):
+    def broken(*_):
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(local_pool.ProcessPoolExecutor, "submit", broken)
+    assert done(math.sqrt, [1.0, 4.0], 2) == {1.0: Lost(DIED), 4.0: Lost(DIED)}
 
 
 @pytest.mark.parametrize("n", [1, 2])
