@@ -203,12 +203,12 @@ class Formula(RowFunction):
             if isinstance(value, Formula):
                 names[name] = value.scalar
             elif getattr(value, "__module__", None) == __name__:
-                names[name] = _kernel_of(name)
+                names[name] = _number_kernel(name)
         return types.FunctionType(body.__code__, names, body.__name__, body.__defaults__)
 
 
 @cache
-def _kernel_of(name: str) -> Any:
+def _number_kernel(name: str) -> Any:
     """The function of this module of that name, as a kernel of numbers."""
     from dcgrid_env.core.compiled import compiled
 
@@ -233,10 +233,10 @@ def formula(body: Callable[..., Any] | None = None, *, like: str | None = None, 
     """
 
     def declare(body: Callable[..., Any]) -> Formula:
-        made = Formula(body, like, views)
+        declared = Formula(body, like, views)
         if like is not None:
-            ROW_FUNCTIONS[f"{body.__module__}:{body.__name__}"] = made
-        return made
+            ROW_FUNCTIONS[f"{body.__module__}:{body.__name__}"] = declared
+        return declared
 
     return declare if body is None else declare(body)
 

@@ -50,7 +50,7 @@ class LocalPool(Place):
         others = set(active_children())
         pool = ProcessPoolExecutor(n, get_context("spawn"), _begin, (packed([values])[0],))
         try:
-            with _settings_of_workers():  # submit starts the processes
+            with _worker_settings():  # submit starts the processes
                 pending = {_submitted(pool, unit): unit for unit in units}
             for future in as_completed(pending):
                 yield pending.pop(future), _result(future)
@@ -89,7 +89,7 @@ def _result(future: Future[Any]) -> Any:
 
 
 @contextlib.contextmanager
-def _settings_of_workers() -> Iterator[None]:
+def _worker_settings() -> Iterator[None]:
     """Let processes that start in the block inherit ``ONE_THREAD`` and a blocked SIGINT; this process gets it later."""
     before, blocks = dict(os.environ), hasattr(signal, "pthread_sigmask")
     os.environ.update(ONE_THREAD)

@@ -138,13 +138,13 @@ def share(values: Mapping[str, Any]) -> dict[str, Any]:
 def packed(values: Iterable[Any]) -> list[bytes]:
     """Pickle values with functions and classes of the user's modules whole, because workers may lack these modules."""
     with contextlib.ExitStack() as stack:
-        for module in [module for name, module in sys.modules.items() if _is_of_user(name, module)]:
+        for module in [module for name, module in sys.modules.items() if _is_user_module(name, module)]:
             cloudpickle.register_pickle_by_value(module)
             stack.callback(cloudpickle.unregister_pickle_by_value, module)
         return [cloudpickle.dumps(value) for value in values]
 
 
-def _is_of_user(name: str, module: Any) -> bool:
+def _is_user_module(name: str, module: Any) -> bool:
     """Return whether a module is neither installed nor of this package."""
     file = getattr(module, "__file__", None)
     if not file or name != module.__name__ or name.partition(".")[0] in (__name__.partition(".")[0], "__main__"):

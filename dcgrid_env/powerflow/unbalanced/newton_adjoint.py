@@ -146,7 +146,7 @@ def voltage_slopes(
     equations = Equations(feeder, *inputs)
     factors = splu(equations.evaluate(np.concatenate((v.real, others.real, v.imag, others.imag)), 1.0)[1])
     per_v = v / np.maximum(np.abs(v) ** 2, TINY) / PHASE_BASE_KVA
-    slopes = []
+    slopes: list[Any] = []
     for first in range(0, len(nodes), _AT_ONCE):
         some = nodes[first : first + _AT_ONCE]
         weights = np.zeros((2 * equations.half, len(some)))
