@@ -18,7 +18,7 @@ from dcgrid_env.core.signals import terminated_in_order
 from dcgrid_env.core.versions import command_of, command_words
 from dcgrid_env.core.work.unit import ONE_THREAD, Item, Lost, Place, Result, Unit, attempt, packed, share
 
-DIED = "a worker process died: it was killed, or the memory was exhausted"
+DIED = "a worker process died: it was killed, or the memory was exhausted (give fewer --workers)"
 SECONDS_TO_END = 15.0
 """Time in which a terminated worker must end; then it is killed."""
 

@@ -54,7 +54,7 @@ def test_a_killed_worker_costs_the_units_without_a_result_and_the_error_names_th
     with pytest.raises(LostUnits) as raised:
         list(results)
     remedy = "run the same command again: finished units are kept"
-    found = re.fullmatch(f"3 of 4 not done: (.*): {DIED}; {remedy}", str(raised.value))
+    found = re.fullmatch(f"3 of 4 not done: (.*): {re.escape(DIED)}; {remedy}", str(raised.value))
     assert found
     assert {*found[1].split(" / ")} == {"seed 1", "seed 2", "seed 3"}
     assert not raised.value.traced
