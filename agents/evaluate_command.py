@@ -19,7 +19,7 @@ from dcgrid_env.core.commands.opening import offer
 from dcgrid_env.core.commands.settings import Overrides, check_folder
 from dcgrid_env.core.commands.terminal import plain_console, say
 from dcgrid_env.core.commands.workers import OverWorkers
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.core.user_files import read_json
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import tyro
 from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.commands.settings import Overrides
 from dcgrid_env.core.commands.terminal import plain_console, say
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 
 SUFFIX = ".zip"
 """File name ending of Stable-Baselines3 models."""

@@ -22,7 +22,7 @@ from dcgrid_env.core.commands.options import parsed
 from dcgrid_env.core.commands.progress import progress_bar
 from dcgrid_env.core.commands.terminal import plain_console, say, working
 from dcgrid_env.core.commands.workers import place
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 
 OWN = {"--open": "opens", "--wandb": "wandb"}
 """Options of the command in addition to an algorithm's configuration, and the fields that they set."""

@@ -33,8 +33,7 @@ from dcgrid_env.baselines.tuning.tuned import SUFFIX, tuned_controller, tuned_pa
 from dcgrid_env.baselines.user_code import CodeReference, OwnCodeError, described, load, parse, place
 from dcgrid_env.core.plugins import Entry, Registry
 from dcgrid_env.core.user_files import is_file
-from dcgrid_env.core.work.packing import packed
-from dcgrid_env.core.work.worker import shared
+from dcgrid_env.core.work.unit import packed, shared
 
 CARRIED = "controllers"
 """Name of the shared value with pickles of the user's controllers, by their text, on workers elsewhere."""
@@ -232,12 +231,12 @@ def own_controllers(specs: Iterable[str]) -> dict[str, bytes]:
 
     Invalid ones are loaded on the worker, and the error is reported there.
     """
-    found: dict[str, bytes] = {}
+    found: dict[str, Controller] = {}
     for _, inner in map(split_prefix, specs):
         if parse(inner) is not None or controller_file(inner) is not None:
             with contextlib.suppress(ValueError):
-                found[inner] = packed(_own_controller(inner))
-    return found
+                found[inner] = _own_controller(inner)
+    return dict(zip(found, packed(found.values()), strict=True))
 
 
 def split_prefix(spec: str) -> tuple[str, str]:

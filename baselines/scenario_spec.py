@@ -25,7 +25,7 @@ from dcgrid_env.baselines.source_voltage import CENTRED, centred_voltage, source
 from dcgrid_env.baselines.user_code import OwnCodeError, described, load, parse, place
 from dcgrid_env.core.checked import shown
 from dcgrid_env.core.user_files import parse_json, parse_toml
-from dcgrid_env.core.work.worker import shared
+from dcgrid_env.core.work.unit import shared
 
 FORMS = "path/to/file.py:function or package.module:function for one of your own, or path/to/file.toml"
 CARRIED = "scenarios"

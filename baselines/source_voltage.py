@@ -39,8 +39,6 @@ class SourceVoltage(NamedTuple):
     """Lowest of the buses' mean voltages without control, p.u."""
     highest_pu: float
     """Highest of the buses' mean voltages without control, p.u."""
-    is_own: bool
-    """Whether it is the scenario's value, which was kept because regulators act."""
 
 
 def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVoltage:
@@ -54,7 +52,7 @@ def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVolta
         How many, of seeds 0, 1, ..
     """
     if acting_relays(scenario) is not None:
-        return SourceVoltage(scenario.source_voltage_pu, *_reach(scenario, scenario.source_voltage_pu, episodes), True)
+        return SourceVoltage(scenario.source_voltage_pu, *_reach(scenario, scenario.source_voltage_pu, episodes))
     taps = int(scenario.cost.band_pu / TAP_PU + 1e-9)
     tap, tried = taps, dict[int, tuple[float, float]]()  # from the top, where a power flow has most room
     for _ in range(_ROUNDS):
@@ -64,7 +62,7 @@ def centred_voltage(scenario: Scenario, episodes: int = EPISODES) -> SourceVolta
             break
         tap = nearer
     best = min(tried, key=lambda tap: abs(sum(tried[tap]) - 2.0))
-    return SourceVoltage(1.0 + best * TAP_PU, *tried[best], False)
+    return SourceVoltage(1.0 + best * TAP_PU, *tried[best])
 
 
 def default_voltage(scenario: Scenario) -> Scenario:

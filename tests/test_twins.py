@@ -9,8 +9,7 @@ import torch
 
 import dcgrid_env
 from dcgrid_env import load_feeder
-from dcgrid_env.core.formula import FORMULAS
-from dcgrid_env.core.twins import TWINS
+from dcgrid_env.core.formula import ROW_FUNCTIONS, Formula
 from dcgrid_env.devices import converter
 from dcgrid_env.devices.ride_through import connection
 from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
@@ -24,6 +23,7 @@ for room in ("devices", "engine", "powerflow"):
             import_module(module.name)
 
 ROWS, SLOTS = 60, 4
+FUNCTIONS = {name.removeprefix("dcgrid_env."): function for name, function in ROW_FUNCTIONS.items()}
 
 
 def dispatch(rng):
@@ -117,17 +117,21 @@ def net_loads(rng):
     return p_load, q_load, at + n * np.arange(ROWS)[:, None, None], p, q
 
 
-INPUTS = [serve_by_slack, next_taps, advance_rows, counted, relay_volts, net_loads]
-"""Random arguments of each pair, by the name of its kernel."""
-OF_FORMULAS = {
-    "converter.dispatch": dispatch,
-    "dynamics.setpoints": setpoints,
-    "site_work.serve_linearly": serve_linearly,
-    "energy_balance._after": storage,
-    "ups_battery._supplied": supplied,
+INPUTS = {
+    "devices.converter:dispatch": dispatch,
+    "devices.datacenter.site_kernels:serve_by_slack": serve_by_slack,
+    "devices.datacenter.site_work:serve_linearly": serve_linearly,
+    "devices.ride_through.connection_kernel:advance_rows": advance_rows,
+    "devices.ride_through.connection_kernel:counted": counted,
+    "devices.ride_through.ups_battery:_supplied": supplied,
+    "devices.storage.energy_balance:_after": storage,
+    "devices.tap_changer.tap_kernels:next_taps": next_taps,
+    "devices.tap_changer.tap_kernels:relay_volts": relay_volts,
+    "engine.physics.dynamics:setpoints": setpoints,
+    "engine.physics.step_kernels:net_loads": net_loads,
 }
-"""Random arguments of each formula that is compiled as a loop over rows."""
-ROUNDED = {"serve_by_slack": 1e-9}
+"""Random arguments of each function that runs as a kernel."""
+ROUNDED = {"devices.datacenter.site_kernels:serve_by_slack": 1e-9}
 """Pairs that add up in another order, and how far apart they may be."""
 
 
@@ -135,40 +139,33 @@ def as_tuple(found):
     return (found,) if getattr(found, "ndim", 3) == 2 else found
 
 
-def name_of(formula):
-    return f"{formula.__module__.rpartition('.')[2]}.{formula.__name__}"
+def test_every_function_with_a_kernel_has_inputs():
+    assert set(FUNCTIONS) == set(INPUTS)
 
 
-def test_every_pair_and_every_formula_has_inputs():
-    assert {kernel.split(":")[1] for kernel in TWINS} == {make.__name__ for make in INPUTS}
-    assert {name_of(formula) for formula in FORMULAS if formula.is_compiled} == set(OF_FORMULAS)
-
-
-@pytest.mark.parametrize("make", [*INPUTS, *OF_FORMULAS.values()], ids=lambda make: make.__name__)
-def test_both_forms_give_the_same_figures(make):
-    pairs = {kernel.split(":")[1]: twins for kernel, twins in TWINS.items()}
-    pairs |= {OF_FORMULAS[name_of(formula)].__name__: formula for formula in FORMULAS if formula.is_compiled}
-    both = pairs[make.__name__]
+@pytest.mark.parametrize("name", INPUTS)
+def test_both_forms_give_the_same_figures(name):
+    both = FUNCTIONS[name]
     for seed in range(30):
-        args = make(np.random.default_rng(seed))
+        args = INPUTS[name](np.random.default_rng(seed))
         compiled, arrays = (as_tuple(form(*args)) for form in (both, both.array_form))
         for ours, theirs in zip(compiled, arrays, strict=True):
-            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=ROUNDED.get(make.__name__, 0.0))
+            np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=ROUNDED.get(name, 0.0))
         assert any(np.unique(figures).size > 1 for figures in arrays)
 
 
-@pytest.mark.parametrize("make", OF_FORMULAS.values(), ids=lambda make: make.__name__)
-def test_formulas_on_tensors(make):
-    formula = next(formula for formula in FORMULAS if OF_FORMULAS.get(name_of(formula)) is make)
+@pytest.mark.parametrize("name", [name for name, function in FUNCTIONS.items() if isinstance(function, Formula)])
+def test_formulas_on_tensors(name):
+    formula = FUNCTIONS[name]
     for seed in range(5):
-        args = make(np.random.default_rng(seed))
+        args = INPUTS[name](np.random.default_rng(seed))
         tensors = [torch.tensor(arg) if isinstance(arg, np.ndarray) else arg for arg in args]
         for of_tensors, of_arrays in zip(as_tuple(formula(*tensors)), as_tuple(formula(*args)), strict=True):
             np.testing.assert_allclose(of_tensors.numpy(), of_arrays, rtol=1e-12, atol=1e-12)
 
 
 def test_what_decides_between_the_forms(monkeypatch):
-    monkeypatch.setattr(converter.dispatch, "rows", lambda *args: "kernel")
+    monkeypatch.setattr(converter.dispatch, "kernel", lambda *args: "kernel")
     monkeypatch.setattr(converter.dispatch, "array_form", lambda *args: "arrays")
     rows = np.ones((2, 3))
     assert converter.dispatch(rows[0], rows[0], rows, rows) == "kernel"

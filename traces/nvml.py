@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.traces.checks import TraceError
 
 INSTANT = "NVML_FI_DEV_POWER_INSTANT"

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.core.user_files import MOST_MIB, is_file
 from dcgrid_env.traces.checks import FloatArray, TraceError
 from dcgrid_env.traces.profile_table import ProfileTable, checked_table

@@ -17,7 +17,7 @@ from dcgrid_env.agents.training.row_form import RowForm
 from dcgrid_env.agents.training.row_networks import policy_of_rows
 from dcgrid_env.agents.training.row_views import Rows, make_rows
 from dcgrid_env.agents.training.validation import made_with
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm

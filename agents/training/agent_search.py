@@ -27,7 +27,7 @@ from dcgrid_env.agents.training.search_spaces import SPACES, Range, within
 from dcgrid_env.agents.training.training_runs import train_all, words_of
 from dcgrid_env.agents.training.trial_training import STARTUP_TRIALS, read_trial, train_trial
 from dcgrid_env.core.files import new_folder
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
 from dcgrid_env.core.work.unit import Place
 

@@ -24,7 +24,7 @@ from dcgrid_env.core.files import new_folder, write_bytes, write_json
 from dcgrid_env.core.lock import LockedError, locked
 from dcgrid_env.core.user_files import read_json
 from dcgrid_env.core.versions import command_of, command_words
-from dcgrid_env.core.work.unit import Lost, Needs, Place, Unit
+from dcgrid_env.core.work.unit import Lost, Place, Unit
 
 FINISHED, LOG = "finished.json", "training.log"
 
@@ -149,7 +149,8 @@ def train_all(
             str(config.folder),
             _train,
             _Sent(work, config, words(config), _held(config.folder) if place.is_remote else None),
-            Needs(float(config.threads), 1.0 if config.device.startswith("cuda") else 0.0),
+            config.threads,
+            int(config.device.startswith("cuda")),
         )
         for config in configs
     ]

@@ -39,33 +39,6 @@ def capacity_csv(found: Capacities) -> str:
     return text.getvalue()
 
 
-def read_capacity_csv(text: str) -> list[BusCapacity]:
-    """Read the results in the CSV of ``capacity_csv``.
-
-    Raises ValueError for any other text, naming the row and the column.
-    """
-    reader = csv.DictReader(io.StringIO(text))
-    if tuple(reader.fieldnames or ()) != COLUMNS:
-        raise ValueError(f"capacity.csv: its columns are {reader.fieldnames}; they must be {', '.join(COLUMNS)}")
-    found = []
-    for number, row in enumerate(reader, 2):
-        if row["controller"] == NO_ANSWER:
-            continue
-        values: dict[str, Any] = dict(row)
-        for name in COLUMNS:
-            try:
-                if name in _NUMBERS:
-                    values[name] = float(row[name])
-                elif name in _LISTS:
-                    values[name] = tuple(float(size) for size in row[name].split(";") if size)
-                elif name == "at_most":
-                    values[name] = {"true": True, "false": False}[row[name]]
-            except (ValueError, KeyError, TypeError, AttributeError):
-                raise ValueError(f"capacity.csv: line {number}: {name} is {row[name]!r}") from None
-        found.append(BusCapacity(**values))
-    return found
-
-
 def capacity_table(found: Capacities) -> Table:
     """Make a table with a row for each bus: capacity in a snapshot and under each controller, and the delay."""
     study = found.study

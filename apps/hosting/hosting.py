@@ -24,8 +24,7 @@ from dcgrid_env.baselines.registry import TUNED, find_controller
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.baselines.tuning.tuned import SUFFIX
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
-from dcgrid_env.core.work.unit import Place, Unit
-from dcgrid_env.core.work.worker import shared
+from dcgrid_env.core.work.unit import Place, Unit, shared
 
 
 def study_controller(spec: str, scenario: Scenario, tuned: Path | None) -> tuple[Controller, str]:

@@ -10,8 +10,7 @@ from dcgrid_env.apps.reproduction.claims import claims
 from dcgrid_env.apps.reproduction.paper import CITATION
 from dcgrid_env.apps.reproduction.study_runs import Run, Runs, Setting
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
-from dcgrid_env.core.work.unit import Place, Unit
-from dcgrid_env.core.work.worker import shared
+from dcgrid_env.core.work.unit import Place, Unit, shared
 
 Part = Callable[[Runs], Any]
 """A part of the study: the function that makes its records from the runs."""

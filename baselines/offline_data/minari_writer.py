@@ -24,8 +24,8 @@ from dcgrid_env import IDS, Scenario, episode_hash
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.offline_data.joint_episodes import JointEpisode, agent_layout
 from dcgrid_env.core.files import naming, new_folder, require_space, whole_folder, write_json
-from dcgrid_env.core.install import from_clone
 from dcgrid_env.core.lock import locked
+from dcgrid_env.core.suggestions import from_clone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -33,7 +33,7 @@ from dcgrid_env.baselines.controller import Controller
 from dcgrid_env.baselines.scenario_spec import options_of
 from dcgrid_env.baselines.tuning.tunable import TUNABLE
 from dcgrid_env.core.user_files import is_file, read_json
-from dcgrid_env.core.work.worker import shared
+from dcgrid_env.core.work.unit import shared
 
 CARRIED = "tuned parameters"
 """Name of the shared value with the contents of files of ``dcgrid tune``, by their paths, on workers elsewhere."""

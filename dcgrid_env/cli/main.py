@@ -19,10 +19,9 @@ from dcgrid_env.cli.stamps import stamps_respected
 from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.commands.terminal import any_characters
 from dcgrid_env.core.plugins import tolerate_malformed
-from dcgrid_env.core.signals import raising
+from dcgrid_env.core.signals import raising, terminated_in_order
 from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.core.versions import command_of
-from dcgrid_env.core.work.worker import terminated_in_order
 
 _INTERRUPTED = 130
 """Exit status that shells report after Ctrl-C."""

@@ -66,3 +66,17 @@ def _swallows(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
+
+
+@contextmanager
+def terminated_in_order() -> Iterator[None]:
+    """Let SIGTERM end the process by an exception, so incomplete files are removed, as after Ctrl-C."""
+    try:
+        with raising(signal.SIGTERM, Terminated(128 + signal.SIGTERM)):
+            yield
+    except Terminated as terminated:
+        raise SystemExit(terminated.args[0]) from None
+
+
+class Terminated(BaseException):
+    """SIGTERM has come; not SystemExit, which user code may raise, and which is then a failure of that code."""

@@ -1,4 +1,4 @@
-"""What an error says of a name that does not exist: the nearest names, and where all of them are listed."""
+"""Remedies in messages of errors: names similar to one that does not exist, and how to install an extra."""
 
 from __future__ import annotations
 
@@ -38,3 +38,8 @@ def nearest(name: object, names: Iterable[str], listed: str) -> str:
     similarity = {known: SequenceMatcher(None, known.rpartition(" ")[2].lower(), given).ratio() for known in names}
     near = sorted((known for known in similarity if similarity[known] >= _SIMILAR), key=lambda n: -similarity[n])[:3]
     return f"did you mean {' or '.join(filter(None, (', '.join(near[:-1]), near[-1])))}? {listed}" if near else listed
+
+
+def from_clone(extra: str) -> str:
+    """Return the command that installs an extra of pyproject.toml in a clone: the package is not on a registry."""
+    return f"in a clone of the repository: pip install -e '.[{extra}]'"

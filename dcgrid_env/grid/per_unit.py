@@ -1,4 +1,7 @@
-"""What the power flow takes of a balanced feeder: its branches and shunts per unit, and its buses depth first."""
+"""What the power flow takes of a balanced feeder: its branches and shunts per unit, and its buses depth first.
+
+Per unit is used inside the power flow only. Power has one base for every feeder, so figures of feeders can be compared.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.core.units import S_BASE_KVA, impedance_base_ohm
 from dcgrid_env.grid.topology import DepthFirst, depth_first
 
 FloatArray = NDArray[np.float64]
+
+S_BASE_KVA = 1000.0
+"""Base power, kVA (three-phase)."""
+
+
+def impedance_base_ohm(base_kv: float) -> float:
+    """Impedance base, ohm per phase, of a feeder whose line-to-line base voltage is ``base_kv``."""
+    return base_kv**2 / (S_BASE_KVA / 1000.0)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

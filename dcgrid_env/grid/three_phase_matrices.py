@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid.network import Network
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.grid.three_phase_tables import TransformerTable
 from dcgrid_env.grid.three_phase_tree import Branch, Tree
 

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.powerflow.unbalanced.linearised import linearise
 
 _PU_PER_MVA = 1000.0 / S_BASE_KVA

@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 
 from dcgrid_env.core.files import require_folder, write_bytes
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.rendering.feeder_map import INK
 from dcgrid_env.rendering.history import History

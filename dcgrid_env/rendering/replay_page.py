@@ -18,7 +18,7 @@ import matplotlib.colors
 import numpy as np
 
 from dcgrid_env.core.files import write_text
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.rendering.feeder_map import VOLTAGE_CMAP, voltage_norm
 from dcgrid_env.rendering.map_panel import time_unit

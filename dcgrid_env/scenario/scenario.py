@@ -14,7 +14,7 @@ import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import check_fields, choice, count, number, settle
-from dcgrid_env.core.equality import alike
+from dcgrid_env.core.coverage import alike
 from dcgrid_env.devices import DataCenters, Device, Inverters
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only

@@ -69,7 +69,6 @@ COMMANDS = Group(
             "speed-training": _entry(
                 "Measure a training by gradients through the grid.", "speed.training_rates:TrainingSpeed"
             ),
-            "unit-overhead": _entry("Measure the overhead of units of work.", "speed.unit_overhead:UnitOverhead"),
         },
     },
 )

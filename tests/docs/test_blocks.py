@@ -81,7 +81,6 @@ ELSEWHERE = {
     "dcgrid hindsight --ray ray://head.example:10001": "tests/dcgrid_env/cli/test_on_a_cluster.py",
     "dcgrid tune --laws set-points": "tests/baselines/test_tune_and_hindsight.py",
     "dcgrid train analytic --ray auto": "tests/dcgrid_env/cli/test_on_a_cluster.py",
-    "python -m docs.studies unit-overhead": "tests/docs/studies/speed/test_unit_overhead.py",
     "python -m docs.studies benchmark-data": "tests/docs/studies/publishing/test_benchmark_data.py",
     "python -m docs.studies pareto": "tests/docs/studies",
     "python -m docs.studies libraries": "tests/docs/studies/learning/test_libraries.py",

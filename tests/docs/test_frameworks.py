@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from dcgrid_env.agents import Policy
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from helpers.places import ROOT
 
 EXAMPLES = ROOT / "docs" / "examples"

@@ -25,8 +25,7 @@ from dcgrid_env.core.html_page import image, png
 from dcgrid_env.core.html_page import page as html_page
 from dcgrid_env.core.text_table import Table
 from dcgrid_env.core.versions import meta
-from dcgrid_env.core.work.unit import Place, Unit
-from dcgrid_env.core.work.worker import shared
+from dcgrid_env.core.work.unit import Place, Unit, shared
 from dcgrid_env.grid import AnyFeeder
 
 ORDER = (

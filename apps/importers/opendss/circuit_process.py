@@ -25,7 +25,7 @@ from dcgrid_env.apps.importers.import_report import Finding
 from dcgrid_env.apps.importers.opendss.dss_losses import LossEffect
 from dcgrid_env.apps.importers.opendss.dss_shapes import imported_profiles
 from dcgrid_env.apps.importers.opendss.reading import Imported, read_circuit
-from dcgrid_env.core.work.worker import THREADS
+from dcgrid_env.core.work.unit import ONE_THREAD
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.topology import FeederError
 
@@ -106,7 +106,7 @@ def read_in_child(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=os.environ | dict.fromkeys(THREADS, "1"),
+        env=os.environ | ONE_THREAD,
     )
     try:
         said, errors = child.communicate(json.dumps(wanted).encode(), wanted["longest_s"])

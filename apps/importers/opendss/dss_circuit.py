@@ -16,7 +16,7 @@ from scipy.sparse import csc_matrix
 
 from dcgrid_env.apps.importers.opendss.script_counts import Counts
 from dcgrid_env.apps.importers.opendss.script_reader import Script
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.grid.topology import FeederError
 
 Engine = Any

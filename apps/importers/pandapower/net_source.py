@@ -14,7 +14,7 @@ from typing import Any
 from dcgrid_env.apps.importers.import_report import Report
 from dcgrid_env.apps.importers.pandapower.net_json import net_from_json
 from dcgrid_env.apps.importers.pandapower.net_schema import PandapowerNet
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.core.user_files import require_regular
 from dcgrid_env.grid.topology import FeederError
 

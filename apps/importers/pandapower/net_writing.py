@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.apps.importers.bus_branch import BalancedFeeder, Branch, BusBranchGrid, described
 from dcgrid_env.apps.importers.pandapower.net_schema import PandapowerNet
 from dcgrid_env.core.files import write_text
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.grid.network import bus_numbers
 from dcgrid_env.grid.topology import FeederError
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.apps.importers.import_report import Report
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.core.user_files import parse_json, read_text
 from dcgrid_env.grid.topology import FeederError
 

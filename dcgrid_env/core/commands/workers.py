@@ -30,8 +30,7 @@ class OverWorkers(Command, ABC):
     def place(self) -> Place:
         """Return where the units run.
 
-        Raises ValueError if an option is invalid or the cluster's nodes have other versions, and OSError if no cluster
-        answers.
+        Raises ValueError if an option is invalid, and OSError if no cluster answers.
         """
         return place(self.workers, self.ray)
 
@@ -53,5 +52,5 @@ def place(workers: int | None, ray: str | None) -> Place:
     from dcgrid_env.core.work.cluster import cluster
 
     found = cluster(ray)
-    say(plain_console(), f"Ray cluster at {ray}: cores: {found.workers}, nodes: {len(found.nodes)}")
+    say(plain_console(), f"Ray cluster at {ray}, cores: {found.workers}")
     return found

@@ -21,8 +21,8 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.core.formula import compiled_as
 from dcgrid_env.core.metric import Metric, cost_metric
-from dcgrid_env.core.twins import compiled_as
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.lateness import lateness
 from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState

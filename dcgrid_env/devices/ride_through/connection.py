@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, sum_last
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.formula import compiled_as
 from dcgrid_env.devices.device import DeviceInput
 from dcgrid_env.devices.ride_through import connection_surrogate
 from dcgrid_env.devices.ride_through.rules import ALL_BACK, Figures, RideThrough

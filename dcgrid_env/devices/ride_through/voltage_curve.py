@@ -49,12 +49,6 @@ class RideThroughCurve:
         if not self.under and not self.over:
             raise FieldError("RideThroughCurve", "under", self.under, "give a threshold here or in over")
 
-    def rides_through_s(self, v_pu: float) -> float:
-        """Return the time for which a voltage is ridden through, s; infinite within the mildest thresholds."""
-        passed = [s for threshold, s in self.under if v_pu < threshold]
-        passed += [s for threshold, s in self.over if v_pu > threshold]
-        return min(passed, default=float("inf"))
-
 
 def _table(name: str, given: Any, sign: float) -> tuple[Threshold, ...]:
     """Return a table as a tuple of pairs; FieldError for other values, or a table that is not monotone."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.formula import compiled_as
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
 

@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from dcgrid_env.core.arrays import Array, min_last, namespace
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.formula import compiled_as
 from dcgrid_env.devices.tap_changer.regulator_state import SAME_TIME_S, RegulatorState
 from dcgrid_env.devices.tap_changer.relay import RelayBand, RelaySettings, direction
 

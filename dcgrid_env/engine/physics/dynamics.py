@@ -9,8 +9,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, add_at, all_true, as_like, namespace, take_last
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.formula import PerSlot, formula, least, most
-from dcgrid_env.core.twins import compiled_as
+from dcgrid_env.core.formula import PerSlot, compiled_as, formula, least, most
 from dcgrid_env.devices import Work, converter
 from dcgrid_env.devices.device import DeviceInput, DeviceParams
 from dcgrid_env.engine.physics import equipment as feeder_equipment

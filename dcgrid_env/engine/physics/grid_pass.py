@@ -17,7 +17,6 @@ from dcgrid_env.core.compiled import compiled
 from dcgrid_env.core.coverage import Coverage
 from dcgrid_env.core.random import load_step
 from dcgrid_env.core.threads import over_rows
-from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.engine.physics.loads import load_noise
@@ -26,6 +25,7 @@ from dcgrid_env.engine.physics.step_kernels import add_powers, net_loads
 from dcgrid_env.engine.physics.voltage_figures import fill_figures
 from dcgrid_env.grid import Feeder
 from dcgrid_env.grid.covered_fields import BALANCED
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.powerflow.balanced.batch import constants, rows
 from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, distflow_blocks

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.core.files import clear_parts, whole
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.devices.device import DeviceState
 from dcgrid_env.engine.physics.dynamics import device_slices
 from dcgrid_env.engine.record.episode_record import Series

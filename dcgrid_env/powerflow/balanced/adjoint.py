@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
-from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 
 BLOCK = 32
 """Rows innermost; of 4, 8, 16 and 32 the fastest on ieee123."""

@@ -29,8 +29,8 @@ import numpy as np
 from array_api_compat import is_torch_array
 
 from dcgrid_env.core.arrays import namespace
-from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid.feeder import Feeder, FeederError
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.powerflow.inputs import check_feeder, check_loads, check_stop, substation_voltage, warm_start
 from dcgrid_env.powerflow.solution import Array, Solution, raise_not_finite
 

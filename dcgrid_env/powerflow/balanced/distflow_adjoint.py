@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.core.threads import over_rows
-from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.powerflow.balanced.adjoint import TOLERANCE, distflow_adjoint_rows
 from dcgrid_env.powerflow.balanced.batch import constants
 from dcgrid_env.powerflow.balanced.looped import Loops, loops_of

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
-from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.powerflow.balanced.compiled_blocks import BLOCK_SWEEPS, NOT_IN_BLOCKS, PER_KVA
 from dcgrid_env.powerflow.solution import (
     LINEAR_SWEEPS,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.compiled import compiled
-from dcgrid_env.core.units import S_BASE_KVA
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.powerflow.balanced.compiled_blocks import (
     BLOCK,
     BLOCK_SWEEPS,

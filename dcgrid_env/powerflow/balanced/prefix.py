@@ -15,9 +15,9 @@ import numpy as np
 from dcgrid_env.core.arrays import namespace, requires_grad, take_last
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.coverage import Coverage
-from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.grid.covered_fields import BALANCED
 from dcgrid_env.grid.feeder import Feeder
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.powerflow.solution import (
     LINEAR_SWEEPS,
     LINEAR_TOLERANCE,

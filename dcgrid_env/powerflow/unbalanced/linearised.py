@@ -1,4 +1,4 @@
-"""A three-phase power flow linearised where it stands: how every voltage moves with every input.
+"""A three-phase power flow linearised where it stands: how every voltage moves with every power.
 
 Figures are signed and go across phases: a load on one phase lowers its own voltage and may raise another's.
 """
@@ -32,10 +32,6 @@ class Linearised(NamedTuple):
     """dV_i / dp_j, p.u. per MW injected from ground at node j, shape (n_node, n_node)."""
     by_q_pu_per_mvar: FloatArray
     """dV_i / dq_j, p.u. per Mvar injected from ground at node j, shape (n_node, n_node)."""
-    by_tap_pu: FloatArray
-    """dV_i / dtap_j, p.u. a tap, shape (n_node, n_regulator)."""
-    by_capacitor_pu: FloatArray
-    """dV_i / dstate_j, p.u. from off to on as the slope here has it, shape (n_node, n_capacitor)."""
 
 
 def linearise(
@@ -75,13 +71,12 @@ def linearise(
         )
     source_pu = source_voltage(feeder, p_kw, source_voltage_pu)
     q_kvar, ratio, state = control_inputs(feeder, q_kvar, control)
-    step = np.array(feeder.network.regulator.tap_step)
     if not feeder.is_radial:
         from dcgrid_env.powerflow.unbalanced.newton_adjoint import voltage_slopes  # brings SciPy with it
 
         at = np.arange(feeder.n_node) if nodes is None else np.array(nodes)
-        by_p, by_q, by_ratio, by_state = voltage_slopes(feeder, (p_kw, q_kvar, source_pu, ratio, state), solution, at)
-        return Linearised(-1000.0 * by_p, -1000.0 * by_q, by_ratio * step, by_state)
+        by_p, by_q = voltage_slopes(feeder, (p_kw, q_kvar, source_pu, ratio, state), solution, at)
+        return Linearised(-1000.0 * by_p, -1000.0 * by_q)
     rows = np.eye(feeder.n_node) if nodes is None else np.zeros((len(nodes), feeder.n_node))
     if nodes is not None:
         rows[np.arange(len(nodes)), nodes] = 1.0
@@ -91,8 +86,8 @@ def linearise(
     of_nodes = (n, 2 * feeder.n_node)
     solved = np.broadcast_to(solution.restart, of_nodes), np.broadcast_to(amperes, of_nodes)
     weights, converged = (rows, None, None, ()), np.ones(n, np.bool_)
-    d_p, d_q, _, d_ratio, d_state = derivatives(feeder, given, solved, weights, converged, _groups(n))
-    return Linearised(-1000.0 * d_p[:, n_load:], -1000.0 * d_q[:, n_load:], d_ratio * step, d_state)
+    d_p, d_q, *_ = derivatives(feeder, given, solved, weights, converged, _groups(n))
+    return Linearised(-1000.0 * d_p[:, n_load:], -1000.0 * d_q[:, n_load:])
 
 
 def _groups(n: int) -> list[slice]:

@@ -135,20 +135,18 @@ def _to_unknowns(
 
 def voltage_slopes(
     feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], solution: ThreePhaseSolution, nodes: np.ndarray
-) -> tuple[Any, Any, Any, Any]:
+) -> tuple[Any, Any]:
     """Derivatives of the voltage magnitudes of some nodes of a feeder that is not radial, a row each.
 
-    They are by p_kw and q_kvar of the devices' legs (node, n_node), by ratio and by state. The nodal equations of the
-    one power flow are factored once.
+    They are by p_kw and q_kvar of the devices' legs (node, n_node). The nodal equations of the one power flow are
+    factored once.
     """
-    n, plan, (_, _, _, ratio, _) = feeder.n_node, plan_of(feeder), inputs
     v = solution.v_re_pu + 1j * solution.v_im_pu
     others = _coupler_currents(feeder, solution.restart)
     equations = Equations(feeder, *inputs)
     factors = splu(equations.evaluate(np.concatenate((v.real, others.real, v.imag, others.imag)), 1.0)[1])
-    per_v, grounded = v / np.maximum(np.abs(v) ** 2, TINY) / PHASE_BASE_KVA, np.append(v, 0.0)
-    banks, tap = plan.capacitor_ends.astype(np.intp), coupler_ratios(feeder, ratio)
-    found: list[tuple[Any, ...]] = []
+    per_v = v / np.maximum(np.abs(v) ** 2, TINY) / PHASE_BASE_KVA
+    slopes: list[Any] = []
     for first in range(0, len(nodes), _AT_ONCE):
         some = nodes[first : first + _AT_ONCE]
         weights = np.zeros((2 * equations.half, len(some)))
@@ -156,20 +154,9 @@ def voltage_slopes(
         weights[some, column], weights[equations.half + some, column] = unit.real, unit.imag
         mu = factors.solve(weights, trans="T").T
         mu = mu[:, : equations.half] + 1j * mu[:, equations.half :]
-        at = np.concatenate((mu[:, :n], np.zeros((len(some), 1))), axis=1)
-        both = np.conj(-mu[:, :n]) * per_v
-        d_ratio, d_state = np.zeros((len(some), feeder.n_regulator)), np.zeros((len(some), feeder.n_capacitor))
-        for k in np.flatnonzero(feeder.nodal.coupler_regulator >= 0):
-            f, g, z, i = *feeder.nodal.coupler_ends[k, :2], feeder.nodal.coupler_z[k], others[k]
-            across = grounded[f] - grounded[g] - 2.0 * tap[k] * z * i
-            moved = np.conj(at[:, f] - at[:, g]) * i + np.conj(mu[:, n + k]) * across
-            d_ratio[:, feeder.nodal.coupler_regulator[k]] -= moved.real
-        for (i, j), b, row in zip(banks, plan.capacitor_b, plan.capacitor_row.astype(np.intp), strict=True):
-            moved = np.conj(at[:, i] - at[:, j]) * 1j * b * (grounded[i] - grounded[j])
-            d_state[:, row] -= moved.real
-        found.append((both.real, both.imag, d_ratio, d_state))
-    d_p, d_q, d_ratio, d_state = (np.concatenate(part) for part in zip(*found, strict=True))
-    return d_p, d_q, d_ratio, d_state
+        slopes.append(np.conj(-mu[:, : feeder.n_node]) * per_v)
+    both = np.concatenate(slopes)
+    return both.real, both.imag
 
 
 def _by_couplers(

@@ -63,11 +63,6 @@ class ThreePhaseSolution(NamedTuple):
         """Magnitude of the current that its branch brings to each node, A, shape (..., n_node)."""
         return (self.i_re_a * self.i_re_a + self.i_im_a * self.i_im_a) ** 0.5
 
-    @property
-    def i_angle_deg(self) -> Array:
-        """Angle of the current that its branch brings to each node, degrees, shape (..., n_node)."""
-        return namespace(self.v_pu).atan2(self.i_im_a, self.i_re_a) * _DEGREES
-
 
 class BranchFlows(NamedTuple):
     """What enters each branch at its sending end, by branch and phase of the bus that it feeds, padded with 0.

@@ -20,8 +20,7 @@ from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.files import write_json
 from dcgrid_env.core.versions import meta
 from dcgrid_env.core.work.local_pool import ONE_PROCESS
-from dcgrid_env.core.work.unit import Place, Unit
-from dcgrid_env.core.work.worker import shared
+from dcgrid_env.core.work.unit import Place, Unit, shared
 from docs.studies.paper.guess import LABELS, VALUES, Distance, Guess, cells, distance
 
 _SETTING = "setting of the search"

@@ -14,7 +14,7 @@ from time import process_time
 import numpy as np
 
 from dcgrid_env import DcgridVectorEnv
-from dcgrid_env.core.twins import TWINS
+from dcgrid_env.core.formula import ROW_FUNCTIONS
 
 PRESETS = ("ieee123", "ieee33-weak", "ieee33-weak-ups", "routing", "ieee13-3ph", "ieee123-3ph", "ride-through")
 BATCHES = (1, 64)
@@ -41,11 +41,11 @@ def without(twins, env, actions):
 
 def used_in(env, actions):
     """The pairs whose twin runs in the environment."""
-    used, kernels = set(), {name: twins.kernel for name, twins in TWINS.items()}
-    for name, twins in TWINS.items():
+    used, kernels = set(), {name: twins.kernel for name, twins in ROW_FUNCTIONS.items()}
+    for name, twins in ROW_FUNCTIONS.items():
         twins.kernel = lambda *args, name=name: used.add(name) or kernels[name](*args)
     block(env, actions[:1])
-    for name, twins in TWINS.items():
+    for name, twins in ROW_FUNCTIONS.items():
         twins.kernel = kernels[name]
     return sorted(used)
 
@@ -65,8 +65,8 @@ def main():
         for name in used_in(envs[0], actions[0]):
             gains = []
             for env, given in zip(envs, actions, strict=True):
-                without(TWINS[name], env, given)
-                ratios = [without(TWINS[name], env, given) / block(env, given) for _ in range(args.rounds)]
+                without(ROW_FUNCTIONS[name], env, given)
+                ratios = [without(ROW_FUNCTIONS[name], env, given) / block(env, given) for _ in range(args.rounds)]
                 gains.append(f"{statistics.median(ratios):.3f}")
             print(f"| {name.rpartition('.')[2]} | {preset} | {' | '.join(gains)} |", flush=True)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.grid import Feeder
 from dcgrid_env.powerflow import Solution, distflow, lindistflow
 from dcgrid_env.scenario.scenario import Scenario

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dcgrid_env.core.threads import n_threads
-from dcgrid_env.core.units import impedance_base_ohm
 from dcgrid_env.grid import Feeder
+from dcgrid_env.grid.per_unit import impedance_base_ohm
 
 FloatArray = NDArray[np.float64]
 Solve = Callable[[FloatArray, FloatArray], FloatArray]

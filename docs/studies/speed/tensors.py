@@ -13,7 +13,7 @@ from copy import copy
 from functools import partial
 from importlib.util import find_spec
 
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.engine.physics.actions import action_layout
 from dcgrid_env.envs.tensor import TensorEnv
 from dcgrid_env.scenario.scenario import Scenario

@@ -11,7 +11,7 @@ import pytest
 
 from dcgrid_env.agents.training.config import Training
 from dcgrid_env.cli.main import main
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 
 drawn = pytest.mark.skipif(
     importlib.util.find_spec("plotly") is None, reason=f"plotly not installed; {from_clone('replay')}"

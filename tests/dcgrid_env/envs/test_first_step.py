@@ -18,7 +18,7 @@ env.reset(seed=0)
 env.step(env.action_space.sample())
 for kernel in (
     grid_pass._few_rows, compiled_blocks.distflow_blocks, grid_pass._many_rows, sweep_rows.sweep_rows,
-    sweep_rows.sweep_blocks, sweep_adjoint.sweep_adjoint_rows, converter.dispatch.rows,
+    sweep_rows.sweep_blocks, sweep_adjoint.sweep_adjoint_rows, converter.dispatch.kernel,
 ):
     if kernel.signatures:
         print(kernel.__name__, len(kernel.signatures))

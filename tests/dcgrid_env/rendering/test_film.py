@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from dcgrid_env import DcgridEnv, Recorder
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.rendering.film import frames, write_film
 
 

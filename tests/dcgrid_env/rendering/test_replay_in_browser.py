@@ -10,7 +10,7 @@ import pytest
 
 from dcgrid_env import make_scenario
 from dcgrid_env.baselines import make_controller, rollout
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from dcgrid_env.rendering import replay
 from dcgrid_env.rendering.replay_terms import TERMS
 

@@ -6,7 +6,7 @@ import importlib.util
 import gymnasium
 import pytest
 
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 
 
 @pytest.mark.skipif(importlib.util.find_spec("moviepy") is None, reason=f"moviepy not installed; {from_clone('video')}")

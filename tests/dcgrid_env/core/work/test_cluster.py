@@ -1,13 +1,11 @@
 """Addresses of Ray clusters, and what is said where none can be reached."""
 
 import importlib
-from types import SimpleNamespace
 
 import pytest
 
 from dcgrid_env.cli.main import main
-from dcgrid_env.core.work.cluster import Cluster, cluster
-from dcgrid_env.core.work.unit import Needs, Unit
+from dcgrid_env.core.work.cluster import cluster
 
 
 @pytest.mark.parametrize("address", ["", "nowhere", "http://a:1", "ray://a", "a:0", "a:70000", "ray://:10001"])
@@ -46,18 +44,3 @@ def test_a_cluster_and_workers_of_this_machine_are_not_both_given(capsys):
     assert "workers: must not be combined with --ray" in error
     error = stopped(capsys, "train", "analytic", "--ray", "auto")
     assert error.startswith("dcgrid: seeds: must be given with --workers or --ray")
-
-
-def test_a_unit_that_no_node_has_room_for_is_said_to_wait():
-    nodes = [{"Alive": True, "Resources": {"CPU": n, "memory": 1e9}} for n in (1.0, 2.0)]
-    found = Cluster(SimpleNamespace(nodes=lambda: nodes), "auto")
-    assert found.waits_for([Unit("small", print, 0), Unit("both", print, 0, Needs(2.0, memory_gb=0.5))]) == ""
-    for needs, said in (
-        (Needs(1.0, 1.0), "1 CPU, 1 GPU for"),
-        (Needs(3.0), "3 CPU for"),
-        (Needs(1.0, 0.0, 4.0), "memory for"),
-    ):
-        assert said in found.waits_for([Unit("small", print, 0), Unit("seed 3", print, 0, needs)])
-    assert found.waits_for([Unit("seed 3", print, 0, Needs(3.0))]).endswith(
-        "3 CPU for seed 3; they wait until one joins"
-    )

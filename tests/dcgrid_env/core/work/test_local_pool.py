@@ -3,16 +3,20 @@
 import contextlib
 import math
 import os
+import re
 import signal
+import subprocess
+import sys
 import time
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children
 
 import pytest
 
+from dcgrid_env.core.signals import Terminated
 from dcgrid_env.core.work import local_pool
-from dcgrid_env.core.work.local_pool import LocalPool
-from dcgrid_env.core.work.unit import Lost, LostUnits, Needs, Unit, require_all
-from dcgrid_env.core.work.worker import THREADS, Terminated, attempt, shared
+from dcgrid_env.core.work.local_pool import DIED, LocalPool
+from dcgrid_env.core.work.unit import ONE_THREAD, Lost, LostUnits, Unit, attempt, require_all, shared
 
 
 def units(work, items):
@@ -34,44 +38,55 @@ def test_one_worker_does_units_in_their_order():
     assert [unit.item for unit, _ in LocalPool(1).run(units(math.sqrt, [25.0, 9.0, 16.0]))] == [25.0, 9.0, 16.0]
 
 
-def killed_at_first(item):
-    """Die by SIGKILL as often as the item says, counted in a file; then the number of tries."""
-    path, deaths = item
-    with open(path, "a") as file:
-        file.write("x")
-    tries = os.path.getsize(path)
-    if tries <= deaths:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return tries
+def killed(path):
+    """End by SIGKILL once the file exists; the unit without a path ends at once."""
+    while path and not os.path.exists(path):
+        time.sleep(0.05)
+    return os.kill(os.getpid(), signal.SIGKILL) if path else "done"
 
 
 @pytest.mark.slow
-def test_a_unit_whose_worker_is_killed_is_tried_twice_again_and_then_named(tmp_path):
-    items = [(str(tmp_path / str(deaths)), deaths) for deaths in range(4)]
-    found = done(killed_at_first, items, 2)
-    assert [found[item] for item in items[:3]] == [1, 2, 3]
-    assert found[items[3]] == Lost("its process ended with exit code -9, 3 times")
-    assert os.path.getsize(items[3][0]) == 3
+def test_a_killed_worker_costs_the_units_without_a_result_and_the_error_names_the_remedy(tmp_path):
+    path = tmp_path / "first is done"
+    results = LocalPool(2).results([Unit(f"seed {i}", killed, str(path) if i else "") for i in range(4)])
+    assert next(results)[1] == "done"
+    path.touch()
+    with pytest.raises(LostUnits) as raised:
+        list(results)
+    remedy = "run the same command again: finished units are kept"
+    found = re.fullmatch(f"3 of 4 not done: (.*): {re.escape(DIED)}; {remedy}", str(raised.value))
+    assert found
+    assert {*found[1].split(" / ")} == {"seed 1", "seed 2", "seed 3"}
+    assert not raised.value.traced
     assert not active_children()
+
+
+def test_units_that_come_after_the_death_of_a_worker_are_lost(monkeypatch):
+    def broken(*_):
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(local_pool.ProcessPoolExecutor, "submit", broken)
+    assert done(math.sqrt, [1.0, 4.0], 2) == {1.0: Lost(DIED), 4.0: Lost(DIED)}
 
 
 @pytest.mark.parametrize("n", [1, 2])
 @pytest.mark.slow
-def test_what_a_unit_raises_is_not_tried_again_and_named_when_the_others_are_done(n):
+def test_an_error_of_a_unit_is_raised_when_the_others_are_done(n):
     results = LocalPool(n).results(units(math.sqrt, [-1.0, 4.0, 9.0]))
     assert {result for _, result in (next(results), next(results))} == {2.0, 3.0}
-    with pytest.raises(LostUnits, match=r"^1 of 3 not done: unit -1.0: .*; the same command goes on") as raised:
+    with pytest.raises(LostUnits, match=r"^1 of 3 not done: unit -1.0: .*; run the same command again") as raised:
         next(results)
-    assert isinstance(raised.value.__cause__, ValueError)
-    assert "Traceback" in raised.value.__cause__.__notes__[0]
+    assert raised.value.traced
+    assert "Traceback" in raised.value.__notes__[0]
     assert not active_children()
 
 
-@pytest.mark.parametrize("error", [None, ValueError("no")])
-def test_a_traceback_is_offered_where_some_work_raised(error):
-    with pytest.raises(LostUnits, match=r"^1 of 2 not done: a: gone") as raised:
-        require_all({"a": Lost("gone", error)}, 2)
-    assert raised.value.traced is (error is not None)
+def test_reasons_are_grouped_and_long_lists_are_counted():
+    lost = {f"seed {i}": Lost("gone") for i in range(12)} | {"seed 12": Lost("no memory")}
+    with pytest.raises(LostUnits) as raised:
+        require_all(lost, 20, "")
+    keys = " / ".join(f"seed {i}" for i in range(10))
+    assert str(raised.value) == f"13 of 20 not done: {keys} and 2 more: gone; seed 12: no memory"
 
 
 class Awkward(Exception):
@@ -96,21 +111,21 @@ def test_an_error_that_cannot_travel_is_described_and_so_is_what_cannot_be_sent(
 
 @pytest.mark.slow
 def test_a_process_has_one_thread_the_shared_values_and_no_ctrl_c_and_leaves_no_trace_here():
-    before = dict(os.environ), signal.getsignal(signal.SIGINT)
-    asked = [Unit(name, os.getenv, name) for name in THREADS]
+    before = dict(os.environ), signal.getsignal(signal.SIGINT), signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    asked = [Unit(name, os.getenv, name) for name in ONE_THREAD]
     asked += [Unit("a", shared, "a"), Unit("c", shared, "c"), Unit("signal", signal.getsignal, signal.SIGINT)]
     found = {unit.key: result for unit, result in LocalPool(2).run(asked, {"a": [1], "b": 2})}
-    assert [found[name] for name in THREADS] == ["1"] * len(THREADS)
+    assert [found[name] for name in ONE_THREAD] == ["1"] * len(ONE_THREAD)
     assert (found["a"], found["c"], found["signal"]) == ([1], None, signal.SIG_IGN)
     assert done(shared, ["a", "c"], 1, {"a": [1]}) == {"a": [1], "c": None}
     assert shared("a") is None
-    assert (dict(os.environ), signal.getsignal(signal.SIGINT)) == before
+    assert (dict(os.environ), signal.getsignal(signal.SIGINT), signal.pthread_sigmask(signal.SIG_BLOCK, [])) == before
 
 
 @pytest.mark.slow
-def test_a_unit_of_many_cores_runs_alone(tmp_path):
-    wide = [Unit(str(i), alone, str(tmp_path / "one"), Needs(2)) for i in range(3)]
-    assert [result for _, result in LocalPool(2).run(wide)] == [True] * 3
+def test_units_of_many_cores_run_one_at_a_time(tmp_path):
+    wide = [Unit(str(i), alone, str(tmp_path / "one"), cores=2) for i in range(3)]
+    assert [result for _, result in LocalPool(3).run(wide)] == [True] * 3
 
 
 def alone(path):
@@ -129,37 +144,6 @@ def test_leaving_early_ends_the_processes():
     assert not active_children()
 
 
-@pytest.mark.parametrize("at", [2, 3, 5])
-@pytest.mark.slow
-def test_an_interrupt_between_two_units_of_a_process_ends_it(at, monkeypatch):
-    """The process that had just done its unit is no longer busy and has no other: it is to end nevertheless."""
-    begin, calls = local_pool._Workers.begin, []
-
-    def interrupted(self, unit):
-        calls.append(unit)
-        if len(calls) == at:
-            raise KeyboardInterrupt
-        return begin(self, unit)
-
-    monkeypatch.setattr(local_pool._Workers, "begin", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        list(LocalPool(2).run(units(math.sqrt, [float(i) for i in range(10)])))
-    assert not active_children()
-
-
-@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
-def test_an_interrupt_while_a_process_starts_comes_afterwards():
-    def interrupted_while_starting():
-        with local_pool._held_back_interrupt():
-            signal.raise_signal(signal.SIGINT)
-            pending.extend(signal.sigpending())
-
-    pending: list[int] = []
-    with pytest.raises(KeyboardInterrupt):
-        interrupted_while_starting()
-    assert pending == [signal.SIGINT]
-
-
 @pytest.mark.slow
 def test_a_process_that_lets_no_exception_through_is_killed(monkeypatch):
     monkeypatch.setattr(local_pool, "SECONDS_TO_END", 0.2)
@@ -174,6 +158,39 @@ def _deaf(item):
     while time.monotonic() < until:
         with contextlib.suppress(BaseException):
             time.sleep(0.1)
+
+
+ORPHANS = """
+import sys, time
+from multiprocessing import active_children
+from dcgrid_env.core.work.local_pool import LocalPool
+from dcgrid_env.core.work.unit import Unit
+
+if __name__ == "__main__":
+    results = LocalPool(2).run([Unit(str(s), time.sleep, s) for s in (0.0, 300.0, 300.0)])
+    next(results)
+    print(*(child.pid for child in active_children()), flush=True)
+    next(results)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.path.isdir("/proc"), reason="looks for processes in /proc")
+def test_workers_end_with_a_killed_parent(tmp_path):
+    (tmp_path / "orphans.py").write_text(ORPHANS)
+    with subprocess.Popen([sys.executable, str(tmp_path / "orphans.py")], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        workers = parent.stdout.readline().split()
+        parent.kill()
+    assert len(workers) == 2
+    while any(os.path.exists(f"/proc/{pid}") and "Z" not in _state(pid) for pid in workers):
+        time.sleep(0.05)
+
+
+def _state(pid):
+    with contextlib.suppress(OSError), open(f"/proc/{pid}/stat") as file:
+        return file.read().rpartition(")")[2].split()[0]
+    return "Z"
 
 
 def test_a_termination_is_no_failure_of_the_work():

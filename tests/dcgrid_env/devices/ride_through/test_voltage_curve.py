@@ -11,6 +11,12 @@ from dcgrid_env.devices.ride_through.voltage_curve import CURVES, Elements, Ride
 FOR_GOOD = float("inf")
 
 
+def rides_through_s(curve, v_pu):
+    """The time for which a voltage is ridden through, s, as the timers of devices see it."""
+    elements = Elements((curve, RideThroughCurve(under=((0.5, 1.0),))))
+    return np.where(elements.sign * v_pu < elements.threshold, elements.time_s, np.inf).min(-1)[0]
+
+
 @pytest.mark.parametrize(
     ("name", "v_pu", "time_s"),
     [
@@ -36,22 +42,14 @@ FOR_GOOD = float("inf")
     ],
 )
 def test_a_named_curve_has_the_published_figures(name, v_pu, time_s):
-    assert CURVES[name].rides_through_s(v_pu) == time_s
+    assert rides_through_s(CURVES[name], v_pu) == time_s
 
 
 @pytest.mark.parametrize("name", CURVES)
 def test_no_voltage_is_ridden_through_longer_than_one_nearer_to_nominal(name):
-    times = [CURVES[name].rides_through_s(v) for v in np.linspace(0.0, 2.0, 401)]
+    times = [rides_through_s(CURVES[name], v) for v in np.linspace(0.0, 2.0, 401)]
     assert all(a <= b for a, b in pairwise(times[:201]))
     assert all(a >= b for a, b in pairwise(times[200:]))
-
-
-@pytest.mark.parametrize("name", CURVES)
-def test_elements_say_what_the_curve_says(name):
-    elements = Elements((CURVES[name], RideThroughCurve(under=((0.5, 1.0),))))
-    for v_pu in np.linspace(0.0, 1.5, 301):
-        picked_up = elements.sign * v_pu < elements.threshold
-        assert np.where(picked_up, elements.time_s, np.inf).min(-1)[0] == CURVES[name].rides_through_s(v_pu)
 
 
 def test_the_plain_form_is_the_name_or_the_tables():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dcgrid_env import Scenario, action_layout, make_scenario
-from dcgrid_env.core.units import S_BASE_KVA
 from dcgrid_env.engine import simulation as simulations
 from dcgrid_env.engine.cost import difference
 from dcgrid_env.engine.family_simulation import simulation as simulation_of
 from dcgrid_env.engine.simulation import Simulation, Transition, difference_scale
+from dcgrid_env.grid.per_unit import S_BASE_KVA
 from dcgrid_env.scenario.costs import difference_reward
 from helpers.forms import each_preset
 

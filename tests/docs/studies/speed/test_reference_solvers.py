@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import Feeder, distflow, load_feeder
-from dcgrid_env.core.install import from_clone
+from dcgrid_env.core.suggestions import from_clone
 from docs.studies.speed.reference_solvers import REFERENCE_SOLVERS, ReferenceSolver, missing
 
 N_ROW = 6

@@ -3,7 +3,7 @@
 import pytest
 
 from dcgrid_env import load_feeder
-from dcgrid_env.core.units import S_BASE_KVA, impedance_base_ohm
+from dcgrid_env.grid.per_unit import S_BASE_KVA, impedance_base_ohm
 
 
 @pytest.mark.parametrize("base_kv", [0.4, 1.0, 4.16, 12.66, 110.0])

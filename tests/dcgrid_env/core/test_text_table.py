@@ -5,8 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from dcgrid_env.core.columns import fit, folded, longest_piece
-from dcgrid_env.core.text_table import Table
+from dcgrid_env.core.text_table import Table, fit, folded, longest_piece
 
 NAMES = ("none", "droop-q", "droop-one-step", "constant-q-tuned", "results/train/ieee33-weak-ppo-0", "mine.py:Ctrl")
 TABLE = Table(
