@@ -282,7 +282,7 @@ def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], v
                 validated = validate(policy)
                 if cfg.limits.merit(validated) < best:
                     best = cfg.limits.merit(validated)
-                    run.keep(policy, validated["J"], validate.scenarios[0])
+                    run.keep(policy, validated["J"])
                 run.record(validated | figures | model.progress() | stepped(grids, cfg.num_envs, iteration))
                 text = f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}"
             if iteration % cfg.checkpoint_every == 0 or iteration == iterations:

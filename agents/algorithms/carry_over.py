@@ -34,8 +34,6 @@ from dcgrid_env.agents.training.torch_modules import Perceptron, forgiving_clip
 from dcgrid_env.agents.training.validation import made_with
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 
-LAW = "model-aided"
-"""Name of the law that the networks correct."""
 _NORMALISED_ON = 16
 """Number of scenarios for input normalisation: the last ones of a training seed, which training does not use."""
 _OF_A_SEED = 1 << 24
@@ -219,7 +217,7 @@ def _train(cfg: CarryOver, run: Run, networks: Corrections, judge: HeldOut) -> P
                 validated = judge(judged)  # pyright: ignore[reportArgumentType] (a mapping in all but name)
                 if validated["J"] < best:
                     best = float(validated["J"])  # a number that a checkpoint may contain
-                    run.keep(judged.policy(), best, drawn_scenario("validation", 0), LAW)
+                    run.keep(judged.policy(), best)
                 run.record(validated | figures | {"env_steps": update * cfg.feeders * cfg.num_envs * cfg.steps})
                 text = f"J {validated['J']:.4f}, law {validated['J_law']:.4f}"
             if update % cfg.checkpoint_every == 0 or update == cfg.updates:

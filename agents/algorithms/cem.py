@@ -184,7 +184,7 @@ def _train(cfg: Cem, run: Run, search: Search, validate: Validation) -> Path:
                 validated = validate(policy)
                 if validated["J"] < best:
                     best = validated["J"]
-                    run.keep(policy, best, validate.scenarios[0])
+                    run.keep(policy, best)
                 run.record(validated | figures | stepped([search.grid], cfg.num_envs, iteration))
                 text = f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}"
             if iteration % cfg.checkpoint_every == 0 or iteration == cfg.iterations:

@@ -127,8 +127,7 @@ class Stages(BaseCallback):
     def __init__(self, run: Run, envs: RowVecEnv, model: BaseAlgorithm):
         super().__init__()
         self.run, self.envs, self.cfg = run, envs, run.config
-        (self.scenario,) = run.scenarios
-        self.validate = Validation([self.scenario], self.cfg.validation_episodes)
+        self.validate = Validation(run.scenarios, self.cfg.validation_episodes)
         self.rows_per_step = envs.rows_per_env / envs.rows.action_repeat
         """Steps as Stable-Baselines3 counts them for each step of an environment."""
         self.stage, self.best, self.spent_s = 0, math.inf, np.zeros(3)
@@ -179,7 +178,7 @@ class Stages(BaseCallback):
         figures = self.validate(policy)
         if figures["J"] < self.best:
             self.best = figures["J"]
-            run.keep(policy, self.best, self.scenario)
+            run.keep(policy, self.best)
         self.spent_s += (self.envs.physics_s, learning_s, time.perf_counter() - began_s)
         run.record(figures | {"J_best": self.best, "env_steps": run.step} | logged | self.timing)
         run.save(

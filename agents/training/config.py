@@ -48,9 +48,6 @@ class Training:
     """Number of episodes of the validation split on which a policy is evaluated."""
     validate_every: int = 10
     """Iterations between validations; an iteration is a batch of complete episodes."""
-    replay: bool = True
-    """Write replay.html whenever the best policy improves: the first validation episode under this policy and under the
-    baseline of the validation. Needs the extra replay. It does not affect the training."""
     threads: int = 1
     """Number of torch threads. More threads help small networks little and slow them down when other processes run."""
 
@@ -117,7 +114,7 @@ class NetworkTraining(Training):
     """Iterations between checkpoints."""
 
 
-FREE = ("out", "resume", "replay")
+FREE = ("out", "resume")
 """Configuration fields that do not affect the result; a resumed run may change them."""
 RENAMED: dict[str, str] = {"lanes": "num_envs"}
 """Old names of configuration fields, as earlier runs may have stored them, and their current names."""

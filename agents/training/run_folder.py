@@ -5,7 +5,6 @@ curve.csv          a row for each record: step and measurements; only times and 
 events.out.*       the same data for TensorBoard
 checkpoint.pt      tensors and plain numbers, read with ``weights_only=True``, so loading does not run code
 policy.*           the best policy on the validation split so far, with its card
-replay.html        the first validation episode under this policy
 """
 
 from __future__ import annotations
@@ -33,9 +32,7 @@ from dcgrid_env.agents.policy.card import Card
 from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
-from dcgrid_env.agents.training.best_replay import BestReplay
 from dcgrid_env.agents.training.config import FREE, Training, stored_config
-from dcgrid_env.baselines.score import REFERENCE
 from dcgrid_env.core.compiled import compiling_s
 from dcgrid_env.core.files import clear_parts, naming, new_folder, require_space, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
@@ -58,24 +55,6 @@ def device_of(name: str) -> torch.device:
 
 class TrainingError(RuntimeError):
     """Report a run that cannot start or continue; the message names file, field, value and remedy."""
-
-
-class Diverged(TrainingError):
-    """Report a training with infinite or NaN values."""
-
-
-_watchers: list[Callable[[Mapping[str, float]], None]] = []
-"""Functions that are called with the results of each validation in this process."""
-
-
-@contextmanager
-def watched(watcher: Callable[[Mapping[str, float]], None]) -> Iterator[None]:
-    """Call ``watcher`` with the results of each validation in the block; an exception from it ends the training."""
-    _watchers.append(watcher)
-    try:
-        yield
-    finally:
-        _watchers.remove(watcher)
 
 
 @contextmanager
@@ -127,7 +106,6 @@ class Run:
         self._before_s = 0.0
         self._began_s = time.perf_counter()
         self._writer: SummaryWriter | None = None
-        self._replay = BestReplay(folder, config) if config.replay else None
         about = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         about["scenario_hashes"] = [scenario_hash(scenario) for scenario in scenarios]
         if (folder / "config.json").exists():
@@ -200,41 +178,25 @@ class Run:
         for name, value in row.items():
             self._writer.add_scalar(name, value, self.step)
         self._writer.flush()
-        for watcher in tuple(_watchers):
-            watcher(row)
 
-    def keep(self, policy: Policy, validation_j: float, scenario: Scenario, reference: str = REFERENCE) -> None:
-        """Save the best policy so far, with its card and a replay of an episode.
-
-        Parameters
-        ----------
-        policy
-            The policy.
-        validation_j
-            Its mean J on validation.
-        scenario
-            First validation scenario; the replay shows its episode of seed 0.
-        reference
-            Name of the controller with which the validation compares the policy, and the replay too.
-        """
+    def keep(self, policy: Policy, validation_j: float) -> None:
+        """Save the best policy so far, with its mean J on validation on its card."""
         card = {"algorithm": self.config.algorithm(), "seed": self.config.seed, "training_s": self.seconds}
         policy.save(self.folder / f"policy{SUFFIX}", card | {"validation_J": validation_j})
-        if self._replay is not None:
-            self._replay.write(policy, scenario, reference)
 
     def require_finite(self, what: str, tensors: Iterable[torch.Tensor]) -> None:
         """Raise TrainingError, with the step and the last checkpoint, unless all values are finite."""
         if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
             raise self.diverged(what)
 
-    def diverged(self, what: str) -> Diverged:
+    def diverged(self, what: str) -> TrainingError:
         """Return the error for values that are not finite."""
         checkpoint = (
             f"the checkpoint in {self.checkpoint_path} is from before"
             if self.checkpoint_path.exists()
             else "no checkpoint yet"
         )
-        return Diverged(
+        return TrainingError(
             f"training diverged at step {self.step}: {what} not finite; {checkpoint}; try a lower learning rate"
         )
 

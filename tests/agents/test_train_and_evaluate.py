@@ -44,7 +44,6 @@ def module(monkeypatch):
     made.main = lambda cfg: seen.append(cfg) or "run"  # type: ignore[attr-defined]
     made.seen = seen = []  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, made.__name__, made)
-    monkeypatch.setattr("dcgrid_env.agents.training.run_report.write_report", lambda *_: None)
     return made
 
 

@@ -19,8 +19,6 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "episodes": (1, MOST_EPISODES),
     "samples": (1, MOST_SAMPLES),
     "horizon": (1, 100_000_000),
-    "trials": (1, 100_000),
-    "batch": (1, MOST_WORKERS),
     "workers": (1, MOST_WORKERS),
     "seeds": (1, 10_000),
     "seed": _ANY_SEED,
