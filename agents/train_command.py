@@ -14,6 +14,8 @@ from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
 from dcgrid_command.command_table import COMMANDS
+from dcgrid_env.agents import Card
+from dcgrid_env.agents.training.config import settings
 from dcgrid_env.core.commands.command import GOES_ON, Command
 from dcgrid_env.core.commands.option_limits import check_limit
 from dcgrid_env.core.commands.options import parsed
@@ -129,8 +131,7 @@ class Seeds(Command):
 
     def run(self) -> None:
         """Train the remaining seeds and print the validation cost of each; raise ValueError if a seed fails."""
-        from dcgrid_env.agents import Card
-        from dcgrid_env.agents.training.training_runs import train_all, train_seed, words_of
+        from dcgrid_env.agents.training.training_runs import train_all, words_of
 
         where, first = place(self.workers, self.ray), self.configurations[0]
         if line := shipped_settings(first):
@@ -138,7 +139,7 @@ class Seeds(Command):
         console, failures = plain_console(), {}
         with progress_bar(console) as progress:
             bar = progress.add_task("seeds", total=len(self.configurations))
-            for configuration, failure in train_all(self.configurations, where, train_seed, words_of):
+            for configuration, failure in train_all(self.configurations, where, words_of):
                 if failure is not None:
                     failures[configuration.seed] = failure
                 progress.advance(bar)
@@ -195,8 +196,6 @@ ALGORITHMS = {
 
 def shipped_settings(configuration: Any) -> str:
     """Return a line with the settings that come from the bundled ones for the scenario; empty if none do."""
-    from dcgrid_env.agents.training.preset_settings import settings
-
     name = configuration.algorithm()
     if configuration.view != type(configuration).view:
         return ""

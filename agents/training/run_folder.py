@@ -15,25 +15,19 @@ import io
 import json
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TextIO
 
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from dcgrid_env import Scenario, scenario_hash
-from dcgrid_env.agents.policy.card import Card
-from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
 from dcgrid_env.agents.training.config import FREE, Training, stored_config
-from dcgrid_env.core.compiled import compiling_s
 from dcgrid_env.core.files import clear_parts, naming, new_folder, require_space, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
 
@@ -219,16 +213,6 @@ def _write_row(file: TextIO, row: Mapping[str, float], with_header: bool) -> Non
     writer.writerow(["" if math.isnan(value) else repr(value) for value in row.values()])
 
 
-def finish(run: Run, scenarios: Sequence[Scenario] = ()) -> None:
-    """Add the duration of the run and the range of the inputs to the best policy's card.
-
-    ``scenarios`` are the training scenarios, if they include more than the validation scenarios, such as variants.
-    """
-    path = run.folder / "policy.json"
-    inputs = recorded(Policy.load(path.with_suffix(SUFFIX)), scenarios or run.scenarios)
-    dataclasses.replace(Card.load(path), training_s=run.seconds, inputs=inputs).save(path)
-
-
 def read_curve(folder: Path) -> list[dict[str, float]]:
     """Return the rows of a learning curve; missing measurements are NaN, steps are integers."""
     path = folder / "curve.csv"
@@ -237,39 +221,3 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
     with path.open(newline="") as file:
         rows = [{name: float(value or "nan") for name, value in row.items()} for row in csv.DictReader(file)]
     return [row | {"step": int(row["step"])} for row in rows]
-
-
-@contextmanager
-def progress(description: str, total: int, done: int) -> Iterator[Callable[..., None]]:
-    """Show the progress of a training and yield ``advance(completed, text)``.
-
-    ``text`` has the figures of a validation. A terminal shows a bar with the last figures and the time left. Other
-    outputs, such as log files, receive a line for each validation.
-    """
-    console, began_s = Console(), _computing_s()
-    if not console.is_terminal:
-
-        def line(completed: int, text: str = "") -> None:
-            if text:
-                left_s = (_computing_s() - began_s) / max(1, completed - done) * (total - completed)
-                share = f"{100 * completed // total} % of {total} iterations"
-                print(f"{description}: {share}, {text}, {timedelta(seconds=round(left_s))} left", flush=True)
-
-        yield line
-        return
-    label, status = (TextColumn(form, markup=False) for form in ("{task.description}", "{task.fields[text]}"))
-    columns = (label, BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), status)
-    with Progress(*columns, console=console, get_time=_computing_s) as bar:
-        task = bar.add_task(description, total=total, completed=done, text="")
-
-        def advance(completed: int, text: str = "") -> None:
-            bar.update(task, completed=completed)
-            if text:
-                bar.update(task, text=text)
-
-        yield advance
-
-
-def _computing_s() -> float:
-    """Return a time, s, that excludes the compilation of kernels."""
-    return time.monotonic() - compiling_s()

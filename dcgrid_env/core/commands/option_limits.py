@@ -1,7 +1,7 @@
 """Least and largest value of every numeric option of the commands, one table for all.
 
 A command checks its options before it does anything, so a number with some digits too many takes no memory. The
-settings of trainings have their own table, ``agents.training.setting_bounds``.
+settings of trainings have their own table, ``agents.training.config``.
 """
 
 from __future__ import annotations
