@@ -6,9 +6,9 @@ back-propagation through time):
 
     loss = mean cost c_t over the window's steps and episodes  +  end-of-episode cost at the window's end / steps
 
-A limit on the delay or the violation multiplies its price by a factor that begins at 1, rises while the limit is
-exceeded and falls while it is kept: dual ascent as in C. Tessler, D. Mankowitz and S. Mannor, "Reward constrained
-policy optimization", arXiv 1805.11074.
+A limit on the delay or the violation multiplies its price by a factor. It begins at 1, rises while the limit is
+exceeded and falls while it is kept (dual ascent: C. Tessler, D. Mankowitz and S. Mannor, "Reward constrained policy
+optimization", arXiv 1805.11074).
 
 Each kind of agent has one network. It uses local observations only, and its outputs are changes from the action that
 keeps the current state (``policy.interface``). Agents of one kind differ only in their electrical distance R_ii, X_ii

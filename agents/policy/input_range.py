@@ -78,7 +78,7 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
     """Return the range of each network's inputs, with the nameplate inputs, on the training split.
 
     None for a policy that is given a model of the feeder: its inputs are figures of a law, the same on any feeder.
-    Raises ValueError if there is no scenario.
+    Raises ValueError without a scenario.
 
     Parameters
     ----------
