@@ -6,24 +6,29 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from dcgrid_env import Scenario, scenario_hash
+from dcgrid_env.agents import Policy, evaluate, find_controller
+from dcgrid_env.agents.policy.card import Scored
+from dcgrid_env.baselines import Controller
+from dcgrid_env.baselines.carried import carried
+from dcgrid_env.baselines.file_names import file_name
+from dcgrid_env.baselines.model_based.hindsight import hindsight
+from dcgrid_env.baselines.offline_data.behaviour import Planned, RandomActions
+from dcgrid_env.baselines.offline_data.joint_episodes import JointEpisode, joint_episodes
 from dcgrid_env.baselines.registry import tuned_from
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.tuning.tuned import require_tuned
 from dcgrid_env.core.commands.progress import progress_bar
 from dcgrid_env.core.commands.settings import Overrides, check_folder
 from dcgrid_env.core.commands.terminal import plain_console, say
 from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.versions import meta, versions
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from dcgrid_env import Scenario
-    from dcgrid_env.agents.policy.card import Scored
-    from dcgrid_env.baselines import Controller
-    from dcgrid_env.baselines.offline_data.joint_episodes import JointEpisode
-    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-    from dcgrid_env.core.work.unit import Place
+from dcgrid_env.core.work.unit import Place, Unit
+from dcgrid_env.engine.exogenous.trace_pool import trace_pool
 
 SPLITS = ("train", "validation")
 """Splits that data may come from; the other splits are reserved for evaluation."""
@@ -72,7 +77,6 @@ class Dataset(OverWorkers):
     def run(self) -> None:
         """Run and write; raise ValueError before writing if a setting is invalid."""
         from dcgrid_env.baselines.offline_data.minari_writer import CARD, dataset_id, default_root, new_dataset
-        from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
         _check(self)
         place, spec = self.place, ScenarioSpec(self.scenario, self.set)
@@ -102,7 +106,6 @@ class Dataset(OverWorkers):
 def _check(cfg: Dataset) -> None:
     """Raise ValueError if a setting is invalid."""
     from dcgrid_env.baselines.offline_data.minari_writer import require_minari
-    from dcgrid_env.baselines.tuning.tuned import require_tuned
 
     if cfg.split not in SPLITS:
         raise ValueError(
@@ -125,8 +128,6 @@ def _check(cfg: Dataset) -> None:
 
 def _name(cfg: Dataset) -> str:
     """Return the default name of the data set, unique within its scenario."""
-    from dcgrid_env.baselines.file_names import file_name
-
     noise = f"-noise-{cfg.noise:g}".replace(".", "_") if cfg.noise else ""
     return "-and-".join(map(file_name, cfg.controllers)) + noise + ("" if cfg.split == SPLITS[0] else f"-{cfg.split}")
 
@@ -137,7 +138,6 @@ def _behaviour(cfg: Dataset) -> str:
 
 def _episodes(cfg: Dataset, spec: ScenarioSpec, scenario: Scenario, place: Place) -> Iterator[list[JointEpisode]]:
     """Run the episodes in batches, each episode under the controller whose turn it is."""
-    from dcgrid_env.baselines.offline_data.joint_episodes import joint_episodes
     from dcgrid_env.baselines.offline_data.minari_writer import batches
 
     names = cfg.controllers
@@ -156,13 +156,6 @@ def _controller(
     cfg: Dataset, name: str, spec: ScenarioSpec, scenario: Scenario, seeds: Sequence[int], place: Place
 ) -> Controller:
     """Return the controller of this name for the episodes of these seeds."""
-    import numpy as np
-
-    from dcgrid_env.agents import find_controller
-    from dcgrid_env.baselines.carried import carried
-    from dcgrid_env.baselines.offline_data.behaviour import Planned, RandomActions
-    from dcgrid_env.core.work.unit import Unit
-
     if name == RANDOM:
         return RandomActions(seeds, cfg.behaviour_seed)
     if name != HINDSIGHT:
@@ -176,15 +169,11 @@ def _controller(
 
 def _planned(spec: ScenarioSpec, split: str, seed: int) -> np.ndarray:
     """Return the perfect-foresight actions in the episode of a seed, (T, n_action)."""
-    from dcgrid_env.baselines.model_based.hindsight import hindsight
-
     return hindsight(spec.make(split), seed).actions
 
 
 def _card(cfg: Dataset, scenario: Scenario, name: str, costs: Sequence[float]) -> dict[str, Any]:
     """Return the contents of card.json."""
-    from dcgrid_env import scenario_hash
-
     return {
         "format": 1,
         "id": name,
@@ -208,8 +197,6 @@ def _card(cfg: Dataset, scenario: Scenario, name: str, costs: Sequence[float]) -
 
 def _droop(cfg: Dataset, scenario: Scenario) -> float | None:
     """Return the mean J of the tuned droop on the same episodes; None if it has no gains for the scenario."""
-    from dcgrid_env.agents import evaluate, find_controller
-
     try:
         droop = find_controller(DROOP, scenario, cfg.tuned)
     except ValueError:
@@ -235,9 +222,6 @@ def _score(cfg: Dataset, scenario: Scenario) -> dict[str, Any]:
 
 def _scored(cfg: Dataset, scenario: Scenario) -> Scored | None:
     """Return the score on the scenario from a policy's card; None if there is none."""
-    from dcgrid_env import scenario_hash
-    from dcgrid_env.agents import Policy, find_controller
-
     policy = find_controller(cfg.controller, scenario, cfg.tuned)
     if not isinstance(policy, Policy):
         return None
@@ -249,8 +233,6 @@ def _scored(cfg: Dataset, scenario: Scenario) -> Scored | None:
 
 def _traces(scenario: Scenario) -> list[dict[str, Any]]:
     """Return the sources of the data centres' load without duplicates: generator, or licence and citation."""
-    from dcgrid_env.engine.exogenous.trace_pool import trace_pool
-
     found: list[dict[str, Any]] = []
     for provenance in trace_pool(scenario).provenance:
         record = {key: value for key, value in provenance.record().items() if key != "seed"}

@@ -6,32 +6,35 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import tyro
+from rich.console import Console
 
+from dcgrid_env import METRICS, PRESETS, Scenario, metrics_in
+from dcgrid_env.agents import Evaluation, evaluate, find_controller
+from dcgrid_env.agents.controllers import trained_on
 from dcgrid_env.agents.export_sb3_command import SUFFIX as SB3
+from dcgrid_env.agents.policy.guard import guard_line
+from dcgrid_env.agents.training.config import stored_config
+from dcgrid_env.baselines import Controller, Published, published
+from dcgrid_env.baselines.evaluation import below_static, headroom_lines
 from dcgrid_env.baselines.hindsight_command import kept_episodes, solve_missing
-from dcgrid_env.baselines.registry import tuned_from
+from dcgrid_env.baselines.hindsight_costs import FOLDER
+from dcgrid_env.baselines.model_based.hindsight import effort_of, hindsight
+from dcgrid_env.baselines.registry import controller_file, require_known, split_prefix, tuned_from
 from dcgrid_env.baselines.runs import draw_first
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
+from dcgrid_env.baselines.score import REFERENCE, SAVED, Score, saved_pct, static_rules
+from dcgrid_env.baselines.tuning.tuned import require_tuned
+from dcgrid_env.baselines.user_code import parse
 from dcgrid_env.core.commands.command import GOES_ON
 from dcgrid_env.core.commands.opening import offer
 from dcgrid_env.core.commands.settings import Overrides, check_folder
 from dcgrid_env.core.commands.terminal import plain_console, say
 from dcgrid_env.core.commands.workers import OverWorkers
 from dcgrid_env.core.suggestions import from_clone
-from dcgrid_env.core.user_files import read_json
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from dcgrid_env import Scenario
-    from dcgrid_env.agents import Evaluation
-    from dcgrid_env.baselines import Controller, Published
-    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-    from dcgrid_env.baselines.score import Score
-    from dcgrid_env.core.text_table import Table
-    from dcgrid_env.core.work.unit import Place
+from dcgrid_env.core.text_table import Table
+from dcgrid_env.core.work.unit import Place
 
 
 @dataclass(frozen=True)
@@ -78,13 +81,6 @@ class Evaluate(OverWorkers):
 
     def run(self) -> None:
         """Run the episodes, print the table and remarks; raise ValueError if a setting is invalid."""
-        from dcgrid_env.agents import evaluate, find_controller
-        from dcgrid_env.baselines import published
-        from dcgrid_env.baselines.evaluation import headroom_lines
-        from dcgrid_env.baselines.hindsight_costs import FOLDER
-        from dcgrid_env.baselines.score import REFERENCE, static_rules
-        from dcgrid_env.baselines.tuning.tuned import require_tuned
-
         require_tuned(self.tuned)
         place = self.place
         check_folder(self.out)
@@ -123,8 +119,6 @@ class Evaluate(OverWorkers):
 
 def _zipped(policy: str) -> Path | None:
     """Return the Stable-Baselines3 zip that a policy name or its folder refers to; None for anything else."""
-    from dcgrid_env.baselines.registry import controller_file, split_prefix
-
     before, inner = split_prefix(policy)
     file = None if before else controller_file(inner)  # a zip cannot be guarded
     return file if file is not None and file.suffix == SB3 else None
@@ -141,17 +135,12 @@ def _sb3(file: Path) -> Controller:
 
 def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     """Return the scenario of the command line or of the policy's training; raise ValueError if there is neither."""
-    from dcgrid_env import PRESETS
-    from dcgrid_env.agents.controllers import trained_on
-    from dcgrid_env.baselines.registry import controller_file, require_known, split_prefix
-    from dcgrid_env.baselines.scenario_spec import ScenarioSpec
-
     if cfg.scenario is not None:
         return ScenarioSpec(cfg.scenario, cfg.set)
     _, inner = split_prefix(cfg.policy)
     file = controller_file(inner)
     if file is not None and Path(inner).is_dir():
-        where, overrides = _of_training(Path(inner) / "config.json", cfg.trust)
+        where, overrides = _of_training(Path(inner), cfg.trust)
         if where and "," not in where:
             return ScenarioSpec(where, (*overrides, *cfg.set))
     where = trained_on(cfg.policy)
@@ -163,41 +152,27 @@ def _scenario_of(cfg: Evaluate) -> ScenarioSpec:
     return ScenarioSpec(where, cfg.set)
 
 
-def _of_training(config: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
+def _of_training(folder: Path, trust: bool) -> tuple[str, tuple[str, ...]]:
     """Return scenario and overrides of a training run, empty if it has no such file.
 
     Raises ValueError if the file is invalid, or names a scenario that is code and ``trust`` is not set.
     """
-    from dcgrid_env.baselines.user_code import parse
-
-    if not config.is_file():
-        return "", ()
-    try:
-        trained = read_json(config, ValueError, "repeat the training")
-        where, overrides = trained.get("scenario", ""), tuple(trained.get("set", ()))
-        if not all(isinstance(word, str) for word in (where, *overrides)):
-            raise TypeError("scenario and set must be text")
-    except (ValueError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"{config}: must be a file of dcgrid train ({type(error).__name__}: {error}); pass --scenario and the "
-            "policy file"
-        ) from None
+    trained, config = stored_config(folder) or {}, folder / "config.json"
+    where, overrides = trained.get("scenario", ""), trained.get("set", [])
+    if not isinstance(overrides, list) or not all(isinstance(word, str) for word in (where, *overrides)):
+        raise ValueError(f"{config}: scenario and set must be text; pass --scenario and the policy file")
     if where and parse(where) is not None and not trust:
         raise ValueError(
             f"{config}: scenario must not be code unless trusted, got {where!r}; pass it with --scenario, or add "
             "--trust if you trust the author of the folder"
         )
-    return where, overrides
+    return where, tuple(overrides)
 
 
 def _scores(
     evaluations: Mapping[str, Evaluation], cfg: Evaluate, spec: ScenarioSpec, place: Place, console: Console
 ) -> tuple[dict[str, Score], str | None]:
     """Return scores by controller, or the reason why there are none; solve missing episodes with --hindsight."""
-    from dcgrid_env.baselines import published
-    from dcgrid_env.baselines.hindsight_costs import FOLDER
-    from dcgrid_env.baselines.score import REFERENCE
-
     if REFERENCE not in evaluations:
         return {}, f"no score: it needs {REFERENCE} as the baseline"
     droop = evaluations[REFERENCE]
@@ -222,8 +197,6 @@ def _missing(costs: Published | None, seeds: Sequence[int]) -> list[int]:
 
 def _offer(scenario: Scenario, missing: Sequence[int], n: int, workers: int, console: Console) -> str:
     """Return why the score is missing and how long --hindsight would take, estimated from one linear program."""
-    from dcgrid_env.baselines.model_based.hindsight import effort_of, hindsight
-
     with console.status("estimating the time for hindsight"):
         began_s = time.perf_counter()
         hindsight(scenario, missing[0], rounds=1)
@@ -246,10 +219,6 @@ def _duration(seconds: float) -> str:
 
 def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Score], title: str) -> Table:
     """Return the table with one column per controller."""
-    from dcgrid_env import metrics_in
-    from dcgrid_env.baselines.score import REFERENCE, SAVED, saved_pct
-    from dcgrid_env.core.text_table import Table
-
     rows = []
     if scores:
         for i, label in enumerate(("score", "95 % interval: from", "to")):
@@ -264,11 +233,6 @@ def table(evaluations: Mapping[str, Evaluation], scores: Mapping[str, Score], ti
 
 def remarks(policy: str, evaluations: Mapping[str, Evaluation]) -> list[str]:
     """Return warnings: a longer delay than under the droop, and better results of rules that use no measurements."""
-    from dcgrid_env import METRICS
-    from dcgrid_env.agents.policy.guard import guard_line
-    from dcgrid_env.baselines.evaluation import below_static
-    from dcgrid_env.baselines.score import REFERENCE
-
     said, means = [], evaluations[policy].means
     delay = METRICS["delay_mean_s"]
     droop = evaluations[REFERENCE].means if REFERENCE in evaluations else means

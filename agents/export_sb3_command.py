@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tyro
 
+from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.commands.settings import Overrides
 from dcgrid_env.core.commands.terminal import plain_console, say
@@ -60,7 +61,6 @@ class ExportSb3(Command):
     def _run(self) -> None:
         from dcgrid_env.agents.from_sb3.sb3_policy import as_policy, named_scenario
         from dcgrid_env.agents.from_sb3.sb3_zip import read_actor
-        from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
         actor, normalisation = read_actor(self.model), None
         where = self.scenario or named_scenario(actor.form)

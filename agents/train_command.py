@@ -10,29 +10,26 @@ import dataclasses
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import ModuleType
 from typing import Any, get_args, get_type_hints
 
 from dcgrid_command.command_table import COMMANDS
+from dcgrid_env.agents import Card
+from dcgrid_env.agents.training.config import settings
 from dcgrid_env.core.commands.command import GOES_ON, Command
-from dcgrid_env.core.commands.opening import offer
 from dcgrid_env.core.commands.option_limits import check_limit
 from dcgrid_env.core.commands.options import parsed
 from dcgrid_env.core.commands.progress import progress_bar
-from dcgrid_env.core.commands.terminal import plain_console, say, working
+from dcgrid_env.core.commands.terminal import plain_console, say
 from dcgrid_env.core.commands.workers import place
 from dcgrid_env.core.suggestions import from_clone
 
-OWN = {"--open": "opens", "--wandb": "wandb"}
-"""Options of the command in addition to an algorithm's configuration, and the fields that they set."""
 STABLE_BASELINES3 = ("ppo", "sac", "td3")
 """Algorithms of the module ``sb3``."""
 SEEDS = (
     "Further options: --seeds N trains N policies with the seeds SEED to SEED + N - 1, each in a separate folder. "
     "--workers sets how many run in parallel on this machine (default: one per core). --ray ADDRESS trains them on a "
-    "Ray cluster instead (auto, HOST:PORT or ray://HOST:PORT). --open opens the report at the end. --wandb also logs "
-    "to Weights & Biases."
+    "Ray cluster instead (auto, HOST:PORT or ray://HOST:PORT)."
 )
 """Help on the options that every algorithm has in addition to its configuration."""
 
@@ -83,12 +80,9 @@ class Algorithm:
         """
         algorithm = cls(prog.split()[-1])
         asked, words = _seeds(words)
-        single_options = {field: option in words for option, field in OWN.items()}
-        configuration = algorithm.configured([word for word in words if word not in OWN], prog)
+        configuration = algorithm.configured(words, prog)
         if asked.seeds is None:
-            return Training(algorithm.module(), configuration, **single_options)
-        if any(single_options.values()):
-            raise ValueError(f"seeds: must not be combined with {' or '.join(OWN)}; remove them, or remove --seeds")
+            return Training(algorithm.module(), configuration)
         configurations = tuple(of_seed(configuration, configuration.seed + i) for i in range(asked.seeds))
         return Seeds(configurations, asked.workers, asked.ray)
 
@@ -100,10 +94,6 @@ class Training(Command):
     module: ModuleType
     """Module of the algorithm."""
     configuration: Any
-    opens: bool = False
-    """Open the report at the end."""
-    wandb: bool = False
-    """Also log to Weights & Biases."""
 
     @property
     def resumes(self) -> str:
@@ -113,21 +103,14 @@ class Training(Command):
     def run(self) -> None:
         """Train; raise ValueError if the run cannot start or resume."""
         from dcgrid_env.agents.training.run_folder import TrainingError
-        from dcgrid_env.agents.training.run_report import REPORT, write_report
-        from dcgrid_env.agents.weights_and_biases import logged
 
         if line := shipped_settings(self.configuration):
             print(line)
         try:
-            with logged(self.configuration, self.wandb):
-                folder = self.module.main(self.configuration)
+            folder = self.module.main(self.configuration)
         except TrainingError as error:
             raise ValueError(error) from error
-        console, report = plain_console(), Path(folder) / REPORT
-        with working(console, "report"):
-            write_report([self.configuration], report)
-        say(console, f"score it: dcgrid evaluate {folder}; plot its curve: tensorboard --logdir {folder}")
-        offer(console, report, self.opens)
+        say(plain_console(), f"score it: dcgrid evaluate {folder}; plot its curve: tensorboard --logdir {folder}")
 
 
 @dataclass(frozen=True)
@@ -148,9 +131,7 @@ class Seeds(Command):
 
     def run(self) -> None:
         """Train the remaining seeds and print the validation cost of each; raise ValueError if a seed fails."""
-        from dcgrid_env.agents import Card
-        from dcgrid_env.agents.training.run_report import REPORT, write_report
-        from dcgrid_env.agents.training.training_runs import train_all, train_seed, words_of
+        from dcgrid_env.agents.training.training_runs import train_all, words_of
 
         where, first = place(self.workers, self.ray), self.configurations[0]
         if line := shipped_settings(first):
@@ -158,7 +139,7 @@ class Seeds(Command):
         console, failures = plain_console(), {}
         with progress_bar(console) as progress:
             bar = progress.add_task("seeds", total=len(self.configurations))
-            for configuration, failure in train_all(self.configurations, where, train_seed, words_of):
+            for configuration, failure in train_all(self.configurations, where, words_of):
                 if failure is not None:
                     failures[configuration.seed] = failure
                 progress.advance(bar)
@@ -173,14 +154,6 @@ class Seeds(Command):
         costs = [card.validation_J or 0.0 for card in cards.values()]
         best = folders[min(cards, key=lambda seed: cards[seed].validation_J or 0.0)]
         say(console, f"J {sum(costs) / len(costs):.4f} on average, {min(costs):.4f} to {max(costs):.4f}")
-        report = (
-            first.out.parent / REPORT if first.out else first.folder.with_name(f"{first.subject}-{first.kind}.html")
-        )
-        with working(console, "reports"):
-            for configuration in self.configurations:
-                write_report([configuration], configuration.folder / REPORT)
-            write_report(self.configurations, report)
-        say(console, f"wrote {report}, the report over the seeds")
         say(console, f"score the best on the test split: dcgrid evaluate {best}")
 
 
@@ -223,8 +196,6 @@ ALGORITHMS = {
 
 def shipped_settings(configuration: Any) -> str:
     """Return a line with the settings that come from the bundled ones for the scenario; empty if none do."""
-    from dcgrid_env.agents.training.preset_settings import settings
-
     name = configuration.algorithm()
     if configuration.view != type(configuration).view:
         return ""

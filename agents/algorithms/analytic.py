@@ -6,8 +6,9 @@ back-propagation through time):
 
     loss = mean cost c_t over the window's steps and episodes  +  end-of-episode cost at the window's end / steps
 
-A limit on the delay or the violation multiplies its price by a factor that is adapted during training
-(``training.limits``).
+A limit on the delay or the violation multiplies its price by a factor. It begins at 1, rises while the limit is
+exceeded and falls while it is kept (dual ascent: C. Tessler, D. Mankowitz and S. Mannor, "Reward constrained policy
+optimization", arXiv 1805.11074).
 
 Each kind of agent has one network. It uses local observations only, and its outputs are changes from the action that
 keeps the current state (``policy.interface``). Agents of one kind differ only in their electrical distance R_ii, X_ii
@@ -21,27 +22,62 @@ Reference: J. Xu et al., "Accelerated policy learning with parallel differentiab
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcgrid_env import Scenario, TensorEnv, TensorStep, TripWidths, end_costs, under_own_control
+from dcgrid_env import RandomFeeders, Scenario, TensorEnv, TensorStep, TripWidths, end_costs, under_own_control
+from dcgrid_env.agents.policy.history_network import outputs_of
 from dcgrid_env.agents.policy.interface import PolicyInterface, require_one_policy_fits
-from dcgrid_env.agents.policy.memory import outputs_of
 from dcgrid_env.agents.policy.policy import Policy
-from dcgrid_env.agents.training.config import NetworkTraining, check, trained_on
-from dcgrid_env.agents.training.episodes import check_batch, episode_seeds, windows
-from dcgrid_env.agents.training.gradient_overflow import without_overflow
-from dcgrid_env.agents.training.limits import Limits, updated_factor
-from dcgrid_env.agents.training.normalisation import normalisation, remembered_columns
-from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
-from dcgrid_env.agents.training.torch_modules import HistoryPerceptron, Perceptron, forgiving_clip
+from dcgrid_env.agents.training.config import NetworkTraining, check, scenarios, trained_on
+from dcgrid_env.agents.training.normalisation import episode_seeds, normalisation, remembered_columns
+from dcgrid_env.agents.training.run_folder import Run, device_of, open_run, torch
+from dcgrid_env.agents.training.torch_modules import (
+    HistoryPerceptron,
+    Perceptron,
+    cosine,
+    forgiving_clip,
+    without_overflow,
+)
+from dcgrid_env.agents.training.training_loop import train
 from dcgrid_env.agents.training.validation import Validation, made_with, stepped
-from dcgrid_env.agents.training.variants import scenarios, variant
+
+SMALLEST_FACTOR, LARGEST_FACTOR = 1e-3, 1e3
+
+
+class Limits(NamedTuple):
+    """Limits that a policy must meet while it minimises the other costs; None for no limit."""
+
+    delay_s: float | None
+    """Mean delay, s."""
+    violation_pu: float | None
+    """Mean excess of the voltage over the band, p.u."""
+
+    def merit(self, figures: Mapping[str, float]) -> float:
+        """Return the selection criterion, smallest for the best policy: J without limited costs, with a penalty."""
+        left, beyond = figures["J"], 0.0
+        if self.delay_s is not None:
+            left -= figures["J_waiting"]
+            beyond += max(figures["delay_mean_s"] / self.delay_s - 1.0, 0.0)
+        if self.violation_pu is not None:
+            left -= figures["J_violation"]
+            beyond += max(figures["excess_mean_pu"] / self.violation_pu - 1.0, 0.0)
+        return left * (1.0 + 10.0 * beyond)
+
+
+def updated_factor(factor: float, limit: float | None, measured: float, rate: float) -> float:
+    """Update a price factor in proportion to ``rate`` and the relative distance from its limit.
+
+    Without a limit the factor does not change.
+    """
+    if limit is None:
+        return factor
+    off = min(max(measured / limit - 1.0, -1.0), 1.0)
+    return min(max(factor * math.exp(rate * off), SMALLEST_FACTOR), LARGEST_FACTOR)
 
 
 @dataclass(frozen=True)
@@ -114,7 +150,6 @@ class Learner:
         self.interfaces = [PolicyInterface(grid, kind, **made_for) for grid in grids]
         require_one_policy_fits(self.interfaces)
         self.factors = {"delay": 1.0, "violation": 1.0}
-        self.spent_s = {"forward": 0.0, "backward": 0.0}
         torch.manual_seed(cfg.seed)
         self.memory: dict[str, tuple[torch.Tensor, ...]] = {}
         self.columns = remembered_columns(self.interfaces) if cfg.history else {}
@@ -146,7 +181,7 @@ class Learner:
         losses, norm, excess_pu = [], 0.0, 0.0
         waited, arrived = torch.zeros(2, cfg.num_envs, device=self.device)
         for size in windows(env.scenario.horizon, cfg.window):
-            began_s, total, step = time.perf_counter(), torch.zeros((), device=self.device), None
+            total, step = torch.zeros((), device=self.device), None
             for _ in range(size):
                 step = env.step(without_overflow(self.act(i, joint)))
                 joint = step.observation
@@ -156,8 +191,6 @@ class Learner:
                 excess_pu += float(step.costs.violation.detach().mean()) / (env.scenario.cost.weights.violation or 1.0)
             assert step is not None
             loss = (total + self._left(env, step)) / size
-            self.spent_s["forward"] += time.perf_counter() - began_s
-            began_s = time.perf_counter()
             self.optimiser.zero_grad()
             loss.backward()
             norm = float(torch.nn.utils.clip_grad_norm_(self.networks.parameters(), cfg.max_grad_norm))
@@ -169,7 +202,6 @@ class Learner:
             joint = joint.detach()
             self.memory = {name: tuple(a.detach() for a in state) for name, state in self.memory.items()}
             losses.append(float(loss.detach()))
-            self.spent_s["backward"] += time.perf_counter() - began_s
         delay_s = float((waited / arrived.clamp(min=1e-9)).mean())  # of each episode, as it is judged
         measured = {"delay": delay_s, "violation": excess_pu / env.scenario.horizon}
         for name, limit in zip(measured, cfg.limits, strict=True):
@@ -203,15 +235,19 @@ class Learner:
         interface = self.interfaces[i]
         return interface.action(joint, outputs_of(self.networks, interface.inputs(joint), self.memory))  # pyright: ignore
 
-    def set_rate(self, learning_rate: float) -> None:
-        """Set the learning rate of the optimiser."""
-        for group in self.optimiser.param_groups:
-            group["lr"] = learning_rate
+    @property
+    def iterations(self) -> int:
+        """Batches of episodes in the training."""
+        each = np.mean([len(windows(env.scenario.horizon, self.cfg.window)) for env in self.envs])
+        return max(1, round(self.cfg.updates / each))
 
-    def progress(self) -> dict[str, float]:
-        """Return price factors and computing times for the learning curve."""
-        factors = {f"{name}_factor": value for name, value in self.factors.items()}
-        return factors | {f"{name}_s": value for name, value in self.spent_s.items()}
+    def iterate(self, iteration: int, run: Run) -> dict[str, float]:
+        """Train on a batch of episodes of the next grid, and return figures for the learning curve."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = cosine(self.cfg.learning_rate, iteration, self.iterations)
+        figures = self.episodes((iteration - 1) % len(self.envs), iteration, run.require_finite)
+        figures |= {f"{name}_factor": value for name, value in self.factors.items()}
+        return figures | stepped([env.scenario for env in self.envs], self.cfg.num_envs, iteration)
 
     def state(self) -> dict[str, Any]:
         """Return the state from which training can continue."""
@@ -219,14 +255,13 @@ class Learner:
             "networks": self.networks.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "factors": self.factors,
-            "spent_s": self.spent_s,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore a state that ``state()`` returned."""
         self.networks.load_state_dict(state["networks"])
         self.optimiser.load_state_dict(state["optimiser"])
-        self.factors, self.spent_s = state["factors"], state["spent_s"]
+        self.factors = state["factors"]
 
     def policy(self) -> Policy:
         """Return the current policy as NumPy arrays."""
@@ -237,9 +272,54 @@ class Learner:
         )  # fmt: skip
 
 
-def check_settings(cfg: Analytic) -> None:
-    """Raise ValueError with the field's name if a setting is invalid."""
-    check(cfg)
+def variant(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    """Return the scenario with other placements, ratings and substation voltage.
+
+    Data centres are placed at random in each episode, with 0.5 to 1.1 times their rating. Inverters are placed at other
+    load buses, with 0.5 to 2 times their rating. The substation voltage changes by up to 0.01 p.u.
+    """
+    if isinstance(scenario.feeder, RandomFeeders):
+        raise ValueError(f"vary: {scenario.name} has another feeder in each batch by itself; leave vary out")
+    feeder, n_inv = scenario.feeder, scenario.inverters.count
+    load_kw = np.bincount(feeder.node_bus[feeder.leg_node], feeder.p_load_kw, feeder.n_bus)
+    loaded = [bus for i, bus in enumerate(feeder.bus_ids) if load_kw[i] > 0 and _has_phases(scenario, i)][1:]
+    chosen = rng.choice(len(loaded), n_inv, replace=False)
+    return scenario.replace(
+        datacenters={
+            "buses": None,
+            "p_rated_kw": tuple(
+                scenario.datacenters.parameters.p_rated_kw * rng.uniform(0.5, 1.1, scenario.datacenters.count)
+            ),
+        },
+        inverters={
+            "buses": tuple(loaded[i] for i in sorted(chosen)),
+            "s_rated_kva": tuple(scenario.inverters.parameters.s_rated_kva * rng.uniform(0.5, 2.0, n_inv)),
+        },
+        source_voltage_pu=float(scenario.source_voltage_pu + rng.uniform(-0.01, 0.01)),
+    )
+
+
+def _has_phases(scenario: Scenario, position: int) -> bool:
+    """Whether the bus at a position has all phases that inverters of the scenario are connected to."""
+    needed = {phase for phases in scenario.inverters.phases or () for phase in phases}
+    return not needed or needed <= set(scenario.feeder.bus_phases[position])
+
+
+def check_batch(scenarios: Sequence[Scenario], num_envs: int) -> None:
+    """ValueError, naming the field, unless a batch of episodes is on one feeder where feeders are random."""
+    for scenario in scenarios:
+        if isinstance(scenario.feeder, RandomFeeders) and scenario.feeder.batch % num_envs:
+            batch = scenario.feeder.batch
+            raise ValueError(
+                f"num_envs is {num_envs}; {scenario.name} has another feeder after each {batch} episodes, and "
+                f"gradients are of one feeder at a time: give {batch} or a divisor of it"
+            )
+
+
+def windows(horizon: int, window: int) -> list[int]:
+    """Lengths of an episode's windows, as equal as they come and about as long as asked."""
+    n = max(1, round(horizon / window))
+    return [(horizon * (k + 1)) // n - (horizon * k) // n for k in range(n)]
 
 
 def grids_of(cfg: Analytic) -> list[Scenario]:
@@ -252,7 +332,7 @@ def grids_of(cfg: Analytic) -> list[Scenario]:
 
 def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     """Train a policy and return the output folder."""
-    check_settings(cfg)
+    check(cfg)
     torch.set_num_threads(cfg.threads)
     grids = grids_of(cfg)
     if cfg.violation_limit_pu is not None and not all(grid.cost.weights.violation > 0 for grid in grids):
@@ -261,33 +341,6 @@ def main(cfg: Analytic, learner: type[Learner] = Learner) -> Path:
     judged_on = scenarios(cfg.scenario, cfg.set, "validation")
     validate = Validation(judged_on, cfg.validation_episodes)
     with open_run(cfg.folder, cfg, cfg.resume, judged_on) as run:
-        return _train(cfg, run, model, grids, validate)
-
-
-def _train(cfg: Analytic, run: Run, model: Learner, grids: Sequence[Scenario], validate: Validation) -> Path:
-    """Train a model on its grids, from the checkpoint of the run if it has one, and return the output folder."""
-    each = np.mean([len(windows(grid.horizon, cfg.window)) for grid in grids])
-    iterations = max(1, round(cfg.updates / each))
-    best, done, state = math.inf, 0, run.load()
-    if state is not None:
-        model.restore(state)
-        best, done = state["best"], state["iteration"]
-    with progress(f"{cfg.scenario}, {cfg.algorithm()}", iterations, done) as advance:
-        for iteration in range(done + 1, iterations + 1):
-            run.step, text = iteration, ""
-            model.set_rate(0.5 * cfg.learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations)))
-            figures = model.episodes((iteration - 1) % len(grids), iteration, run.require_finite)
-            if iteration % cfg.validate_every == 0 or iteration == iterations:
-                policy = model.policy()
-                validated = validate(policy)
-                if cfg.limits.merit(validated) < best:
-                    best = cfg.limits.merit(validated)
-                    run.keep(policy, validated["J"], validate.scenarios[0])
-                run.record(validated | figures | model.progress() | stepped(grids, cfg.num_envs, iteration))
-                text = f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}"
-            if iteration % cfg.checkpoint_every == 0 or iteration == iterations:
-                run.save({**model.state(), "best": best, "iteration": iteration})
-            advance(iteration, text)
-    finish(run, grids)
-    print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
-    return run.folder
+        return train(
+            run, model, model.iterations, validate, ("droop", validate.j_droop), merit=cfg.limits.merit, scenarios=grids
+        )

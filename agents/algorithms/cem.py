@@ -18,7 +18,6 @@ and centres of thresholds. The initial mean is the default, or with ``outputs="c
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -30,10 +29,10 @@ from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.training.candidates import Candidates
 from dcgrid_env.agents.training.config import NetworkTraining, check, trained_on
-from dcgrid_env.agents.training.episodes import episode_seeds
-from dcgrid_env.agents.training.normalisation import normalisation
+from dcgrid_env.agents.training.normalisation import episode_seeds, normalisation
 from dcgrid_env.agents.training.row_form import droop_gains
-from dcgrid_env.agents.training.run_folder import Run, finish, open_run, progress, torch
+from dcgrid_env.agents.training.run_folder import Run, open_run, torch
+from dcgrid_env.agents.training.training_loop import train
 from dcgrid_env.agents.training.validation import Validation, made_with, stepped
 from dcgrid_env.baselines.laws.constant_set_points import agents_choose_set_points
 from dcgrid_env.baselines.laws.static import ConstantQ
@@ -103,14 +102,15 @@ class Search:
         self.distribution = CrossEntropy(start, cfg.std, cfg.extra_std, cfg.elites)
         self.batch = DcgridVectorEnv(cfg.num_envs, grid, info="none")
 
-    def iterate(self, iteration: int) -> dict[str, float]:
+    def iterate(self, iteration: int, _: Run) -> dict[str, float]:
         """Evaluate candidates, move the distribution, and return figures for the learning curve."""
         cfg, distribution = self.cfg, self.distribution
         parameters = distribution.candidates(np.random.default_rng([cfg.seed, iteration]), cfg.population)
         seeds = episode_seeds(cfg.seed, iteration, cfg.num_envs // cfg.population)
         j = self.candidates.costs(parameters, self.batch, seeds).mean(1)
         distribution.update(parameters, j, iteration / cfg.iterations)
-        return {"J_training": float(j[0]), "J_training_best": float(j.min()), "std": float(distribution.std.mean())}
+        figures = {"J_training": float(j[0]), "J_training_best": float(j.min()), "std": float(distribution.std.mean())}
+        return figures | stepped([self.grid], cfg.num_envs, iteration)
 
     def policy(self) -> Policy:
         """Return the policy of the mean."""
@@ -166,30 +166,4 @@ def main(cfg: Cem) -> Path:
     judged_on = ScenarioSpec(cfg.scenario, cfg.set).make("validation")
     validate = Validation([judged_on], cfg.validation_episodes)
     with open_run(cfg.folder, cfg, cfg.resume, [judged_on]) as run:
-        return _train(cfg, run, Search(cfg, grid), validate)
-
-
-def _train(cfg: Cem, run: Run, search: Search, validate: Validation) -> Path:
-    """Search from the checkpoint of the run, if it has one, and return the output folder."""
-    best, done, state = math.inf, 0, run.load()
-    if state is not None:
-        search.restore(state)
-        best, done = state["best"], state["iteration"]
-    with progress(f"{cfg.scenario}, {cfg.algorithm()}", cfg.iterations, done) as advance:
-        for iteration in range(done + 1, cfg.iterations + 1):
-            run.step, text = iteration, ""
-            figures = search.iterate(iteration)
-            if iteration % cfg.validate_every == 0 or iteration == cfg.iterations:
-                policy = search.policy()
-                validated = validate(policy)
-                if validated["J"] < best:
-                    best = validated["J"]
-                    run.keep(policy, best, validate.scenarios[0])
-                run.record(validated | figures | stepped([search.grid], cfg.num_envs, iteration))
-                text = f"J {validated['J']:.4f}, droop {validate.j_droop:.4f}"
-            if iteration % cfg.checkpoint_every == 0 or iteration == cfg.iterations:
-                run.save({**search.state(), "best": best, "iteration": iteration})
-            advance(iteration, text)
-    finish(run)
-    print(f"{run.folder}: best on validation {best:.4f}, tuned droop {validate.j_droop:.4f}, {run.seconds:.0f} s")
-    return run.folder
+        return train(run, Search(cfg, grid), cfg.iterations, validate, ("droop", validate.j_droop))

@@ -17,7 +17,6 @@ error in actor-critic methods", arXiv 1802.09477.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,8 +34,9 @@ from dcgrid_env.agents.from_sb3.sb3_policy import to_policy
 from dcgrid_env.agents.training.batched_envs import RowVecEnv
 from dcgrid_env.agents.training.config import Training, check, trained_on
 from dcgrid_env.agents.training.row_form import Outputs, View
-from dcgrid_env.agents.training.run_folder import Run, device_of, finish, open_run, progress, torch
+from dcgrid_env.agents.training.run_folder import Run, device_of, open_run, torch
 from dcgrid_env.agents.training.sb3_settings import ppo_settings, sac_settings, td3_settings
+from dcgrid_env.agents.training.training_loop import finish, progress
 from dcgrid_env.agents.training.validation import Validation
 from dcgrid_env.agents.training.vec_env import sb3_vec_env
 from dcgrid_env.baselines import make_controller
@@ -127,18 +127,17 @@ class Stages(BaseCallback):
     def __init__(self, run: Run, envs: RowVecEnv, model: BaseAlgorithm):
         super().__init__()
         self.run, self.envs, self.cfg = run, envs, run.config
-        (self.scenario,) = run.scenarios
-        self.validate = Validation([self.scenario], self.cfg.validation_episodes)
+        self.validate = Validation(run.scenarios, self.cfg.validation_episodes)
         self.rows_per_step = envs.rows_per_env / envs.rows.action_repeat
         """Steps as Stable-Baselines3 counts them for each step of an environment."""
-        self.stage, self.best, self.spent_s = 0, math.inf, np.zeros(3)
+        self.stage, self.best = 0, math.inf
         self.advance: Callable[..., None] = lambda *_: None
         if (state := run.load()) is not None:
             model.set_parameters(state["parameters"], exact_match=True, device=model.device)
             model.num_timesteps, model._n_updates = state["timesteps"], state["updates"]
             for name, values in stored_arrays(model).items():
                 torch.as_tensor(values).copy_(state["arrays"][name])
-            self.stage, self.best, self.spent_s = state["stage"], state["best"], np.array(state["spent_s"])
+            self.stage, self.best = state["stage"], state["best"]
 
     def _on_training_start(self) -> None:
         self._begin()
@@ -160,12 +159,10 @@ class Stages(BaseCallback):
         self.envs.seed((self.cfg.seed << 40) + self.stage * self.envs.n_envs)
         self.model._last_obs = self.envs.reset()
         self.model._last_episode_starts = np.ones(self.envs.num_envs, bool)
-        self.envs.physics_s, self._began_s = 0.0, time.perf_counter()
 
     def _end(self) -> None:
         """Evaluate the policy, keep it if it is the best, and write a checkpoint."""
         run, model = self.run, self.model
-        learning_s = time.perf_counter() - self._began_s - self.envs.physics_s
         self.stage += 1
         run.step = round(model.num_timesteps / self.rows_per_step)
         run.require_finite("a parameter is", model.policy.parameters())
@@ -173,32 +170,19 @@ class Stages(BaseCallback):
         for name, value in logged.items():
             if not math.isfinite(value):
                 raise run.diverged(f"{name} is")
-        began_s = time.perf_counter()
         policy = to_policy(model, self.envs.scenario)
         policy.trained_on = trained_on(self.cfg)
         figures = self.validate(policy)
         if figures["J"] < self.best:
             self.best = figures["J"]
-            run.keep(policy, self.best, self.scenario)
-        self.spent_s += (self.envs.physics_s, learning_s, time.perf_counter() - began_s)
-        run.record(figures | {"J_best": self.best, "env_steps": run.step} | logged | self.timing)
+            run.keep(policy, self.best)
+        run.record(figures | {"J_best": self.best, "env_steps": run.step} | logged)
         run.save(
             {"parameters": model.get_parameters(), "timesteps": model.num_timesteps, "updates": model._n_updates,
              "arrays": {name: torch.as_tensor(values) for name, values in stored_arrays(model).items()},
-             "stage": self.stage, "best": self.best, "spent_s": self.spent_s.tolist()}
+             "stage": self.stage, "best": self.best}
         )  # fmt: skip
         self.advance(self.stage, f"J {figures['J']:.4f}, droop {self.validate.j_droop:.4f}")
-
-    @property
-    def timing(self) -> dict[str, float]:
-        """Computing times and the step rate, which includes physics and learning but not validation."""
-        physics_s, learning_s, validation_s = self.spent_s
-        return {
-            "physics_s": physics_s,
-            "learning_s": learning_s,
-            "validation_s": validation_s,
-            "steps_per_s": self.run.step / max(physics_s + learning_s, 1e-9),
-        }
 
 
 def stored_arrays(model: Any) -> dict[str, Any]:
@@ -261,6 +245,7 @@ def main(cfg: StableBaselines3) -> Path:
                 run.require_finite("a parameter is", model.policy.parameters())
                 raise
         finish(run)
-    print(f"{run.folder}: J {stages.best:.4f} on validation, tuned droop {stages.validate.j_droop:.4f}")
-    print(", ".join(f"{name} {value:,.3g}" for name, value in stages.timing.items()))
+    print(
+        f"{run.folder}: best on validation {stages.best:.4f}, droop {stages.validate.j_droop:.4f}, {run.seconds:.0f} s"
+    )
     return run.folder

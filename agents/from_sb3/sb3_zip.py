@@ -18,7 +18,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
-from dcgrid_env.agents.training.observation_scaling import CLIP
+from dcgrid_env.agents.training.row_batch import CLIP
 from dcgrid_env.agents.training.row_form import RowForm
 from dcgrid_env.core.user_files import is_file, parse_json
 

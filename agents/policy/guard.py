@@ -28,13 +28,13 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import RandomFeeders, Scenario, action_layout, field_names
-from dcgrid_env.agents.policy.input_range import InputRange, by_moments, with_plates
+from dcgrid_env.agents.policy.input_range import InputRange, recorded, with_plates
 from dcgrid_env.agents.policy.model_aided_policy import ModelAidedPolicy
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.slope_bounds import slope_bounds
 from dcgrid_env.agents.policy.trial_guard import TriedPolicy
-from dcgrid_env.agents.policy.unseen import on_purpose
+from dcgrid_env.agents.policy.unseen import on_purpose, trained_scenarios
 from dcgrid_env.baselines import Controller, Droop, make_controller
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.baselines.laws.stability import PLACEMENTS, largest_stable
@@ -66,7 +66,7 @@ class GuardedPolicy:
     policy
         Policy to guard.
     ranges
-        Range of the inputs of each network.
+        Range of the inputs of each network; by default it is recorded on the training scenarios.
     law
         Law that limits the policy; chosen at ``reset`` by default.
     """
@@ -77,18 +77,18 @@ class GuardedPolicy:
 
     def reset(self, env_info: Scenario) -> None:
         """Begin episodes; raise PolicyError if the policy does not fit the scenario or its input range is unknown."""
+        ranges = self.ranges = self._recorded() if self.ranges is None else self.ranges
+        self._ranges = dict(ranges)
         self._equipment = EquipmentAgents(env_info, set_points=self.policy.set_points)
         self.scenario = scenario = self._equipment.others
         with on_purpose():
             self.policy.reset(scenario)
         self._law = law_for(env_info) if self.law is None else self.law
         self._law.reset(scenario)
-        self._seen = self.policy.interface if self.ranges is None else with_plates(self.policy)
-        fields = self._seen.input_fields
-        self._ranges = by_moments(self.policy.networks, fields) if self.ranges is None else dict(self.ranges)
-        for name, names in fields.items():
-            if name not in self._ranges or self._ranges[name].fields != names:
-                has = self._ranges[name].fields if name in self._ranges else ()
+        self._seen = with_plates(self.policy)
+        for name, names in self._seen.input_fields.items():
+            if name not in ranges or ranges[name].fields != names:
+                has = ranges[name].fields if name in ranges else ()
                 raise PolicyError(
                     f"guard: the range of inputs of network {name} is of {', '.join(has) or 'nothing'}, on "
                     f"{scenario.name} it sees {', '.join(names)}; record it again"
@@ -103,6 +103,16 @@ class GuardedPolicy:
         self._new: np.ndarray | None = None
         self._sums: list[np.ndarray] = []
         self._steps = 0
+
+    def _recorded(self) -> Mapping[str, InputRange]:
+        """Return the range of the inputs on the scenarios that the policy was trained on; PolicyError without any."""
+        try:
+            trained = trained_scenarios(self.policy.trained_on)
+            return recorded(self.policy, trained) or {}
+        except (ValueError, OSError) as error:
+            raise PolicyError(
+                f"guard: the range of the policy's inputs is not on a card, and not known: {error}"
+            ) from None
 
     def act(self, observations: Any) -> Any:
         """Return actions in the form of the observations: a mapping of agents, or joint, (..., n_observation)."""
@@ -191,7 +201,8 @@ def guarded(policy: Policy | str | Path, law: Controller | None = None) -> Guard
     Returns
     -------
     GuardedPolicy
-        Controller that uses the range on the policy's card or, without a range, the moments of its networks.
+        Controller that uses the range on the policy's card. Without one, the range is recorded on the scenario that the
+        policy was trained on.
 
     Raises
     ------
@@ -217,10 +228,7 @@ def law_for(scenario: Scenario, tuned: str | Path | None = None) -> Controller:
         if tuned is not None:
             raise
     plain = Droop()
-    if isinstance(scenario.feeder, RandomFeeders):
-        members = [scenario.member(i * scenario.feeder.batch) for i in range(FAMILY_MEMBERS)]
-    else:
-        members = [scenario]
+    members = _members(scenario)
     k_q = min(largest_stable(member, k_p_mw_per_pu=0.0) for member in members)
     k_q = min(plain.k_q_mvar_per_pu_s, MARGIN * k_q)
     k_p = min(largest_stable(member, k_q_mvar_per_pu_s=k_q, alpha_per_s=plain.alpha_per_s) for member in members)
@@ -231,9 +239,16 @@ def steepest(scenario: Scenario) -> tuple[float, float]:
     """Return the bounds of ``slope_bounds``; on random feeders, the smallest of a sample."""
     if not isinstance(scenario.feeder, RandomFeeders):
         return slope_bounds(scenario, PLACEMENTS)
-    members = [scenario.member(i * scenario.feeder.batch) for i in range(FAMILY_MEMBERS)]
-    reactive, clock = np.min([slope_bounds(member, 1) for member in members], axis=0)
+    reactive, clock = np.min([slope_bounds(member, 1) for member in _members(scenario)], axis=0)
     return float(reactive), float(clock)
+
+
+def _members(scenario: Scenario) -> list[Scenario]:
+    """Return a sample of the members of random feeders, or the scenario itself."""
+    feeder = scenario.feeder
+    if not isinstance(feeder, RandomFeeders):
+        return [scenario]
+    return [scenario.member(i * feeder.batch) for i in range(FAMILY_MEMBERS)]
 
 
 def guard_line(name: str, figures: Mapping[str, float]) -> str:

@@ -15,10 +15,9 @@ from itertools import pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError
-from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.arrays import Array, namespace
 
 MOST_STEPS = 1000
 """Longest history that there is."""
@@ -48,8 +47,7 @@ def with_changes(
     recent = observation[..., columns]
     seen = (recent, *((recent,) * steps if earlier is None else earlier))
     changes = (later - before for later, before in pairwise(seen))
-    xp = np if isinstance(observation, np.ndarray) else array_namespace(observation)
-    return xp.concat((observation, *changes), axis=-1), seen[:steps]
+    return namespace(observation).concat((observation, *changes), axis=-1), seen[:steps]
 
 
 class HistoryNetwork:
@@ -122,3 +120,26 @@ class HistoryNetwork:
     def read(cls, arrays: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> Self:
         """The network of these arrays and settings."""
         return cls(Network.read(arrays, settings["network"]), settings["columns"], settings["steps"])
+
+
+def remembers(network: Any) -> bool:
+    """Return whether a network's output also depends on earlier observations, in NumPy or in torch."""
+    return hasattr(network, "advance")
+
+
+def outputs_of(
+    networks: Mapping[str, Any], inputs: Mapping[str, Any], memory: dict[str, tuple[Any, ...]]
+) -> dict[str, Any]:
+    """What each network gives for its input.
+
+    ``memory`` has what each network that remembers keeps, nothing at the beginning of episodes; it is brought up to
+    date.
+    """
+    outputs = {}
+    for name, network_input in inputs.items():
+        network = networks[name]
+        if remembers(network):
+            outputs[name], memory[name] = network.advance(network_input, memory.get(name))
+        else:
+            outputs[name] = network(network_input)
+    return outputs

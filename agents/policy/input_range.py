@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env import RandomFeeders, Scenario
 from dcgrid_env.agents.policy.interface import PolicyInterface
-from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.baselines import NeedsPlacement, rollout
 
 EPISODES = 64
 """Episodes of the training split over which a range is recorded, on each scenario."""
-MOMENTS = 3.0
-"""Half-width of the range, in standard deviations, if no range was recorded."""
 SMALLEST_SPAN = 1e-2
 """Smallest width of a range for the computation of distances; constant inputs have zero width."""
 OF_PLACE = ("r", "x", "draw", "reach")
@@ -81,6 +78,7 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
     """Return the range of each network's inputs, with the nameplate inputs, on the training split.
 
     None for a policy that is given a model of the feeder: its inputs are figures of a law, the same on any feeder.
+    Raises ValueError without a scenario.
 
     Parameters
     ----------
@@ -93,6 +91,8 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
     """
     if isinstance(policy, NeedsPlacement):
         return None
+    if not scenarios:
+        raise ValueError("the policy names no scenario that it was trained on")
     driver = _Recorded(policy)
     for scenario in scenarios:
         feeder = scenario.feeder
@@ -104,34 +104,3 @@ def recorded(policy: Any, scenarios: Sequence[Scenario], episodes: int = EPISODE
         name: InputRange(fields[name], tuple(low.tolist()), tuple(high.tolist()))
         for name, (low, high) in driver.ends.items()
     }
-
-
-def by_moments(networks: Mapping[str, Any], fields: Mapping[str, tuple[str, ...]]) -> dict[str, InputRange]:
-    """Ranges for a policy without recorded ones: ``MOMENTS`` standard deviations about the mean of its normalisation.
-
-    An input that is not normalised has no limits.
-
-    Raises
-    ------
-    PolicyError
-        Where no input of a network is normalised, so that nothing is known of its range.
-    """
-    ranges = {}
-    for name, names in fields.items():
-        low, high = np.full(len(names), -np.inf), np.full(len(names), np.inf)
-        for part, columns in _normalised(networks[name]):
-            low[columns], high[columns] = part.mean - MOMENTS * part.std, part.mean + MOMENTS * part.std
-        if not np.isfinite(low).any():
-            raise PolicyError(
-                f"guard: the range of inputs of network {name} is not known, neither from a card nor from moments of "
-                "its inputs; train it again, or record its range (dcgrid_env.agents.policy.input_range.recorded)"
-            )
-        ranges[name] = InputRange(names, tuple(low.tolist()), tuple(high.tolist()))
-    return ranges
-
-
-def _normalised(network: Any) -> list[tuple[Any, Any]]:
-    """Parts of a network with moments of their inputs, and which of its inputs those are."""
-    parts = [(network, slice(None))] if hasattr(network, "mean") else []
-    parts += [(head.context, head.columns) for head in getattr(network, "heads", ())]
-    return [(part, columns) for part, columns in parts if part.mean is not None and part.std is not None]

@@ -19,17 +19,15 @@ are further device outputs, such as the power of a storage, with rest value 0, o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from dcgrid_env import Scenario, action_layout, field_names
 from dcgrid_env.agents.policy.agent_groups import PLAIN_CHANNELS, agent_groups, axes
 from dcgrid_env.agents.policy.neural_network import PolicyError
 from dcgrid_env.baselines.equipment_agents import at_rest
-from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.arrays import Array, namespace
 
 KINDS = ("joint", "shared")
 """Kinds of policies: one network for all agents, or one for each kind of agent, named after the device kind."""
@@ -250,28 +248,18 @@ def require_one_policy_fits(interfaces: Sequence[PolicyInterface]) -> None:
     first = interfaces[0]
     for interface in interfaces:
         for name, widths in interface.widths.items():
-            if first.widths.get(name, widths) != widths:
+            mine, its = (first.widths.get(name), first.channels.get(name)), (widths, interface.channels[name])
+            if name in first.widths and mine != its:
                 raise ValueError(
-                    f"scenario: the network {name!r} would take and give {first.widths[name]} figures on "
-                    f"{first.scenario.name} and {widths} on {interface.scenario.name}; train on scenarios of the same "
-                    "agents, or on one alone"
-                )
-            mine, its = first.channels.get(name, ()), interface.channels[name]
-            if mine and mine != its:
-                raise ValueError(
-                    f"scenario: the network {name!r} would give {', '.join(mine)} on {first.scenario.name} and "
-                    f"{', '.join(its)} on {interface.scenario.name}; train on scenarios of the same agents, or on one"
+                    f"scenario: the network {name!r} would take and give {mine[0]} figures and give {mine[1]} on "
+                    f"{first.scenario.name}, and {its[0]} and {its[1]} on {interface.scenario.name}; train on "
+                    "scenarios of the same agents, or on one alone"
                 )
 
 
 def _joined(parts: Sequence[Array]) -> Array:
-    return _namespace(parts[0]).concat(tuple(parts), axis=-1)
+    return namespace(parts[0]).concat(tuple(parts), axis=-1)
 
 
 def _chosen(condition: Array, one: Array, other: Array) -> Array:
-    return _namespace(other).where(condition, one, other)
-
-
-def _namespace(array: Array) -> ModuleType:
-    """Return the module of an array, NumPy or torch; the functions used here have the same names in both."""
-    return np if isinstance(array, np.ndarray) else array_namespace(array)
+    return namespace(other).where(condition, one, other)

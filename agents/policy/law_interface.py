@@ -1,6 +1,6 @@
 """Connect the networks of a model-aided policy to a scenario: inputs from the law, and corrections of its decisions.
 
-The inputs for an agent are quantities of the law (``law_step``) without units, so they mean the same on any feeder.
+The inputs for an agent are quantities of the law (``LawStep``) without units, so they mean the same on any feeder.
 Voltages are in bands, reactive power is relative to the agent's maximum, and slopes are relative to the largest slope
 that deviations alone can have. The outputs y correct the law's decisions within bounds; 0 leaves them unchanged:
 
@@ -16,17 +16,16 @@ The array code runs with NumPy and torch, as in ``interface``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import ModuleType
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
+from dcgrid_env import Scenario, field_names
 from dcgrid_env.agents.policy.agent_groups import agent_groups, axes
 from dcgrid_env.agents.policy.interface import cut
-from dcgrid_env.agents.policy.law_step import Columns, LawStep, Past, Step
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site
-from dcgrid_env.core.arrays import Array
+from dcgrid_env.baselines.model_aided.law_step import LawStep, Own, Past, Step
+from dcgrid_env.core.arrays import Array, namespace
 
 SERVED, REACTIVE = 0.3, 0.3
 """Bounds of the corrections, relative to dynamic rating and largest reactive power."""
@@ -39,6 +38,42 @@ FEATURES = {"datacenter": (*OF_ALL, *OF_SITES), "inverter": OF_ALL}
 """Names of the network inputs, by kind of agent."""
 OUTPUTS = {"datacenter": 3, "inverter": 2}
 """Number of network outputs: served power and two for q, or two for q."""
+
+
+class Columns:
+    """Reads what the agents see out of a joint observation, for NumPy and torch alike."""
+
+    def __init__(self, scenario: Scenario, array: Callable[[np.ndarray], Any]):
+        names = [field_names(scenario)[agent] for agent in scenario.agents]
+        starts = np.cumsum([0, *map(len, names)])[:-1]
+        self._at = {
+            name: array(
+                np.array(
+                    [a + fields.index(name) for a, fields in zip(starts, names, strict=True) if name in fields], int
+                )
+            )
+            for name in ("v_deviation", "v_change", "p", "q", "p_ref_next", "backlog")
+        }
+        self.band_pu = scenario.cost.band_pu or 1.0
+        self._p_scale = array(np.concatenate([device.p_scale_kw for device in scenario.devices]))
+        self._q_scale, self._rated_kw = (
+            array(scenario.q_scale_kvar),
+            array(np.asarray(scenario.datacenters.parameters.p_rated_kw)),
+        )
+
+    def of(self, joint: Array) -> Mapping[str, Any]:
+        """Fields by name, as observed, of the agents that have them."""
+        return {name: joint[:, columns] for name, columns in self._at.items()}
+
+    def physical(self, fields: Mapping[str, Any]) -> Own:
+        """Fields in physical units."""
+        return Own(
+            1.0 + self.band_pu * fields["v_deviation"],
+            fields["p"] * self._p_scale,
+            fields["q"] * self._q_scale,
+            fields["p_ref_next"] * self._rated_kw,
+            fields["backlog"] * self._rated_kw,
+        )
 
 
 class LawInterface:
@@ -55,6 +90,8 @@ class LawInterface:
     tops
         Whether clocks are at their maximum if all work is served, as in the law. Otherwise they have the value that
         just serves it, which has the same effect and a derivative.
+    law
+        Class that computes a second of the law.
     """
 
     def __init__(
@@ -65,9 +102,10 @@ class LawInterface:
         array: Callable[[np.ndarray], Any] = np.asarray,
         clip: Callable[[Any, Any, Any], Any] = cut,
         tops: bool = True,
+        law: type[LawStep] = LawStep,
     ):
         s = site.scenario
-        self.law = LawStep(site, known, array)
+        self.law = law(site, known, array)
         self.columns = Columns(s, array)
         self._clip, self._tops, self._n_dc = clip, tops, s.datacenters.count
         is_clock, is_q = axes(s)
@@ -95,7 +133,7 @@ class LawInterface:
         return step, self._seen(fields, step)
 
     def _seen(self, fields: Mapping[str, Any], step: Step) -> Mapping[str, Any]:
-        xp, band, n_dc = _namespace(step.v_pu), self.columns.band_pu, self._n_dc
+        xp, band, n_dc = namespace(step.v_pu), self.columns.band_pu, self._n_dc
         e = (step.v_pu - 1.0) / band
         beyond = (xp.tanh(4.0 * (e - 1.0)) + xp.tanh(4.0 * (e + 1.0))) / 2.0
         to_all = step.by_all.sum(-1) / self._sum_own
@@ -121,7 +159,7 @@ class LawInterface:
 
     def action(self, step: Step, outputs: Mapping[str, Any]) -> Array:
         """Return the joint action, (row, n_action) in [-1, 1], with the networks' corrections of the law."""
-        xp, parts = _namespace(step.share), []
+        xp, parts = namespace(step.share), []
         shift, pull = (
             xp.concat([xp.tanh(outputs[kind][..., column]) for kind in self.groups], axis=-1) for column in (-1, -2)
         )
@@ -141,7 +179,3 @@ class LawInterface:
 def _small(x: np.ndarray) -> np.ndarray:
     """Compress values of different magnitude to a scale that separates small ones."""
     return np.log(np.maximum(x, 1e-4))
-
-
-def _namespace(array: Array) -> ModuleType:
-    return np if isinstance(array, np.ndarray) else array_namespace(array)

@@ -18,10 +18,10 @@ from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.agent_groups import axes
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.law_interface import FEATURES, OUTPUTS, LawInterface
-from dcgrid_env.agents.policy.law_step import Past
-from dcgrid_env.agents.policy.neural_network import Family, PolicyError
-from dcgrid_env.agents.policy.policy import Policy
+from dcgrid_env.agents.policy.neural_network import PolicyError
+from dcgrid_env.agents.policy.policy import Family, Policy
 from dcgrid_env.baselines.equipment_agents import at_rest
+from dcgrid_env.baselines.model_aided.law_step import Past
 from dcgrid_env.baselines.model_aided.model_aided import ModelAided
 
 

@@ -30,10 +30,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from dcgrid_env.agents.policy.neural_network import Network, PolicyError, figures
-from dcgrid_env.core.arrays import Array
+from dcgrid_env.core.arrays import Array, namespace
 
 UNITS = 6
 """Number of tanh units in psi, in addition to the linear one."""
@@ -58,7 +57,7 @@ class Head(NamedTuple):
 
 def head_output(z: Array, context: Array, widths: Array, slope: float, offset: bool) -> Array:
     """Return a head's output for deviations ``z`` (...) and context outputs (..., WIDTH); NumPy or torch."""
-    xp = np if isinstance(z, np.ndarray) else array_namespace(z)
+    xp = namespace(z)
     share = xp.exp(context[..., : UNITS + 2].clip(-15.0, 15.0))
     share = share / share.sum(-1)[..., None]
     apart = z[..., None] - context[..., UNITS + 2 : -1]

@@ -1,6 +1,6 @@
 """A small network of NumPy arrays: a multilayer perceptron with the normalisation it was trained with.
 
-Other families of networks have the same interface, :class:`Family`. A layer is x W + b with W of shape
+Other families of networks have the same members as :class:`Network`. A layer is x W + b with W of shape
 (n_in, n_out); the network is, in float32,
 
     x = clip((observation - mean) / std, low, high)          x = activation(x W + b) for each layer but the last
@@ -10,7 +10,7 @@ Other families of networks have the same interface, :class:`Family`. A layer is 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,43 +28,6 @@ SQUASHES = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh, "none": la
 
 class PolicyError(ValueError):
     """A policy, or a file of one, that cannot be used; the message names file, field, value and remedy."""
-
-
-class Family(Protocol):
-    """What a policy asks of a network: to be run, and to be written as arrays and settings and read again."""
-
-    family: ClassVar[str]
-    """Its name in files, and in ``families.FAMILIES``."""
-
-    @property
-    def n_in(self) -> int:
-        """Width of the observation."""
-        ...
-
-    @property
-    def n_out(self) -> int:
-        """Width of the action."""
-        ...
-
-    def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Output, float32, (..., n_out), for an observation (..., n_in)."""
-        ...
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """All its figures, float32."""
-        ...
-
-    def settings(self) -> dict[str, Any]:
-        """What else makes it, as JSON takes it."""
-        ...
-
-    @classmethod
-    def read(cls, arrays: Mapping[str, np.ndarray], settings: Mapping[str, Any]) -> Self:
-        """The network of these ``arrays()`` and ``settings()``.
-
-        KeyError for what is missing, PolicyError for what cannot be.
-        """
-        ...
 
 
 class Network:

@@ -11,11 +11,10 @@ import numpy as np
 
 from dcgrid_env import Scenario
 from dcgrid_env.agents.policy.card import Card, card_of
-from dcgrid_env.agents.policy.history_network import HistoryNetwork
+from dcgrid_env.agents.policy.history_network import HistoryNetwork, outputs_of, remembers
 from dcgrid_env.agents.policy.interface import ACTS, OUTPUTS, SCOPES, Gains, PolicyInterface
-from dcgrid_env.agents.policy.memory import Remembers, outputs_of, require_same_episodes
 from dcgrid_env.agents.policy.monotone import MonotoneNetwork
-from dcgrid_env.agents.policy.neural_network import Family, Network, PolicyError
+from dcgrid_env.agents.policy.neural_network import Network, PolicyError
 from dcgrid_env.agents.policy.policy_file import SUFFIX, digest, packed, unpacked
 from dcgrid_env.agents.policy.unseen import warn_of_unseen
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
@@ -26,6 +25,7 @@ SET_POINTS = {"regulator_setpoint": "offset", "capacitor_setpoint": "centre"}
 """First channel of each kind of agent that chooses set points."""
 SET_POINT_CHANNELS = ("offset", "half_band", "centre", "half_width")
 """All channels of these agents."""
+Family = Network | MonotoneNetwork | HistoryNetwork
 FAMILIES: dict[str, type[Family]] = {family.family: family for family in (Network, MonotoneNetwork, HistoryNetwork)}
 
 
@@ -231,14 +231,21 @@ class Policy:
 
     def _joint(self, joint: np.ndarray) -> np.ndarray:
         if self.remembers:
-            self._batch_shape = require_same_episodes(self.source, self._batch_shape, joint.shape[:-1])
+            shape = joint.shape[:-1]
+            if self._batch_shape not in (None, shape):
+                raise PolicyError(
+                    f"{self.source}: remembers episodes of shape {self._batch_shape} and is given observations of "
+                    f"shape {shape}; call reset(scenario) where other episodes begin, and give all environments at "
+                    "each step"
+                )
+            self._batch_shape = shape
         outputs = outputs_of(self.networks, self._interface.inputs(joint), self._memory)
         return self._interface.action(joint, outputs)
 
     @property
     def remembers(self) -> bool:
         """Whether actions depend on earlier observations. If so, ``reset`` begins the episodes of all environments."""
-        return any(isinstance(network, Remembers) for network in self.networks.values())
+        return any(map(remembers, self.networks.values()))
 
     def probe(self, joint: np.ndarray) -> np.ndarray:
         """Return the joint action for a joint observation without equipment; the observation is not remembered."""

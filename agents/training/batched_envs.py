@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from dcgrid_env import end_costs
 from dcgrid_env.agents.training.row_batch import RowBatch
 from dcgrid_env.agents.training.row_views import Rows
 
@@ -23,8 +21,7 @@ class RowVecEnv(VecEnv):
     episode has infos: ``infos[row]["terminal_observation"]`` is the last observation,
     ``infos[row]["TimeLimit.truncated"]`` is True at the horizon and False after a voltage collapse, and
     ``infos[row]["J"]`` is the cost. Other steps have empty infos. Rewards are those of
-    ``Rows.paid``; ``physics_s`` is the time spent in steps. With ``end_as_it_arises`` each step pays for the change of
-    the end charge that it causes, and the last step pays no more. The sum is the same.
+    ``Rows.paid``.
 
     Parameters
     ----------
@@ -40,9 +37,6 @@ class RowVecEnv(VecEnv):
         self.batch = RowBatch(rows, n_envs, render_mode=render_mode)
         self.rows, self.scenario, self.n_envs = rows, rows.scenario, n_envs
         self._repeated = None if self.scenario.split == "train" else 0
-        self.physics_s = 0.0
-        self.end_as_it_arises = False
-        self._due = self._due_at_rest = np.zeros(n_envs)
         self._actions = self._observation = np.zeros(0)
         observations = rows.observation_space(self.batch.single_observation_space)
         super().__init__(n_envs * rows.per_env, observations, rows.action_space)
@@ -81,7 +75,6 @@ class RowVecEnv(VecEnv):
         self._reset_seeds()
         self._repeated = None if self.scenario.split == "train" else first
         self._observation, _ = self.batch.reset(seed=first)
-        self._due = self._due_at_rest = self._end_costs()
         return self.rows.observed(self._observation)
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -90,13 +83,8 @@ class RowVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Observation, reward, done and infos of the rows."""
-        began_s = time.perf_counter()
         self._observation, reward, terminated, truncated, _ = self.batch.advance(self._observation, self._actions)
         each = self.rows_per_env
-        if self.end_as_it_arises:
-            due = self._end_costs()
-            reward = reward + (self._due - due + due * truncated)[:, None]
-            self._due = np.where(terminated | truncated, self._due_at_rest, due)  # every episode begins at rest
         done = np.repeat(terminated | truncated, each)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
@@ -105,14 +93,7 @@ class RowVecEnv(VecEnv):
                 infos[row]["terminal_observation"] = last[row].copy()
                 infos[row]["TimeLimit.truncated"] = bool(ended[row])
                 infos[row]["J"] = float(j[row])
-        paid = reward.ravel().astype(np.float32)
-        observation = self.rows.observed(self._observation)
-        self.physics_s += time.perf_counter() - began_s
-        return observation, paid, done, infos
-
-    def _end_costs(self) -> np.ndarray:
-        """Return the end-of-episode cost after the last step, (env,)."""
-        return sum(end_costs(self.scenario, self.batch.transition.state).values(), np.zeros(self.n_envs))
+        return self.rows.observed(self._observation), reward.ravel().astype(np.float32), done, infos
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return an image (height, width, 3) of each environment; RuntimeError unless render mode is "rgb_array"."""

@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env import DcgridVectorEnv, Scenario
 from dcgrid_env.agents.policy.interface import PolicyInterface
 from dcgrid_env.agents.policy.neural_network import ACTIVATIONS, Network
-from dcgrid_env.agents.training.observation_scaling import CLIP
+from dcgrid_env.agents.training.row_batch import CLIP
 from dcgrid_env.baselines.equipment_agents import EquipmentAgents
 from dcgrid_env.baselines.laws.constant_set_points import CHANNELS, ConstantSetPoints, open_set_points
 from dcgrid_env.baselines.laws.static import ConstantQ

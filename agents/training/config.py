@@ -6,17 +6,62 @@ The fields of an algorithm's configuration are its options on the command line.
 from __future__ import annotations
 
 import re
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from dcgrid_env.agents.training.preset_settings import settings
-from dcgrid_env.agents.training.setting_bounds import check_figures
+from dcgrid_env import Scenario
+from dcgrid_env.agents.policy.history_network import MOST_STEPS
 from dcgrid_env.baselines.file_names import file_name
 from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 from dcgrid_env.core.user_files import read_json
 
 Act = Literal["both", "clock", "q"]
+MOST_SEEDS = 2**24
+"""Training seeds whose episodes are not those of another one."""
+_MANY = 1e9
+ABOVE_0: Mapping[str, float] = {
+    **dict.fromkeys(("num_envs", "validation_episodes", "population", "elites", "window"), 100_000),
+    **dict.fromkeys(("feeders", "validation_feeders"), 10_000),
+    **dict.fromkeys(("updates", "iterations"), _MANY),
+    **dict.fromkeys(("validate_every", "checkpoint_every"), _MANY),
+    **dict.fromkeys(("max_grad_norm", "trip_width_s", "delay_limit_s", "violation_limit_pu"), _MANY),
+    **dict.fromkeys(("dual_rate", "std"), 10.0),
+    "learning_rate": 1.0,
+    "steps": 1e15,
+    "threads": 4096,
+}
+"""Largest value of what must be above 0."""
+WITHIN: Mapping[str, tuple[float, float]] = {
+    "seed": (0, MOST_SEEDS - 1),
+    "extra_std": (0.0, 10.0),
+    "vary": (0, 10_000),
+    "history": (0, MOST_STEPS),
+    "trip_width_pu": (0.0, 1.0),
+    "margin": (1e-6, 1.0 - 1e-6),
+}
+"""Least and largest value of all others."""
+WIDEST = 65_536
+"""Most units of a hidden layer."""
+MOST_WEIGHTS = 2**26
+"""Most weights between hidden layers; a policy file of them is as large as files that are read."""
+PRESET_SETTINGS = Path(__file__).with_name("preset_settings.toml")
+
+
+@cache
+def all_settings() -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the tuned settings by algorithm and preset."""
+    return tomllib.loads(PRESET_SETTINGS.read_text(encoding="utf-8"))
+
+
+def settings(algorithm: str, scenario: str) -> dict[str, Any]:
+    """Return the tuned settings of an algorithm on a preset by field; empty if there are none."""
+    found = all_settings().get(algorithm, {}).get(scenario, {})
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
 
 
 @dataclass(frozen=True)
@@ -48,9 +93,6 @@ class Training:
     """Number of episodes of the validation split on which a policy is evaluated."""
     validate_every: int = 10
     """Iterations between validations; an iteration is a batch of complete episodes."""
-    replay: bool = True
-    """Write replay.html whenever the best policy improves: the first validation episode under this policy and under the
-    baseline of the validation. Needs the extra replay. It does not affect the training."""
     threads: int = 1
     """Number of torch threads. More threads help small networks little and slow them down when other processes run."""
 
@@ -64,7 +106,7 @@ class Training:
             Training scenario and view; the algorithm's defaults if left out.
         fields
             Further fields, by name. They take precedence over the tuned settings of the scenario
-            (``dcgrid_env.agents.training.preset_settings``), which take precedence over the algorithm's defaults.
+            (``preset_settings.toml``), which take precedence over the algorithm's defaults.
 
         Raises
         ------
@@ -117,25 +159,22 @@ class NetworkTraining(Training):
     """Iterations between checkpoints."""
 
 
-FREE = ("out", "resume", "replay")
+FREE = ("out", "resume")
 """Configuration fields that do not affect the result; a resumed run may change them."""
-RENAMED: dict[str, str] = {"lanes": "num_envs"}
-"""Old names of configuration fields, as earlier runs may have stored them, and their current names."""
 
 
 def stored_config(folder: Path) -> dict[str, Any] | None:
-    """Return the configuration of the training run in a folder, with current field names; None if there is none.
+    """Return the configuration of the training run in a folder; None if there is none.
 
     Raises ValueError with the file's path if the file cannot be read.
     """
     path = folder / "config.json"
     if not path.exists():
         return None
-    try:
-        stored: dict[str, Any] = read_json(path, ValueError, "train again")
-        return {RENAMED.get(field, field): value for field, value in stored.items()}
-    except (ValueError, AttributeError):
-        raise ValueError(f"{path}: is no configuration of a training run") from None
+    stored = read_json(path, ValueError, "train again")
+    if not isinstance(stored, dict):
+        raise ValueError(f"{path}: is no configuration of a training run")
+    return stored
 
 
 def trained_on(cfg: Training) -> str:
@@ -144,5 +183,28 @@ def trained_on(cfg: Training) -> str:
 
 
 def check(cfg: Training) -> None:
-    """Raise ValueError with the field's name if a number is invalid."""
-    check_figures(vars(cfg))
+    """Raise ValueError, naming the field, if a number is out of its bounds; None is ignored."""
+    for field, value in vars(cfg).items():
+        if value is None:
+            continue
+        if field in ABOVE_0 and not (0 < value <= ABOVE_0[field]):
+            raise ValueError(f"{field} is {value}; give more than 0 and at most {ABOVE_0[field]:g}")
+        if field in WITHIN and not WITHIN[field][0] <= value <= WITHIN[field][1]:
+            low, high = WITHIN[field]
+            raise ValueError(f"{field} is {value}; give at least {low:g} and at most {high:.9g}")
+    hidden = getattr(cfg, "hidden", ())
+    if not all(0 < width <= WIDEST for width in hidden):
+        raise ValueError(f"hidden is {hidden}; give widths from 1 to {WIDEST}")
+    if sum(one * other for one, other in pairwise(hidden)) > MOST_WEIGHTS:
+        raise ValueError(f"hidden is {hidden}; give widths with at most {MOST_WEIGHTS:,} weights between the layers")
+
+
+def scenarios(names: str, overrides: tuple[str, ...] = (), split: str = "train", **chosen: object) -> list[Scenario]:
+    """Return the scenarios in a comma-separated string, with overrides ``FIELD=VALUE`` and further fields.
+
+    Raises ValueError if a scenario is invalid or there is none.
+    """
+    given = [name.strip() for name in names.split(",") if name.strip()]
+    if not given:
+        raise ValueError(f"scenario: must name at least one scenario (dcgrid list), got {names!r}")
+    return [ScenarioSpec(name, overrides).make(split, **chosen) for name in given]

@@ -6,16 +6,35 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from dcgrid_env import TensorEnv, action_layout
+from dcgrid_env import RandomFeeders, Scenario, TensorEnv, action_layout
 from dcgrid_env.agents.policy.history_network import with_changes
 from dcgrid_env.agents.policy.interface import PolicyInterface
-from dcgrid_env.agents.training.episodes import NORMALISED_STEPS, normalising_seeds
 from dcgrid_env.agents.training.run_folder import torch
 
 REMEMBERED = ("v_deviation", "p", "q", "p_ref_next")
 """Fields of an agent whose changes a policy with a history sees: its voltage, its powers, and what work is coming."""
 LEAST_SPREAD, LEAST_CHANGE = 1e-2, 1e-3
 """Least standard deviation that figures, and changes of them, are divided by."""
+
+NORMALISED_ENVS, NORMALISED_STEPS = 32, 10
+"""Episodes, and steps between new setpoints, of the rollout that normalises observations."""
+FEEDERS = 8
+"""Feeders over which that rollout goes where they are random."""
+
+
+def episode_seeds(seed: int, iteration: int, num_envs: int) -> range:
+    """Seeds of a batch of episodes; no two batches of a run, nor runs of other seeds, share one."""
+    first = (seed << 40) + iteration * num_envs
+    return range(first, first + num_envs)
+
+
+def normalising_seeds(scenario: Scenario, seed: int) -> list[range]:
+    """Seeds of the episodes that normalise observations, a batch on each of several feeders where they are random."""
+    if not isinstance(scenario.feeder, RandomFeeders):
+        return [episode_seeds(seed, 0, NORMALISED_ENVS)]
+    n_env = min(NORMALISED_ENVS, scenario.feeder.batch)
+    first = [(seed << 40) + i * scenario.feeder.batch for i in range(FEEDERS)]
+    return [range(start, start + n_env) for start in first]
 
 
 def remembered_columns(interfaces: Sequence[PolicyInterface]) -> dict[str, list[int]]:

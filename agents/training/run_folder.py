@@ -5,7 +5,6 @@ curve.csv          a row for each record: step and measurements; only times and 
 events.out.*       the same data for TensorBoard
 checkpoint.pt      tensors and plain numbers, read with ``weights_only=True``, so loading does not run code
 policy.*           the best policy on the validation split so far, with its card
-replay.html        the first validation episode under this policy
 """
 
 from __future__ import annotations
@@ -16,27 +15,19 @@ import io
 import json
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TextIO
 
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from torch.utils.tensorboard import SummaryWriter
 
 from dcgrid_env import Scenario, scenario_hash
-from dcgrid_env.agents.policy.card import Card
-from dcgrid_env.agents.policy.input_range import recorded
 from dcgrid_env.agents.policy.policy import Policy
 from dcgrid_env.agents.policy.policy_file import SUFFIX
-from dcgrid_env.agents.training.best_replay import BestReplay
 from dcgrid_env.agents.training.config import FREE, Training, stored_config
-from dcgrid_env.baselines.score import REFERENCE
-from dcgrid_env.core.compiled import compiling_s
 from dcgrid_env.core.files import clear_parts, naming, new_folder, require_space, whole, write_text
 from dcgrid_env.core.lock import LockedError, locked
 
@@ -58,24 +49,6 @@ def device_of(name: str) -> torch.device:
 
 class TrainingError(RuntimeError):
     """Report a run that cannot start or continue; the message names file, field, value and remedy."""
-
-
-class Diverged(TrainingError):
-    """Report a training with infinite or NaN values."""
-
-
-_watchers: list[Callable[[Mapping[str, float]], None]] = []
-"""Functions that are called with the results of each validation in this process."""
-
-
-@contextmanager
-def watched(watcher: Callable[[Mapping[str, float]], None]) -> Iterator[None]:
-    """Call ``watcher`` with the results of each validation in the block; an exception from it ends the training."""
-    _watchers.append(watcher)
-    try:
-        yield
-    finally:
-        _watchers.remove(watcher)
 
 
 @contextmanager
@@ -127,7 +100,6 @@ class Run:
         self._before_s = 0.0
         self._began_s = time.perf_counter()
         self._writer: SummaryWriter | None = None
-        self._replay = BestReplay(folder, config) if config.replay else None
         about = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         about["scenario_hashes"] = [scenario_hash(scenario) for scenario in scenarios]
         if (folder / "config.json").exists():
@@ -200,41 +172,25 @@ class Run:
         for name, value in row.items():
             self._writer.add_scalar(name, value, self.step)
         self._writer.flush()
-        for watcher in tuple(_watchers):
-            watcher(row)
 
-    def keep(self, policy: Policy, validation_j: float, scenario: Scenario, reference: str = REFERENCE) -> None:
-        """Save the best policy so far, with its card and a replay of an episode.
-
-        Parameters
-        ----------
-        policy
-            The policy.
-        validation_j
-            Its mean J on validation.
-        scenario
-            First validation scenario; the replay shows its episode of seed 0.
-        reference
-            Name of the controller with which the validation compares the policy, and the replay too.
-        """
+    def keep(self, policy: Policy, validation_j: float) -> None:
+        """Save the best policy so far, with its mean J on validation on its card."""
         card = {"algorithm": self.config.algorithm(), "seed": self.config.seed, "training_s": self.seconds}
         policy.save(self.folder / f"policy{SUFFIX}", card | {"validation_J": validation_j})
-        if self._replay is not None:
-            self._replay.write(policy, scenario, reference)
 
     def require_finite(self, what: str, tensors: Iterable[torch.Tensor]) -> None:
         """Raise TrainingError, with the step and the last checkpoint, unless all values are finite."""
         if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
             raise self.diverged(what)
 
-    def diverged(self, what: str) -> Diverged:
+    def diverged(self, what: str) -> TrainingError:
         """Return the error for values that are not finite."""
         checkpoint = (
             f"the checkpoint in {self.checkpoint_path} is from before"
             if self.checkpoint_path.exists()
             else "no checkpoint yet"
         )
-        return Diverged(
+        return TrainingError(
             f"training diverged at step {self.step}: {what} not finite; {checkpoint}; try a lower learning rate"
         )
 
@@ -257,16 +213,6 @@ def _write_row(file: TextIO, row: Mapping[str, float], with_header: bool) -> Non
     writer.writerow(["" if math.isnan(value) else repr(value) for value in row.values()])
 
 
-def finish(run: Run, scenarios: Sequence[Scenario] = ()) -> None:
-    """Add the duration of the run and the range of the inputs to the best policy's card.
-
-    ``scenarios`` are the training scenarios, if they include more than the validation scenarios, such as variants.
-    """
-    path = run.folder / "policy.json"
-    inputs = recorded(Policy.load(path.with_suffix(SUFFIX)), scenarios or run.scenarios)
-    dataclasses.replace(Card.load(path), training_s=run.seconds, inputs=inputs).save(path)
-
-
 def read_curve(folder: Path) -> list[dict[str, float]]:
     """Return the rows of a learning curve; missing measurements are NaN, steps are integers."""
     path = folder / "curve.csv"
@@ -275,39 +221,3 @@ def read_curve(folder: Path) -> list[dict[str, float]]:
     with path.open(newline="") as file:
         rows = [{name: float(value or "nan") for name, value in row.items()} for row in csv.DictReader(file)]
     return [row | {"step": int(row["step"])} for row in rows]
-
-
-@contextmanager
-def progress(description: str, total: int, done: int) -> Iterator[Callable[..., None]]:
-    """Show the progress of a training and yield ``advance(completed, text)``.
-
-    ``text`` has the figures of a validation. A terminal shows a bar with the last figures and the time left. Other
-    outputs, such as log files, receive a line for each validation.
-    """
-    console, began_s = Console(), _computing_s()
-    if not console.is_terminal:
-
-        def line(completed: int, text: str = "") -> None:
-            if text:
-                left_s = (_computing_s() - began_s) / max(1, completed - done) * (total - completed)
-                share = f"{100 * completed // total} % of {total} iterations"
-                print(f"{description}: {share}, {text}, {timedelta(seconds=round(left_s))} left", flush=True)
-
-        yield line
-        return
-    label, status = (TextColumn(form, markup=False) for form in ("{task.description}", "{task.fields[text]}"))
-    columns = (label, BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), status)
-    with Progress(*columns, console=console, get_time=_computing_s) as bar:
-        task = bar.add_task(description, total=total, completed=done, text="")
-
-        def advance(completed: int, text: str = "") -> None:
-            bar.update(task, completed=completed)
-            if text:
-                bar.update(task, text=text)
-
-        yield advance
-
-
-def _computing_s() -> float:
-    """Return a time, s, that excludes the compilation of kernels."""
-    return time.monotonic() - compiling_s()

@@ -7,7 +7,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from dcgrid_env.agents.training.observation_scaling import CLIP
+from dcgrid_env.agents.training.row_batch import CLIP
 
 
 class Normalised(BaseFeaturesExtractor):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dcgrid_env import acting_relays
-from dcgrid_env.agents.training.observation_scaling import observation_scaling
+from dcgrid_env.agents.training.row_batch import observation_scaling
 from dcgrid_env.agents.training.row_form import RowActions
 
 if TYPE_CHECKING:

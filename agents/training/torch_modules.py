@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from dcgrid_env.agents.policy.history_network import HistoryNetwork, with_changes
 from dcgrid_env.agents.policy.monotone import UNITS, WIDTH, Head, MonotoneNetwork, head_output
 from dcgrid_env.agents.policy.neural_network import Network
-from dcgrid_env.agents.training.observation_scaling import CLIP
+from dcgrid_env.agents.training.row_batch import CLIP
 from dcgrid_env.agents.training.run_folder import torch
 
 SMALL = 0.1
@@ -175,3 +176,30 @@ class _ForgivingClip(torch.autograd.Function):
 def forgiving_clip(x: torch.Tensor, low: float | torch.Tensor, high: float | torch.Tensor) -> torch.Tensor:
     """Cut to these limits: what a step beyond would gain has no derivative, what a step back would gain has."""
     return _ForgivingClip.apply(x, low, high)  # pyright: ignore[reportReturnType]
+
+
+LARGEST = 1e9
+"""Largest component of a derivative that goes on backward. If the loop of policy and grid is unstable, the derivative
+grows by a factor of 4 and more in each step, and float32 ends at 3e38."""
+
+
+def without_overflow(actions: torch.Tensor) -> torch.Tensor:
+    """Return the actions unchanged; scale their derivative down, episode by episode, to ``LARGEST`` at most.
+
+    Parameters
+    ----------
+    actions
+        Those of a step, (..., n_action), on the way from the policy to the grid.
+    """
+    actions.register_hook(_scaled)
+    return actions
+
+
+def _scaled(derivative: torch.Tensor) -> torch.Tensor:
+    # Where nothing is too large the factor is exactly 1: the derivative is the same to the bit.
+    return derivative * (LARGEST / derivative.abs().amax(-1, keepdim=True).clamp(min=LARGEST))
+
+
+def cosine(learning_rate: float, iteration: int, iterations: int) -> float:
+    """Return the learning rate of an iteration, from 1 on; it decays to zero along a cosine."""
+    return 0.5 * learning_rate * (1.0 + math.cos(math.pi * (iteration - 1) / iterations))

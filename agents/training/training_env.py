@@ -11,8 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
 from dcgrid_env import Scenario
-from dcgrid_env.agents.training.observation_scaling import CLIP, Scaling, observation_scaling
-from dcgrid_env.agents.training.row_batch import RowBatch
+from dcgrid_env.agents.training.row_batch import CLIP, RowBatch, Scaling, observation_scaling
 from dcgrid_env.agents.training.row_form import Outputs, View
 from dcgrid_env.agents.training.row_views import Rows, learning_rows
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
-import io
 import json
 import shlex
 import tempfile
@@ -55,7 +54,7 @@ def words_of(config: Any) -> list[str]:
 def finished(config: Any) -> bool:
     """Return whether the run is complete, with exactly these settings."""
     try:
-        return read_json(config.out / FINISHED, ValueError, "train again") == _settings(config)
+        return read_json(config.folder / FINISHED, ValueError, "train again") == _settings(config)
     except (OSError, ValueError):
         return False
 
@@ -68,13 +67,14 @@ def train(config: Any) -> str | None:
     """
     from dcgrid_env.agents.training.run_folder import TrainingError
 
+    folder = config.folder
     try:
-        with new_folder(config.out), _log(config.out / LOG) as log, contextlib.redirect_stdout(log):
-            begun = (config.out / "config.json").exists()
+        with new_folder(folder), _log(folder / LOG) as log, contextlib.redirect_stdout(log):
+            begun = (folder / "config.json").exists()
             importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=begun))
     except TrainingError as error:
         return str(error)
-    write_json(config.out / FINISHED, _settings(config))
+    write_json(folder / FINISHED, _settings(config))
     return None
 
 
@@ -89,18 +89,6 @@ def _log(path: Path) -> Iterator[TextIO]:
             path.unlink()
 
 
-def train_seed(config: Any) -> str | None:
-    """Do or resume a run without showing its output; return the reason if it failed."""
-    from dcgrid_env.agents.training.run_folder import TrainingError
-
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            importlib.import_module(type(config).__module__).main(dataclasses.replace(config, resume=True))
-    except TrainingError as error:
-        return str(error)
-    return None
-
-
 def _settings(config: Any) -> dict[str, Any]:
     about = {name: value for name, value in dataclasses.asdict(config).items() if name not in FREE}
     return json.loads(json.dumps(about, default=str))
@@ -113,7 +101,6 @@ Files = dict[str, bytes]
 class _Sent(NamedTuple):
     """Data that a worker needs for a run."""
 
-    work: Callable[[Any], str | None]
     config: Any
     words: Sequence[str]
     """Command for the policy's card."""
@@ -124,7 +111,6 @@ class _Sent(NamedTuple):
 def train_all(
     configs: Sequence[Any],
     place: Place,
-    work: Callable[[Any], str | None] = train,
     words: Callable[[Any], Sequence[str]] = lambda _: command_words(),
 ) -> Iterator[tuple[Any, str | None]]:
     """Do runs as units of a place; each with why it failed, if it did, as they are done.
@@ -139,8 +125,6 @@ def train_all(
         Where they run. Workers that do not see the runs' folders are sent what these hold and send back what they then
         hold, which is written here, ``finished.json`` last: where such a worker dies, its run begins from what the
         folder held when the command began.
-    work
-        What does a run, ``train`` or ``train_seed``.
     words
         The command that a run's card is to name.
     """
@@ -148,7 +132,7 @@ def train_all(
         Unit(
             str(config.folder),
             _train,
-            _Sent(work, config, words(config), _held(config.folder) if place.is_remote else None),
+            _Sent(config, words(config), _held(config.folder) if place.is_remote else None),
             config.threads,
             int(config.device.startswith("cuda")),
         )
@@ -171,12 +155,12 @@ def _train(sent: _Sent) -> tuple[str | None, Files | None]:
     """Do a run: why it failed, if it did, and what its folder holds where that is not seen by who asked for it."""
     with command_of(sent.words):
         if sent.files is None:
-            return sent.work(sent.config), None
+            return train(sent.config), None
         with tempfile.TemporaryDirectory(prefix="dcgrid-") as place:
             folder = Path(place) / "run"
             for name, content in sent.files.items():
                 write_bytes(folder / name, content)
-            failure = sent.work(dataclasses.replace(sent.config, out=folder))
+            failure = train(dataclasses.replace(sent.config, out=folder))
             run_folder = str(sent.config.folder)
             return failure and failure.replace(str(folder), run_folder), _renamed(
                 _held(folder), str(folder), sent.config

@@ -56,7 +56,7 @@ class Validation:
 
 def made_with() -> str:
     """The command that runs, without options that do not affect the policy."""
-    free = ("--resume", "--no-resume", "--replay", "--no-replay", "--traceback")
+    free = ("--resume", "--no-resume", "--traceback")
     given, words = iter(command_words()), []
     for word in given:
         if word == "--out":

@@ -98,16 +98,12 @@ COMMANDS = Group(
             "train": _TRAIN,
             "evaluate": Entry("Score a policy on held-out episodes.", "agents.evaluate_command:Evaluate"),
             "tune": Entry("Tune control laws on the validation split of scenarios.", "baselines.tune_command:Tune"),
-            "tune-agent": Entry(
-                "Search for an algorithm's best settings on a scenario.", "agents.tune_agent_command:TuneAgent"
-            ),
             "hindsight": Entry(
                 "Solve episodes with perfect foresight and store the costs.", "baselines.hindsight_command:Hindsight"
             ),
             "benchmark": Entry(
                 "Score controllers on the test split of scenarios.", "apps.benchmark.benchmark_command:Benchmark"
             ),
-            "curves": Entry("Draw learning curves of training runs.", "agents.curves_command:Curves"),
             "dataset": Entry(
                 "Write episodes as a Minari data set for offline learning.", "agents.dataset_command:Dataset"
             ),

@@ -121,7 +121,7 @@ def test_the_data_sets_of_three_qualities_have_the_documented_costs(here):
 
 def test_hindsight_acts_as_it_planned(here, monkeypatch):
     plans = [np.full((4, 10), 0.25 * seed) for seed in range(3)]
-    found = "dcgrid_env.baselines.model_based.hindsight.hindsight"
+    found = "dcgrid_env.agents.dataset_command.hindsight"
     monkeypatch.setattr(found, lambda scenario, seed: SimpleNamespace(actions=plans[seed]))
     main(["dataset", "--controller", "hindsight", "--workers", "1", *SHORT])
     dataset = minari.MinariDataset("results/datasets/dcgrid/ieee33-weak/hindsight-v0/data")

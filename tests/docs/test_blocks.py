@@ -89,7 +89,6 @@ ELSEWHERE = {
     "python -m docs.studies generalise": "tests/docs/studies",
     "python -m docs.studies unseen-feeders": "tests/docs/studies",
     "python -m docs.studies transfer": "tests/docs/studies",
-    "dcgrid tune-agent": "tests/agents/training/test_agent_search.py",
     "python -m docs.studies sags": "tests/docs/studies",
     "dcgrid replay results/run": "tests/dcgrid_env/cli/test_replay.py",  # there of a run that the shell began
     "dcgrid reproduce": "tests/apps/reproduction/test_reproduce_command.py",

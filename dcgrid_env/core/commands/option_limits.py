@@ -1,7 +1,7 @@
 """Least and largest value of every numeric option of the commands, one table for all.
 
 A command checks its options before it does anything, so a number with some digits too many takes no memory. The
-settings of trainings have their own table, ``agents.training.setting_bounds``.
+settings of trainings have their own table, ``agents.training.config``.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ LIMITS: Mapping[str, tuple[float, float]] = {
     "episodes": (1, MOST_EPISODES),
     "samples": (1, MOST_SAMPLES),
     "horizon": (1, 100_000_000),
-    "trials": (1, 100_000),
-    "batch": (1, MOST_WORKERS),
     "workers": (1, MOST_WORKERS),
     "seeds": (1, 10_000),
     "seed": _ANY_SEED,

@@ -41,14 +41,15 @@ class TrainingSpeed(Command):
 
 def training_rows(cfg: TrainingSpeed) -> Iterator[Row]:
     """Rates for each size of batch; ValueError for an invalid setting."""
-    from dcgrid_env.agents.algorithms.analytic import Analytic, check_settings
+    from dcgrid_env.agents.algorithms.analytic import Analytic
+    from dcgrid_env.agents.training.config import check
 
     if cfg.batches < 1:
         raise ValueError(f"batches is {cfg.batches}; give at least 1")
     settings = {"device": cfg.device, "history": cfg.history}
     trained = [Analytic.for_scenario(cfg.scenario, num_envs=n, **settings) for n in cfg.num_envs]
     for each in trained:
-        check_settings(each)
+        check(each)
         yield from _rows(each, cfg.batches)
 
 

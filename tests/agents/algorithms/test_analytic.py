@@ -9,9 +9,10 @@ import torch
 
 from dcgrid_env import make_scenario
 from dcgrid_env.agents import Card, Policy
-from dcgrid_env.agents.algorithms.analytic import Analytic, Learner, check_settings, grids_of, main
+from dcgrid_env.agents.algorithms.analytic import Analytic, Learner, grids_of, main, windows
 from dcgrid_env.agents.policy.interface import PolicyInterface
-from dcgrid_env.agents.training.episodes import episode_seeds, windows
+from dcgrid_env.agents.training.config import check
+from dcgrid_env.agents.training.normalisation import episode_seeds
 from dcgrid_env.agents.training.run_folder import TrainingError, read_curve
 from helpers.states import with_fields
 
@@ -19,11 +20,10 @@ TINY = Analytic(
     scenario="toy6", set=("horizon=40",), updates=24, num_envs=16, window=10, hidden=(8,), validation_episodes=4,
     validate_every=2, checkpoint_every=2,
 )  # fmt: skip
-TIMES = ("seconds", "forward_s", "backward_s")
 
 
 def without_times(rows):
-    return [{name: value for name, value in row.items() if name not in TIMES} for row in rows]
+    return [{name: value for name, value in row.items() if name != "seconds"} for row in rows]
 
 
 def dying_at(last, how):
@@ -63,7 +63,6 @@ def test_a_tiny_run_improves_and_writes_what_it_found(finished):
     assert best < 0.95 * curve[0]["J"]
     assert len({row["J_droop"] for row in curve}) == 1
     assert all(np.isfinite(list(row.values())).all() for row in curve)
-    assert curve[-1]["forward_s"] > 0.0 < curve[-1]["backward_s"]
     assert {"policy.safetensors", "policy.json", "curve.csv", "config.json", "checkpoint.pt"} <= {
         path.name for path in finished.iterdir()
     }
@@ -95,11 +94,8 @@ def spoilt(tmp_path_factory):
     class Spoilt(Learner):
         """From the third batch on every setpoint is driven to its end."""
 
-        def set_rate(self, learning_rate):
-            super().set_rate(learning_rate)
-            rates.append(self.optimiser.param_groups[0]["lr"])
-
         def episodes(self, i, iteration, require_finite):
+            rates.append(self.optimiser.param_groups[0]["lr"])
             figures = super().episodes(i, iteration, require_finite)
             if iteration > 2:
                 with torch.no_grad():
@@ -278,7 +274,7 @@ def test_batches_share_no_episode():
 def test_settings_that_cannot_be_are_named(settings, message, tmp_path):
     cfg = dataclasses.replace(TINY, out=tmp_path / "run", **settings)
     with pytest.raises(ValueError, match=message):
-        check_settings(cfg)
+        check(cfg)
     with pytest.raises(ValueError, match=message):
         main(cfg)
     assert not (tmp_path / "run").exists()

@@ -7,9 +7,15 @@ import pytest
 from dcgrid_env import scenario_hash
 from dcgrid_env.agents import ModelAidedPolicy, Policy
 from dcgrid_env.agents.algorithms import carry_over as algorithm
-from dcgrid_env.agents.algorithms.carry_over import CarryOver, CommissionedEnv, Corrections, drawn_on, main, moments
-from dcgrid_env.agents.training import drawn_feeders
-from dcgrid_env.agents.training.drawn_feeders import drawn_scenario
+from dcgrid_env.agents.algorithms.carry_over import (
+    CarryOver,
+    CommissionedEnv,
+    Corrections,
+    drawn_on,
+    drawn_scenario,
+    main,
+    moments,
+)
 from dcgrid_env.agents.training.run_folder import read_curve
 
 TINY = {"updates": 2, "feeders": 1, "num_envs": 2, "steps": 3, "hidden": (4,), "validation_feeders": 1,
@@ -29,15 +35,15 @@ def test_it_begins_as_the_law_and_learns_and_a_killed_run_goes_on_with_the_same_
     policy = Policy.load(tmp_path / "policy.safetensors")
     assert isinstance(policy, ModelAidedPolicy)
     assert policy.trained_on == "drawn-feeders"
-    updated = algorithm._update
+    iterate = algorithm.Learner.iterate
 
-    def killed(cfg, run, networks, optimiser, update):
-        if update == 2:
+    def killed(learner, iteration, run):
+        if iteration == 2:
             raise KeyboardInterrupt
-        return updated(cfg, run, networks, optimiser, update)
+        return iterate(learner, iteration, run)
 
     with monkeypatch.context() as patch:
-        patch.setattr(algorithm, "_update", killed)
+        patch.setattr(algorithm.Learner, "iterate", killed)
         with pytest.raises(KeyboardInterrupt):
             main(CarryOver(**TINY, out=tmp_path / "again"))
     main(CarryOver(**TINY, out=tmp_path / "again", resume=True))
@@ -53,7 +59,7 @@ def test_settings_that_cannot_be_are_refused(given, tmp_path):
 
 
 def test_where_a_style_has_no_feeder_of_the_load_it_has_one_of_its_own():
-    feeder, load_kw = drawn_feeders._feeder(0.01, 1, 20, "us-mv")
+    feeder, load_kw = algorithm._feeder(0.01, 1, 20, "us-mv")
     assert load_kw == pytest.approx(feeder.p_load_kw.sum())
     assert load_kw > 100.0
 

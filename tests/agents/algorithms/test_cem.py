@@ -58,10 +58,10 @@ def test_a_seed_gives_the_same_bytes_and_another_seed_others(finished, tmp_path)
 def test_a_killed_run_goes_on_with_the_same_curve(finished, tmp_path, monkeypatch):
     cfg, searched = dataclasses.replace(TINY, out=tmp_path / "run"), algorithm.Search.iterate
 
-    def killed(search, iteration):
+    def killed(search, iteration, run):
         if iteration == 14:
             raise KeyboardInterrupt
-        return searched(search, iteration)
+        return searched(search, iteration, run)
 
     with monkeypatch.context() as patch:
         patch.setattr(algorithm.Search, "iterate", killed)

@@ -9,7 +9,7 @@ from dcgrid_env import make_scenario, parallel_env
 from dcgrid_env.agents import Card, Network, Policy, PolicyError, UnseenScenarioWarning, evaluate, guarded
 from dcgrid_env.agents.policy import guard as guard_module
 from dcgrid_env.agents.policy.guard import DEVIATION, FIGURES, GuardedPolicy, law_for, steepest
-from dcgrid_env.agents.policy.input_range import InputRange, by_moments, recorded
+from dcgrid_env.agents.policy.input_range import InputRange, recorded
 from dcgrid_env.baselines import Droop, NoControl, find_controller, make_controller, rollout
 from dcgrid_env.baselines.laws.stability import is_stable, worst_radius
 from dcgrid_env.baselines.rollout import ControllerError
@@ -21,12 +21,10 @@ def toy6():
 
 
 def constant(q_share, **more):
-    """A policy that gives one share of reactive power everywhere, with moments that hold nothing back."""
-    wide = {"mean": np.zeros(9), "std": np.full(9, 1e3)}
-    small = {"mean": np.zeros(7), "std": np.full(7, 1e3)}
+    """A policy that gives one share of reactive power everywhere."""
     networks = {
-        "datacenter": Network([(np.zeros((9, 2)), [1.0, q_share])], **wide),
-        "inverter": Network([(np.zeros((7, 1)), [q_share])], **small),
+        "datacenter": Network([(np.zeros((9, 2)), [1.0, q_share])]),
+        "inverter": Network([(np.zeros((7, 1)), [q_share])]),
     }
     return Policy(networks, scenario="toy6", **more)
 
@@ -157,25 +155,17 @@ def test_on_a_scenario_that_it_was_not_made_for_it_is_no_worse_than_half_below_t
     assert plain > 5.0 * droop
 
 
-def test_without_a_card_the_moments_stand_for_the_range(toy6):
+def test_without_a_card_the_range_is_recorded_on_the_training_scenario(toy6):
     policy = constant(0.3)
     assert policy.card is None
     own = guarded(policy)
     assert isinstance(own, GuardedPolicy)
     courses(toy6, own)
-    assert own._ranges["inverter"].high == (3e3,) * 7
-    bare = Policy({"datacenter": Network([(np.zeros((9, 2)), [1.0, 0.3])]), "inverter": policy.networks["inverter"]})
-    with pytest.raises(ControllerError, match="range of inputs of network datacenter is not known") as raised:
-        courses(toy6, guarded(bare))
+    assert own.ranges == range_of(policy, make_scenario("toy6"), 64)
+    policy.trained_on = ""
+    with pytest.raises(ControllerError, match="not on a card, and not known: the policy names no scenario") as raised:
+        courses(toy6, guarded(policy))
     assert isinstance(raised.value.__cause__, PolicyError)
-
-
-def test_moments_of_a_part_of_the_inputs_leave_the_others_free():
-    safe = Policy.load("ieee33-weak-safe")
-    safe.reset(make_scenario("ieee33-weak"))
-    ranges = by_moments(safe.networks, safe.interface.input_fields)
-    assert np.isinf(ranges["inverter"].low[0])  # the voltage itself, which the monotone network takes as it is
-    assert np.isfinite(ranges["inverter"].low).any()
 
 
 def test_without_tuned_gains_the_law_is_the_droop_within_the_stability_bound():

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env import DcgridVectorEnv, action_layout, end_costs, field_names
+from dcgrid_env import DcgridVectorEnv, action_layout, field_names
 from dcgrid_env.agents import sb3_vec_env
 from helpers.riding import ride_through_34
 from helpers.row_envs import agent_envs, channel_envs, joint_envs
@@ -105,21 +105,3 @@ def test_kinds_are_told_apart():
     assert vec_env.rows.channels == ("clock", "q", "p")
     vec_env.seed(0)
     assert vec_env.reset()[:, -2:].tolist() == [[1, 0], [0, 0], [0, 0], [0, 1], [0, 1]]
-
-
-def test_what_the_end_charges_is_charged_as_it_arises():
-    scenario = toy6_storage(4)
-    plain, early = joint_envs(scenario, 2), joint_envs(scenario, 2)
-    early.end_as_it_arises = True
-    for vec_env in (plain, early):
-        vec_env.seed(0)
-        vec_env.reset()
-    action = np.tile(np.array([1.0, 0.0, 0.0, 0.0, -1.0, -0.5], np.float32), (2, 1))
-    for _ in range(2):  # episodes, the second begun by the step that ends the first
-        sums = np.zeros((2, 2))
-        for step in range(4):
-            sums += [vec_env.step(action)[1] for vec_env in (plain, early)]
-            due = np.sum(list(end_costs(scenario, plain.batch.transition.state).values()), axis=0)
-            assert (due > 0.0).all()
-            expected = sums[0] - due * (step < 3)  # it has all been charged, now or before
-            np.testing.assert_allclose(sums[1], expected, rtol=1e-5)

@@ -6,7 +6,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from dcgrid_env.agents.training.gradient_overflow import LARGEST, without_overflow  # noqa: E402
+from dcgrid_env.agents.training.torch_modules import LARGEST, without_overflow  # noqa: E402
 
 
 def gain_after(steps: int, factor: float, bounded: bool):

@@ -11,10 +11,10 @@ from dcgrid_env.agents import Card, Policy
 from dcgrid_env.agents.controllers import without_horizon
 from dcgrid_env.agents.policy.policy import FOLDER, SHIPPED
 from dcgrid_env.agents.train_command import ALGORITHMS, shipped_settings
-from dcgrid_env.agents.training.preset_settings import _all, settings
+from dcgrid_env.agents.training.config import all_settings, settings
 
 RENAMED_OPTIONS = {"--lanes": "--num-envs"}
-EVERY = [(algorithm, scenario) for algorithm, found in _all().items() for scenario in found]
+EVERY = [(algorithm, scenario) for algorithm, found in all_settings().items() for scenario in found]
 
 
 def kind(algorithm):

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dcgrid_env.agents.training.config import Training
-from dcgrid_env.agents.training.run_folder import TrainingError, open_run, progress, read_curve
+from dcgrid_env.agents.training.run_folder import TrainingError, open_run, read_curve
 
 CONFIG = Training("toy6")
 
@@ -104,19 +104,6 @@ def test_a_refused_resumption_leaves_the_run_as_it_is(tmp_path):
     assert json.loads(before)["scenario"] == "toy6"
 
 
-def test_a_run_whose_batch_was_stored_as_lanes_goes_on(tmp_path):
-    with open_run(tmp_path, CONFIG):
-        pass
-    path = tmp_path / "config.json"
-    path.write_text(path.read_text().replace('"num_envs"', '"lanes"'))
-    other = Training("toy6", num_envs=64)
-    with pytest.raises(TrainingError, match="num_envs was 128 and is 64 now"), open_run(tmp_path, other, True):
-        pass
-    with open_run(tmp_path, CONFIG, True):
-        pass
-    assert json.loads(path.read_text())["num_envs"] == 128
-
-
 def test_a_damaged_configuration_is_refused_on_one_line(tmp_path):
     with open_run(tmp_path, CONFIG):
         pass
@@ -158,27 +145,3 @@ def test_rows_after_the_checkpoint_are_dropped(tmp_path):
     with open_run(tmp_path, CONFIG, resume=True) as run:
         assert run.load() is None
     assert read_curve(tmp_path) == []
-
-
-def test_progress_on_a_terminal_is_a_bar_with_the_last_figures(monkeypatch, capsys):
-    """Iterations without a validation keep them; a resumed training begins where it was."""
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "120")
-    with progress("[toy6], ppo", 4, 1) as advance:
-        advance(2, "J 0.5")
-        advance(3)
-    said = capsys.readouterr().out
-    last = said[said.rindex("[toy6], ppo") :]
-    assert " 75%" in last
-    assert "J 0.5" in last
-    assert not said.count("iterations")
-
-
-def test_the_time_left_excludes_what_an_earlier_process_did(monkeypatch, capsys):
-    clock_s = iter((100.0, 110.0))
-    monkeypatch.setattr("dcgrid_env.agents.training.run_folder._computing_s", lambda: next(clock_s))
-    with progress("toy6, ppo", 100, 50) as advance:
-        advance(59)
-        advance(60, "J 0.5, droop 0.6")
-    assert capsys.readouterr().out == "toy6, ppo: 60 % of 100 iterations, J 0.5, droop 0.6, 0:00:40 left\n"

@@ -7,8 +7,7 @@ from typing import get_type_hints
 import pytest
 
 from dcgrid_env.agents.train_command import ALGORITHMS
-from dcgrid_env.agents.training.config import check
-from dcgrid_env.agents.training.setting_bounds import ABOVE_0, WITHIN
+from dcgrid_env.agents.training.config import ABOVE_0, WITHIN, check
 
 KINDS = {name: algorithm.configuration() for name, algorithm in ALGORITHMS.items()}
 FIGURES = [

@@ -27,14 +27,12 @@ def a_run(folder):
     networks["inverter"] = Network([(np.zeros((7, 1)), [0.2])])
     policy = Policy(networks, scenario="toy6", made_with="dcgrid train ppo")
     policy.save(folder / "policy", {"algorithm": NAME, "seed": 0, "training_s": 2.0, "validation_J": 0.3})
-    (folder / "curve.csv").write_text("step,J,J_droop,seconds\n1,0.3,0.4,2.0\n")
     (folder / "config.json").write_text('{"view": "shared"}')
 
 
 TINY = f"--updates 2 --episodes 2 --workers 1 --runs {NAME}/runs --out {NAME}/out"
 PLAIN = NAME.replace("/", "")
 SAID = {
-    f"curves {NAME}/run --out {NAME}/c.png": (f"toy6, {NAME}: 1 run", f"wrote {NAME}/c.png"),
     f"{PROG} ship {NAME}/run --name {PLAIN} --scenario toy6 --episodes 2 --out {NAME}": (
         f"{PLAIN}: {NAME} trained on toy6",
         f"wrote {NAME}/{PLAIN}",

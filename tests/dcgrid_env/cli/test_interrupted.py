@@ -92,7 +92,7 @@ def test_an_interrupted_training_keeps_what_is_whole_and_no_half_of_a_checkpoint
     assert ended.value.code == 130
     assert capsys.readouterr().err == "dcgrid: interrupted; run the same command with --resume to continue\n"
     kept = {name for name in names(here) if not name.startswith("events.out")}
-    assert kept == {"config.json", "curve.csv", "policy.json", "policy.safetensors", "replay.html"}
+    assert kept == {"config.json", "curve.csv", "policy.json", "policy.safetensors"}
 
 
 @pytest.mark.slow
@@ -120,7 +120,6 @@ def test_interrupted_trainings_in_processes_of_their_own_leave_nothing_half_done
         (("reproduce", "--trace", "no-such"), "results"),
         (("traces", "show", "training", "--duration-s", "10", "--out", "new/trace.xyz"), "new"),
         (("traces", "fetch", "no-such", "--cache", "new"), "new"),
-        (("curves", "nowhere", "--out", "new/curves.png"), "new"),
         (("tune", "--laws", "none", "--out", "new/tuned.json"), "new"),
         (("hindsight", "--split", "exam", "--out", "new"), "new"),
     ],

@@ -74,7 +74,6 @@ def test_an_unknown_command_is_one_line(capsys, arguments, message):
         ),
         ("run --trace infrence", "no trace 'infrence'; did you mean inference. `dcgrid list traces` lists all"),
         ("evaluate toy6-anlytic", "no controller 'toy6-anlytic'; did you mean toy6-analytic, "),
-        ("tune-agent saf", "no algorithm 'saf'; did you mean safe. "),
     ],
 )
 def test_an_unknown_name_gets_suggestions_and_where_all_are_listed(capsys, arguments, said):
@@ -102,16 +101,7 @@ def test_the_commands_are_in_their_groups():
     assert {title: list(commands) for title, commands in COMMANDS.sections.items()} == {
         "Get started": ["run", "list", "replay"],
         "Your feeder": ["import", "check", "capacity", "study", "export"],
-        "Train and evaluate": [
-            "train",
-            "evaluate",
-            "tune",
-            "tune-agent",
-            "hindsight",
-            "benchmark",
-            "curves",
-            "dataset",
-        ],
+        "Train and evaluate": ["train", "evaluate", "tune", "hindsight", "benchmark", "dataset"],
         "Publish": ["submit", "verify", "export-sb3", "reproduce"],
         "Data": ["traces"],
     }

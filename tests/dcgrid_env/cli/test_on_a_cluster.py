@@ -184,22 +184,6 @@ def test_tuning_hindsight_capacity_studies_and_searches_come_to_the_same(here, c
         assert local
 
 
-def test_a_search_over_settings_finds_the_same(here, cluster):
-    pytest.importorskip("optuna", reason="the extra search is not installed")
-    words = ["tune-agent", "analytic", "--scenario", "toy6", "--trials", "3", "--batch", "2"]
-    words += ["--fixed", "updates=4", "validation_episodes=2", "hidden=[4]", "window=20", "num_envs=4"]
-    assert ended(begun(*words, "--workers", "1", "--out", "local"))[0] == 0
-    code, said = ended(begun(*words, "--ray", cluster.address, "--out", "ray"))
-    assert code == 0, said
-    assert "best: trial" in said
-    for number in range(3):
-        local, ray = (here / out / f"trial-{number:03d}" for out in ("local", "ray"))
-        assert (local / "policy.safetensors").read_bytes() == (ray / "policy.safetensors").read_bytes()
-        a, b = (json.loads((folder / "trial.json").read_text()) for folder in (local, ray))
-        assert a["costs"] == b["costs"]
-        assert not a["stopped"]
-
-
 UNITS = """
 import json, os, signal, sys
 from dcgrid_env.core.work import cluster as work

@@ -1,34 +1,20 @@
-"""dcgrid replay, and the file that a command ends by: --open, and --wandb of a training."""
+"""dcgrid replay, and the file that a command opens with --open."""
 
 import importlib.util
 import json
 import sys
 import webbrowser
-from dataclasses import dataclass
-from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from dcgrid_env.agents.training.config import Training
 from dcgrid_env.cli.main import main
+from dcgrid_env.core.commands.opening import offer
+from dcgrid_env.core.commands.terminal import plain_console
 from dcgrid_env.core.suggestions import from_clone
 
 drawn = pytest.mark.skipif(
     importlib.util.find_spec("plotly") is None, reason=f"plotly not installed; {from_clone('replay')}"
 )
-
-
-@dataclass(frozen=True)
-class Ppo(Training):
-    """Nothing more than the settings that ship for toy6 name."""
-
-    gamma: float = 0.9
-    outputs: str = "setpoint"
-    nameplate: bool = False
-    wait: float = 10.0
-    log_std: float = -0.7
-    learning_rate: float = 3e-3
-    steps: int = 10
 
 
 @pytest.fixture
@@ -140,48 +126,10 @@ def test_a_gif_in_one_command(tmp_path, capsys):
     assert f"open {tmp_path / 'a.gif'}" in capsys.readouterr().out
 
 
-@pytest.fixture
-def training(tmp_path, monkeypatch):
-    """A stand-in for an algorithm that writes a curve, and what happened in which order."""
-    made, seen = ModuleType("dcgrid_env.agents.algorithms.sb3", "A stand-in."), []
-    made.Ppo = Ppo  # type: ignore[attr-defined]
-    made.main = lambda cfg: seen.append("trained") or tmp_path  # type: ignore[attr-defined]
-    monkeypatch.setattr("dcgrid_env.agents.training.run_report.write_report", lambda *_: None)
-    monkeypatch.setitem(sys.modules, made.__name__, made)
-    return seen
-
-
-def test_a_training_is_mirrored_to_weights_and_biases(training, tmp_path, monkeypatch, capsys, opened):
-    wandb = ModuleType("wandb")
-
-    def init(**given):
-        assert given["project"] == "dcgrid"
-        assert given["sync_tensorboard"] is True
-        assert given["config"]["seed"] == "3"
-        training.append("begun")
-        return SimpleNamespace(finish=lambda exit_code: training.append(f"finished {exit_code}"))
-
-    wandb.init = init  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "wandb", wandb)
-    main(["train", "ppo", "--scenario", "toy6", "--seed", "3", "--wandb", "--open"])
-    assert training == ["begun", "trained", "finished 0"]
-    assert opened == [(tmp_path / "report.html").as_uri()]
-    assert f"tensorboard --logdir {tmp_path}" in capsys.readouterr().out
-    for words, message in (
-        (["--wandb", "--seeds", "2"], "seeds: must not be combined with --open or --wandb"),
-        (["--wandb"], "pip install wandb"),
-    ):
-        monkeypatch.setitem(sys.modules, "wandb", None)
-        with pytest.raises(SystemExit):
-            main(["train", "ppo", *words])
-        assert message in capsys.readouterr().err
-    assert len(training) == 3
-
-
-def test_without_a_display_nothing_is_opened(training, tmp_path, monkeypatch, capsys):
+def test_without_a_display_nothing_is_opened(tmp_path, monkeypatch, capsys):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(webbrowser, "open", lambda uri: pytest.fail("opened"))
-    main(["train", "ppo", "--scenario", "toy6", "--open"])
+    offer(plain_console(), tmp_path / "page.html", opens=True)
     assert "could not open the file: no display" in capsys.readouterr().out

@@ -9,7 +9,7 @@ import pytest
 from dcgrid_command.command_table import COMMANDS
 from dcgrid_command.group import Entry
 from dcgrid_env.agents.train_command import ALGORITHMS
-from dcgrid_env.agents.training.setting_bounds import ABOVE_0, WITHIN
+from dcgrid_env.agents.training.config import ABOVE_0, WITHIN
 from dcgrid_env.cli.main import parse
 from dcgrid_env.core.commands.option_limits import LIMITS
 
@@ -24,7 +24,7 @@ def numbers(kind):
             yield field
 
 
-@pytest.mark.parametrize("line", [line for line, entry in ENTRIES.items() if "train:" not in entry.where])
+@pytest.mark.parametrize("line", [line for line, entry in ENTRIES.items() if "train_command:" not in entry.where])
 def test_every_number_of_a_command_has_a_limit(line):
     kind = ENTRIES[line].load()
     assert set(numbers(kind)) <= set(LIMITS)
@@ -37,7 +37,7 @@ def test_every_number_of_a_command_has_a_limit(line):
             assert low <= default <= high
 
 
-@pytest.mark.parametrize("line", [line for line, entry in ENTRIES.items() if "train:" in entry.where])
+@pytest.mark.parametrize("line", [line for line, entry in ENTRIES.items() if "train_command:" in entry.where])
 def test_every_number_of_a_training_has_a_limit(line):
     pytest.importorskip("torch")
     kind = ALGORITHMS[line.split()[-1]].configuration()

@@ -100,7 +100,7 @@ def test_the_hub_reads_the_card(exported):
 def test_a_training_run_is_exported_with_its_configuration(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--scenario", "toy6", "--set", "horizon=8", "--updates", "1", "--num-envs", "2", "--hidden", "4"]
-    dcgrid(["train", "analytic", *words, "--validation-episodes", "2", "--no-replay", "--out", "run"])
+    dcgrid(["train", "analytic", *words, "--validation-episodes", "2", "--out", "run"])
     main(["export-hub", "run", "--out", "hub", "--episodes", "2", "--scenario", "toy6", "--set", "horizon=8"])
     assert "wrote hub; upload it with the hub's client: hf upload USER/NAME hub" in capsys.readouterr().out
     config = json.loads((tmp_path / "hub" / "config.json").read_text())

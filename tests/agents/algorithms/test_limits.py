@@ -2,7 +2,7 @@
 
 import pytest
 
-from dcgrid_env.agents.training.limits import Limits, updated_factor
+from dcgrid_env.agents.algorithms.analytic import Limits, updated_factor
 
 
 def test_the_multiplier_stays_within_its_range():

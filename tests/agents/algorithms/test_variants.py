@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from dcgrid_env import DcgridVectorEnv, ScenarioError, scenario_hash
-from dcgrid_env.agents.training.variants import scenarios, variant
+from dcgrid_env.agents.algorithms.analytic import variant
+from dcgrid_env.agents.training.config import scenarios
 from helpers.three_phase import SCENARIOS
 
 

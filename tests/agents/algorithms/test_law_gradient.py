@@ -5,9 +5,11 @@ import pytest
 import torch
 
 from dcgrid_env import field_names, make_scenario
-from dcgrid_env.agents.policy.law_step import Columns, LawStep, Past
+from dcgrid_env.agents.algorithms.carry_over import LawGradient
+from dcgrid_env.agents.policy.law_interface import Columns
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 from dcgrid_env.baselines.model_aided.knowledge import Law
+from dcgrid_env.baselines.model_aided.law_step import LawStep, Past
 
 
 def steps(preset, array, joint):
@@ -17,7 +19,8 @@ def steps(preset, array, joint):
     columns = Columns(scenario, array)
     now, past = columns.physical(columns.of(joint)), Past()
     past.steps = 1  # the first begins elsewhere
-    return LawStep(site, commission(site, np.array([buses])), array)(now, past)
+    law = LawStep if array is np.asarray else LawGradient
+    return law(site, commission(site, np.array([buses])), array)(now, past)
 
 
 def double(array):
