@@ -2,7 +2,7 @@
 
     noise_pu: float = number(0.0, 1.0, default=0.0)
 
-A class calls :func:`check_fields` in its ``__post_init__``; a class that contains it adds the path.
+A class calls :func:`settle` in its ``__post_init__``; a class that contains it adds the path.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, field
+from functools import cache, partial
 from numbers import Integral, Real
 from typing import Any
 
@@ -24,6 +26,7 @@ Plain = Any
 DEEPEST = 64
 """Most lists and mappings within each other."""
 _LONGEST_SHOWN = 200
+_PYTHON = (float, int, bool, str, type(None))
 _LARGEST = sys.float_info.max
 """Largest finite number; larger whole numbers are refused."""
 _SMALLEST = sys.float_info.min
@@ -56,7 +59,7 @@ class FieldError(ValueError):
 
     def within(self, owner: str, field: str) -> FieldError:
         """The error of a value that is itself in a field of ``owner``."""
-        return FieldError(owner, f"{field}.{self.name}", self.value, self.remedy)
+        return FieldError(owner, _joined(field, self.name), self.value, self.remedy)
 
 
 def shown(value: object) -> str:
@@ -109,7 +112,12 @@ class UnknownFieldError(FieldError):
 
     def within(self, owner: str, field: str) -> FieldError:
         """The error of a value that is itself in a field of ``owner``."""
-        return UnknownFieldError(owner, f"{field}.{self.name}", self.value, self.names)
+        return UnknownFieldError(owner, _joined(field, self.name), self.value, self.names)
+
+
+def _joined(path: str, name: str) -> str:
+    """Return a path with a field added, or an index such as ``[0].kind``."""
+    return f"{path}{name}" if name.startswith("[") else f"{path}.{name}"
 
 
 def is_number(value: object) -> bool:
@@ -122,7 +130,10 @@ def _is_subnormal(value: Any) -> bool:
 
 
 def number(low: float, high: float | str, default: object = MISSING) -> Any:
-    """Return a field for a finite number in [low, high]; ``high`` may name another field of the class."""
+    """Return a field for a finite number in [low, high]; ``high`` may name another field of the class.
+
+    None is allowed if it is the default.
+    """
     return field(default=default, metadata={"check": _check_number, "bounds": (low, high)})
 
 
@@ -136,31 +147,94 @@ def choice(*options: Any, default: object = MISSING) -> Any:
     return field(default=default, metadata={"check": _check_choice, "options": options})
 
 
-def as_plain(value: object) -> Plain:
-    """Return a NumPy scalar as a Python number; any other value unchanged."""
-    return value.item() if isinstance(value, np.generic) else value
+def part(kind: type[Any], default: object = MISSING) -> Any:
+    """Return a field for an instance of a dataclass, or a mapping of its fields; None is allowed if it is the default.
+
+    Without a default, the field is ``kind()``.
+    """
+    metadata = {"convert": partial(from_mapping, kind), "check": _check_part, "kind": kind}
+    if default is MISSING:
+        return field(default_factory=kind, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def parts(kind: type[Any]) -> Any:
+    """Return a field for a tuple of instances of a dataclass, or of mappings of its fields; one alone is taken too."""
+    return field(default=(), metadata={"convert": partial(_from_mappings, kind), "check": _check_parts, "kind": kind})
+
+
+def pairs(default: object) -> Any:
+    """Return a field for pairs of a name and a value, or the mapping from names to values that they represent."""
+    return field(default=default, metadata={"convert": as_pairs, "is_mapping": True})
+
+
+def span(low: float, high: float, default: object = MISSING) -> Any:
+    """Return a field for a lowest and a highest number in [low, high]; one number is a range without width."""
+    return field(
+        default=default, metadata={"convert": partial(_as_span, low, high), "check": _check_span, "bounds": (low, high)}
+    )
+
+
+def as_pairs(value: object) -> Any:
+    """Return the pairs of a mapping, with names as text; any other value unchanged."""
+    return tuple((str(name), item) for name, item in value.items()) if isinstance(value, Mapping) else value
+
+
+def as_tuples(value: object) -> Any:
+    """Return lists and arrays, also those within lists, as tuples, and NumPy scalars as Python numbers."""
+    if type(value) in _PYTHON:
+        return value
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()  # a number where it has no dimension
+    if type(value) not in (list, tuple):
+        return value
+    items: Any = value
+    made = tuple(map(as_tuples, items))
+    return value if type(value) is tuple and all(a is b for a, b in zip(made, items, strict=True)) else made
 
 
 def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
-    """Convert the fields of a frozen dataclass instance: lists and arrays to tuples, NumPy scalars to Python numbers.
+    """Convert and check the fields of a frozen dataclass instance in its ``__post_init__``.
 
-    ``conversions`` has a function for each field with a plain form, which converts plain data."""
-    for f in dataclasses.fields(owner):
-        given = getattr(owner, f.name)
-        value = conversions[f.name](given) if f.name in conversions else given
-        if isinstance(value, np.ndarray):
-            value = value.tolist()  # a number where it has no dimension
-        if isinstance(value, list):
-            value = tuple(map(as_plain, value))
-        value = as_plain(value)
-        if value is not given:
+    Plain data becomes objects where a field declares it, lists and arrays become tuples, and NumPy scalars Python
+    numbers. ``conversions`` has a function for each further field that converts plain data. Then FieldError is raised
+    for the first invalid field among those made with this module.
+    """
+    kind = type(owner)
+    for f in _fields(kind):
+        value = before = getattr(owner, f.name)
+        if f.name in conversions:
+            value = conversions[f.name](value)
+        if f.metadata and value is not f.default and (convert := f.metadata.get("convert")):
+            with inside(kind.__name__, f.name):
+                value = convert(value)
+        value = as_tuples(value)
+        if value is not before:
             object.__setattr__(owner, f.name, value)
+    for f in _fields(kind):
+        if f.metadata and (check := f.metadata.get("check")):
+            check(owner, f)
 
 
-def from_mapping(kind: type[Any], value: object) -> Any:
+@cache
+def _fields(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(kind)
+
+
+@contextmanager
+def inside(owner: str, path: str) -> Iterator[None]:
+    """Put a path before the field of a FieldError that is raised within."""
+    try:
+        yield
+    except FieldError as error:
+        raise error.within(owner, path) from None
+
+
+def from_mapping(kind: type[Any], value: object, start: Any = None) -> Any:
     """Return a dataclass instance for its plain form, a mapping of its fields; any other value unchanged.
 
-    FieldError for an unknown field, or a missing one without a default.
+    The fields that the mapping leaves out are those of ``start``, or at their default. FieldError for an unknown field,
+    or a missing one without a default.
     """
     if not isinstance(value, Mapping):
         return value
@@ -168,6 +242,8 @@ def from_mapping(kind: type[Any], value: object) -> Any:
     for name in value:
         if name not in there:
             raise UnknownFieldError(kind.__name__, name, value[name], there)
+    if start is not None:
+        return dataclasses.replace(start, **value) if value else start
     for name, f in there.items():
         if name not in value and f.default is MISSING and f.default_factory is MISSING:
             raise FieldError(kind.__name__, name, ..., "is missing; give it")
@@ -176,15 +252,8 @@ def from_mapping(kind: type[Any], value: object) -> Any:
 
 def changed_fields(instance: Any) -> dict[str, Any]:
     """Return the fields of a dataclass instance that are not at their default, by name."""
-    given = ((f, getattr(instance, f.name)) for f in dataclasses.fields(instance))
-    return {f.name: value for f, value in given if f.default is MISSING or value != f.default}
-
-
-def check_fields(owner: Any) -> None:
-    """Raise FieldError for the first invalid field of a dataclass instance among the fields made with this module."""
-    for f in dataclasses.fields(owner):
-        if check := f.metadata.get("check"):
-            check(owner, f)
+    values = ((f, getattr(instance, f.name)) for f in dataclasses.fields(instance))
+    return {f.name: value for f, value in values if f.default is MISSING or value != f.default}
 
 
 def refuse(owner: object, name: str, remedy: str) -> FieldError:
@@ -192,13 +261,59 @@ def refuse(owner: object, name: str, remedy: str) -> FieldError:
     return FieldError(type(owner).__name__, name, getattr(owner, name), remedy)
 
 
+def _from_mappings(kind: type[Any], value: object) -> Any:
+    """Return instances of a dataclass for their plain forms; any other value unchanged."""
+    items = (value,) if isinstance(value, kind | Mapping) else as_tuples(value)
+    if not isinstance(items, tuple):
+        return value
+    made: list[Any] = []
+    for i, item in enumerate(items):
+        with inside(kind.__name__, f"[{i}]"):
+            made.append(from_mapping(kind, item))
+    return tuple(made)
+
+
+def _as_span(low: float, high: float, value: object) -> object:
+    value = as_tuples(value)
+    pair = (value, value) if finite(value) else value
+    return tuple(map(float, pair)) if isinstance(pair, tuple) and all(_in_range(v, low, high) for v in pair) else value
+
+
+def _check_part(owner: object, f: dataclasses.Field[Any]) -> None:
+    kind, value = f.metadata["kind"], getattr(owner, f.name)
+    if not isinstance(value, kind) and not (value is None and f.default is None):
+        none = ", or None" if f.default is None else ""
+        raise refuse(owner, f.name, f"give {kind.__name__}(...) or a mapping of its fields{none}")
+
+
+def _check_parts(owner: object, f: dataclasses.Field[Any]) -> None:
+    kind, value = f.metadata["kind"], getattr(owner, f.name)
+    if not isinstance(value, tuple) or not all(isinstance(item, kind) for item in value):
+        raise refuse(owner, f.name, f"give a list of {kind.__name__}(...) or of mappings of its fields, () for none")
+
+
+def _check_span(owner: object, f: dataclasses.Field[Any]) -> None:
+    low, high = f.metadata["bounds"]
+    value = getattr(owner, f.name)
+    if value is None and f.default is None:
+        return
+    if not isinstance(value, tuple) or len(value) != 2 or not all(_in_range(one, low, high) for one in value):
+        remedy = f"give a number from {low:g} to {high:g}, or a pair of them, a lowest and a highest"
+        raise refuse(owner, f.name, remedy)
+    if value[0] > value[1]:
+        raise refuse(owner, f.name, "give the lowest first")
+
+
 def _check_number(owner: object, f: dataclasses.Field[Any]) -> None:
     low, bound = f.metadata["bounds"]
     high = getattr(owner, bound) if isinstance(bound, str) else bound
     value = getattr(owner, f.name)
+    if value is None and f.default is None:
+        return
     if not (is_number(value) and is_number(high) and low <= value <= min(high, 1e300)):
         upper = f"{bound} = {high:g}" if isinstance(bound, str) and is_number(high) else f"{high:g}"
-        raise refuse(owner, f.name, f"give a finite number in [{low:g}, {upper}]{_not_subnormal(value)}")
+        remedy = f"give a finite number in [{low:g}, {upper}]{', or None' * (f.default is None)}"
+        raise refuse(owner, f.name, remedy + _not_subnormal(value))
 
 
 def _not_subnormal(value: object) -> str:
@@ -222,4 +337,9 @@ def _check_choice(owner: object, f: dataclasses.Field[Any]) -> None:
 
 def finite(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
     """Return whether it is a finite number within bounds."""
-    return is_number(value) and -_LARGEST <= value <= _LARGEST and low <= value <= high
+    return _in_range(value, max(low, -_LARGEST), min(high, _LARGEST))
+
+
+def _in_range(value: Any, low: float = -_LARGEST, high: float = math.inf) -> bool:
+    """Return whether it is a number within bounds, and finite or infinite as a float too."""
+    return is_number(value) and low <= value <= high and (value <= _LARGEST or value == math.inf)

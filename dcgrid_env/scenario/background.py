@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.checked import choice, finite, number, refuse, settle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,6 @@ class Background:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         hour = self.start_hour
         if hour not in (None, "random") and not (finite(hour, 0.0, 24.0) and hour != 24):
             raise refuse(self, "start_hour", "give an hour from 0 to less than 24, 'random', or None")

@@ -44,9 +44,8 @@ from dcgrid_env.grid.network import (
     SwitchTable,
     TransformerTable,
 )
-from dcgrid_env.scenario.assembly import GROUPS, PARTS
+from dcgrid_env.scenario.assembly import ALIASES, FORMER, GROUPS, PARTS
 from dcgrid_env.scenario.cost import CostWeights
-from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.grid_request import LoadTarget
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import ProfileTable

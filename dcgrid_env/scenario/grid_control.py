@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from dcgrid_env.core.checked import FieldError, from_mapping, refuse, settle
+from dcgrid_env.core.checked import inside, pairs, part, refuse, settle
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
@@ -45,31 +44,22 @@ class GridControl:
     feeder has neither and accepts only the defaults.
     """
 
-    regulators: Decider | ByBank = REGULATORS
+    regulators: Decider | ByBank = pairs(default=REGULATORS)
     """Mode of regulators; banks that a mapping does not name are controlled."""
-    capacitors: Decider | ByBank = CAPACITORS
+    capacitors: Decider | ByBank = pairs(default=CAPACITORS)
     """Mode of capacitor banks; banks that a mapping does not name are fixed."""
-    capacitor_settings: CapacitorControl = field(default_factory=CapacitorControl)
+    capacitor_settings: CapacitorControl = part(CapacitorControl)
     """Switching rule of the controlled capacitor banks; settings that a mapping does not name keep their default."""
-    regulator_settings: RegulatorControl = field(default_factory=RegulatorControl)
+    regulator_settings: RegulatorControl = part(RegulatorControl)
     """Timers and set points of the controlled regulators; likewise."""
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            regulators=_pairs,
-            capacitors=_pairs,
-            capacitor_settings=partial(_settings, CapacitorControl, "capacitor_settings"),
-            regulator_settings=partial(_settings, RegulatorControl, "regulator_settings"),
-        )
+        settle(self)
         for name in ("regulators", "capacitors"):
             value = getattr(self, name)
-            pairs = value if isinstance(value, tuple) else ((None, value),)
-            if not all(isinstance(pair, tuple) and len(pair) == 2 and pair[1] in DECIDERS for pair in pairs):
+            modes = value if isinstance(value, tuple) else ((None, value),)
+            if not all(isinstance(pair, tuple) and len(pair) == 2 and pair[1] in DECIDERS for pair in modes):
                 raise refuse(self, name, f"give one of {', '.join(DECIDERS)}, or a mapping from banks to these")
-        for name, kind in (("capacitor_settings", CapacitorControl), ("regulator_settings", RegulatorControl)):
-            if not isinstance(getattr(self, name), kind):
-                raise refuse(self, name, f"give {kind.__name__}(...) or a mapping of its fields")
         measures, capacitors = self.capacitor_settings.measures, self.capacitors
         modes = dict(capacitors).values() if isinstance(capacitors, tuple) else (capacitors,)
         if "setpoint" in modes and measures != "voltage":
@@ -125,10 +115,8 @@ def _rows(deciders: tuple[Decider, ...], decider: Decider) -> tuple[int, ...]:
 
 def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Background) -> None:
     """Raise FieldError for a bank that the feeder lacks, or equipment that needs another background."""
-    try:
+    with inside("GridControl", "regulator_settings"):
         _check_offsets(control, feeder, background)
-    except FieldError as error:
-        raise error.within("GridControl", "regulator_settings") from None
     if not isinstance(feeder, ThreePhaseFeeder) and control.regulator_settings != RegulatorControl():
         remedy = f"the balanced feeder {feeder.name!r} has no regulators that act; leave it out"
         raise refuse(control, "regulator_settings", remedy)
@@ -186,20 +174,3 @@ def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
         return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the words, checked)
     named = dict(value)
     return tuple(named.get(bank, default) for bank in banks)
-
-
-def _pairs(value: object) -> Any:
-    """Return pairs of a bank and a mode from a mapping or from JSON lists; any other value unchanged."""
-    if isinstance(value, Mapping):
-        return tuple(value.items())
-    if isinstance(value, list | tuple):
-        return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in value)
-    return value
-
-
-def _settings(kind: type[Any], name: str, value: object) -> Any:
-    """Return settings for a mapping of their fields; any other value unchanged."""
-    try:
-        return from_mapping(kind, value)
-    except FieldError as error:
-        raise error.within("GridControl", name) from None

@@ -30,10 +30,9 @@ from dcgrid_env.core.files import write_text
 from dcgrid_env.core.user_files import read_toml as read_toml_file
 from dcgrid_env.devices import device_kind
 from dcgrid_env.grid import FEEDER_REGISTRY
-from dcgrid_env.scenario.assembly import GROUPS, PARTS
+from dcgrid_env.scenario.assembly import GROUPS, PARTS, with_overrides
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.plain import refuse_objects, to_plain
-from dcgrid_env.scenario.replaced_feeder import with_overrides
+from dcgrid_env.scenario.serialization import refuse_objects, to_data
 
 SUFFIX = ".toml"
 """Ending of a scenario file's name."""
@@ -110,9 +109,9 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None, bri
     table: dict[str, Any] = {} if base is None else {"base": preset}
     tables: dict[str, Any] = {}
     for field in dataclasses.fields(scenario):
-        plain = to_plain(getattr(scenario, field.name))
+        plain = to_data(getattr(scenario, field.name))
         if base is not None:
-            before = to_plain(getattr(base, field.name))
+            before = to_data(getattr(base, field.name))
             on_other = field.name == "source_voltage_pu" and "feeder" in table  # which would bring its own
             if field.name != "name" and plain == before and not on_other:
                 continue
@@ -143,7 +142,7 @@ def _without_defaults(field: dataclasses.Field[Any], plain: Plain) -> Plain:
         return [{"kind": group["kind"], **_changed(device_kind(group["kind"]), group)} for group in plain]
     if field.name in PARTS:
         return _changed(PARTS[field.name], plain)
-    return _DEFAULT if field.default is not dataclasses.MISSING and plain == to_plain(field.default) else plain
+    return _DEFAULT if field.default is not dataclasses.MISSING and plain == to_data(field.default) else plain
 
 
 def _changed(kind: type[Any], plain: dict[str, Any]) -> dict[str, Any]:
@@ -151,7 +150,7 @@ def _changed(kind: type[Any], plain: dict[str, Any]) -> dict[str, Any]:
     changed: dict[str, Any] = {}
     for field in dataclasses.fields(kind):
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        if field.name in plain and plain[field.name] != to_plain(default):
+        if field.name in plain and plain[field.name] != to_data(default):
             changed[field.name] = plain[field.name]
     return changed
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, choice, finite, number, refuse, settle
 from dcgrid_env.core.suggestions import nearest
 from dcgrid_env.traces import TRACE_SOURCES, PowerTrace, TraceError, is_recording, recorded_trace
 
@@ -47,7 +47,6 @@ class Workload:
 
     def __post_init__(self) -> None:
         settle(self, trace=_trace)
-        check_fields(self)
         if self.full_load_s is not None and not _is_period(self.full_load_s):
             raise refuse(self, "full_load_s", "give its begin and its end, 0 <= begin < end, in s, or None")
         if isinstance(self.trace, str):

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from dcgrid_env import UpsRideThrough
 from dcgrid_env.apps.hosting.sites_together import Rule
-from dcgrid_env.core.checked import FieldError, check_fields, from_mapping, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, from_mapping, number, refuse, settle
 
 SECTIONS = (
     "base-case", "capacity", "worst-window", "day", "year", "ride-through", "fluctuation", "sensitivity", "checklists",
@@ -36,7 +36,6 @@ class FluctuationLimits:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if self.ramp_kw_per_s is not None and not (
             isinstance(self.ramp_kw_per_s, int | float) and self.ramp_kw_per_s > 0
         ):
@@ -112,7 +111,6 @@ class StudyRequest:
             ride_through=_part(RideThroughTest, "ride_through"),
             several_sites=lambda value: None if value is None else _part(SeveralSites, "several_sites")(value),
         )
-        check_fields(self)
         for name in ("bus", "title"):
             if not isinstance(getattr(self, name), str) or not getattr(self, name).strip():
                 raise refuse(self, name, "give a text")

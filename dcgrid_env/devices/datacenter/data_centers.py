@@ -11,7 +11,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
-from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, count, number, refuse, settle
 from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
@@ -97,7 +97,6 @@ class DataCenters(PickledByFields):
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
-        check_fields(self)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             remedy = "give 'linear', 'prefill-decode', 'power-cap', or a clock law such as PrefillDecodeDvfs()"
             raise refuse(self, "clock_law", remedy)

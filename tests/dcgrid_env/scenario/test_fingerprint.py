@@ -22,8 +22,7 @@ from dcgrid_env import (
 )
 from dcgrid_env.core.digest import digest
 from dcgrid_env.scenario import fingerprint
-from dcgrid_env.scenario.assembly import PARTS
-from dcgrid_env.scenario.field_names import ALIASES, FORMER
+from dcgrid_env.scenario.assembly import ALIASES, FORMER, PARTS
 from dcgrid_env.scenario.fingerprint import fields
 from dcgrid_env.traces import PowerTrace, ProfileTable, Provenance
 

@@ -23,7 +23,7 @@ from dcgrid_env import (
     make_scenario,
 )
 from dcgrid_env.core.checked import FieldError
-from dcgrid_env.scenario.field_names import ALIASES, FORMER
+from dcgrid_env.scenario.assembly import ALIASES, FORMER
 
 SITES = DataCenters(count=1, buses=("18",), p_rated_kw=500.0, s_rated_share=1.1, q_max_share=0.3)
 WAYS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
