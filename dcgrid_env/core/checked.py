@@ -170,9 +170,8 @@ def pairs(default: object) -> Any:
 
 def span(low: float, high: float, default: object = MISSING) -> Any:
     """Return a field for a lowest and a highest number in [low, high]; one number is a range without width."""
-    return field(
-        default=default, metadata={"convert": partial(_as_span, low, high), "check": _check_span, "bounds": (low, high)}
-    )
+    metadata = {"convert": partial(_as_span, low, high), "check": _check_span, "bounds": (low, high)}
+    return field(default=default, metadata=metadata)
 
 
 def as_pairs(value: object) -> Any:

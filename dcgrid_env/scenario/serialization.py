@@ -17,7 +17,7 @@ pairs of names and values are a mapping. These fields have another form:
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -119,6 +119,12 @@ def _feeder_to_data(feeder: AnyFeeder) -> Plain:
     return str(feeder.folder) if is_there else feeder
 
 
+PATHS: dict[str, Container[str]] = {
+    "feeder": FEEDER_REGISTRY, "trace": TRACE_SOURCES, "injection": (SUN,), "file": (), "classes": (),
+}  # fmt: skip
+"""Fields that may name a file or folder, with the texts that are names of something else."""
+
+
 def reads_files(name: str, value: object) -> bool:
     """Whether the plain value of a field names a file or folder, whose content may differ from call to call."""
     name = name.rpartition(".")[2]
@@ -128,8 +134,7 @@ def reads_files(name: str, value: object) -> bool:
         return any(reads_files("device", item) for item in value)
     if name == "trace" and isinstance(value, list | tuple):
         return True
-    known: Any = {"feeder": FEEDER_REGISTRY, "trace": TRACE_SOURCES, "injection": (SUN,), "file": (), "classes": ()}
-    return name in known and (isinstance(value, Path) or (isinstance(value, str) and value not in known[name]))
+    return name in PATHS and (isinstance(value, Path) or (isinstance(value, str) and value not in PATHS[name]))
 
 
 def feeder_from_data(value: object) -> Any:

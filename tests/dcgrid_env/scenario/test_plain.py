@@ -222,7 +222,7 @@ def test_faults_as_mappings():
         ({"among": ["dc_1"]}, r"faults\[0\].begin_s is missing; give it"),
         (
             {"among": ["dc_1"], "begin": [1, 2]},
-            r"no faults\[0\] field 'begin'; did you mean begin_s\? its fields are among, begin_s, duration_s",
+            r"no faults\[0\] field 'begin'; did you mean begin_s\? its fields are among, beg",
         ),
         ({"among": ["dc_1"], "begin_s": -3}, r"faults\[0\].begin_s is -3; give a number from 0 to"),
         ({"among": ["dc_1"], "begin_s": [2, 1]}, r"faults\[0\].begin_s is \(2.0, 1.0\); give the lowest first"),

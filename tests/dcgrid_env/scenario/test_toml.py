@@ -129,7 +129,7 @@ def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
         ('feeder = "toy6"', "devices is missing; give it, a list of groups"),
         ("", "is empty: it has neither base nor feeder; give base, a preset's name"),
         ("horizon = 3", "has horizon, but neither base nor feeder; give base"),
-        ('base = "ieee33"\nsensing = "none"', r"sensing is 'none'; give Sensing\(...\) or a mapping"),
+        ('base = "ieee33"\nsensing = "none"', "sensing is None; leave it out, or give what"),
         ('base = "ieee33"\nfeeder = "."', "feeder.toml is missing"),
         ('base = "ieee33"\ntrace = "."', r"trace is '.*'; `dcgrid list traces` lists all; or give recordings"),
         ('base = "ieee33"\nfeeder = "a\\u0000b"', r"no feeder 'a\\x00b'; `dcgrid list feeders`"),
