@@ -74,15 +74,3 @@ def on_batch(scenario: Any, groups: Sequence[tuple[Any, np.ndarray]]) -> Any:
     made.__setstate__(fields_alone(scenario) | {"feeder": batch})
     made.__dict__["_family"] = scenario
     return made
-
-
-def check_random_feeders(scenario: Any) -> None:
-    """Raise ScenarioError for what a scenario on random feeders cannot be."""
-    if not isinstance(scenario.feeder, RandomFeeders):
-        return
-    if scenario.sensing.observe == "feeder":
-        raise ScenarioError(
-            f"scenario {scenario.name!r}: observe is 'feeder', but each of its random feeders has its buses elsewhere; "
-            "choose 'local' or 'neighbours'"
-        )
-    scenario.feeder.style_of(scenario.generator_split)

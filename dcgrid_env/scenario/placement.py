@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from dcgrid_env.core.checked import FieldError
 from dcgrid_env.devices.device import Device
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.devices.phases import phases_of
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.scenario.assembly import GROUPS
-from dcgrid_env.scenario.errors import ScenarioError
 
 
 def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
@@ -35,44 +35,35 @@ def free_load_buses(feeder: AnyFeeder, devices: tuple[Any, ...]) -> np.ndarray:
     return np.array([i for i in loaded if i not in taken], dtype=np.int64)
 
 
-def check_placement(name: str, feeder: AnyFeeder | RandomFeeders, devices: tuple[Any, ...]) -> None:
-    """Raise ScenarioError unless every device can have a separate bus, not the substation; equipment takes none.
+def check_placement(feeder: AnyFeeder | RandomFeeders, devices: tuple[Any, ...]) -> None:
+    """Raise FieldError unless every device can have a separate bus, not the substation; equipment takes none.
 
     A group with a class attribute ``shares_bus`` that is True may share buses with devices of other kinds.
     """
-    fixed: list[tuple[str, str, Any, str | None]] = []
-    drawn = 0
+    drawn, taken = 0, set[tuple[str, int]]()
     for device in reversed([device for device in devices if not is_equipment(device)]):
+        path = path_of(device)
         if device.buses is None:
             drawn += device.count
             continue
-        where = path_of(device)
         if not isinstance(device.buses, tuple) or len(device.buses) != device.count:
-            raise ScenarioError(
-                f"scenario {name!r}: {where}.count is {device.count}, but {where}.buses is {device.buses!r}; give "
-                "both, as many buses as the count, or buses alone, or buses None to have them drawn"
-            )
+            remedy = f"but {path}.buses is {device.buses!r}; give both, as many buses as the count, or buses alone, or"
+            raise FieldError("Scenario", f"{path}.count", ..., f"is {device.count}, {remedy} buses None to draw them")
         among = device.kind if getattr(device, "shares_bus", False) else ""
-        fixed += ((among, where, bus, phases) for bus, phases in zip(device.buses, phases_of(device), strict=True))
-    taken: set[tuple[str, int]] = set()
-    for among, where, bus, phases in fixed:
-        bus_index = _position(name, feeder, where, bus, phases)
-        if (among, bus_index) in taken:
-            of_kind = f"{among} " if among else ""
-            raise ScenarioError(f"scenario {name!r}: more than one {of_kind}device at bus {bus!r}; give each its own")
-        taken.add((among, bus_index))
+        for bus, phases in zip(device.buses, phases_of(device), strict=True):
+            key = among, _position(feeder, path, bus, phases)
+            if key in taken:
+                remedy = f"has {bus!r}, where another {among or 'device'} is; give each its own bus"
+                raise FieldError("Scenario", f"{path}.buses", ..., remedy)
+            taken.add(key)
     free = _least_free(feeder, devices) if isinstance(feeder, RandomFeeders) else len(free_load_buses(feeder, devices))
     if drawn > free:
-        where = path_of(next(device for device in devices if device.buses is None))
-        raise ScenarioError(
-            f"scenario {name!r}: {where}.count is {drawn}, but only {free} load buses have no device; ask for fewer or "
-            f"name {where}.buses"
-        )
+        path = path_of(next(device for device in devices if device.buses is None))
+        remedy = f"only {free} load buses have no device; give fewer, or name {path}.buses"
+        raise FieldError("Scenario", f"{path}.count", drawn, remedy)
     if not any(device.count for device in devices):
-        raise ScenarioError(
-            f"scenario {name!r}: no data centre and no inverter, hence no agent; give datacenters.count, "
-            "inverters.buses or other devices"
-        )
+        remedy = "are none, hence there is no agent; give datacenters.count, inverters.buses or other devices"
+        raise FieldError("Scenario", "devices", ..., remedy)
 
 
 def _least_free(feeders: RandomFeeders, devices: tuple[Any, ...]) -> int:
@@ -85,22 +76,19 @@ def path_of(device: Device) -> str:
     return next((path for path, kind in GROUPS.items() if kind == device.kind), device.kind)
 
 
-def _position(name: str, feeder: AnyFeeder | RandomFeeders, where: str, bus: object, phases: str | None) -> int:
-    """Return the position of a device's bus; ScenarioError for one that is not allowed, or lacks these phases."""
+def _position(feeder: AnyFeeder | RandomFeeders, path: str, bus: object, phases: str | None) -> int:
+    """Return the position of a device's bus; FieldError for one that is not allowed, or lacks these phases."""
     if isinstance(bus, bool) or not isinstance(bus, int | str):
-        raise ScenarioError(
-            f"scenario {name!r}: {where}.buses has {bus!r}, no number or text; give buses of the feeder"
-        )
+        raise FieldError("Scenario", f"{path}.buses", ..., f"has {bus!r}, no number or text; give buses of the feeder")
     try:
-        bus_index = feeder.index(bus)
+        position = feeder.index(bus)
     except FeederError as error:
-        raise ScenarioError(f"scenario {name!r}: {error}") from None
+        raise FieldError("Scenario", f"{path}.buses", ..., f"has {bus!r}: {error}") from None
     try:
-        feeder.nodes_at(bus_index, phases)
+        feeder.nodes_at(position, phases)
     except FeederError as error:
-        raise ScenarioError(f"scenario {name!r}: {where}.phases has {phases!r}, but {error}") from None
-    if bus_index == 0:
-        raise ScenarioError(
-            f"scenario {name!r}: a device at the substation {bus!r}, where the source is; choose another bus"
-        )
-    return bus_index
+        raise FieldError("Scenario", f"{path}.phases", ..., f"has {phases!r}, but {error}") from None
+    if position == 0:
+        remedy = f"has the substation {bus!r}, where the source is; choose another bus"
+        raise FieldError("Scenario", f"{path}.buses", ..., remedy)
+    return position

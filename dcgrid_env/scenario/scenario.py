@@ -27,19 +27,18 @@ from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.difference_reward import check_difference_reward
 from dcgrid_env.scenario.costs.voltage_reference import check_profile
 from dcgrid_env.scenario.errors import located
-from dcgrid_env.scenario.events import check_events
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
 from dcgrid_env.scenario.grid_request import GridRequest, check_grid_request
 from dcgrid_env.scenario.joint_checks import (
+    check_faults,
     check_feeder_kind,
     check_groups,
     check_model,
     check_ramp_limit,
-    check_ratings,
-    check_regulator_sensing,
+    check_sags,
 )
 from dcgrid_env.scenario.load_profiles import LoadProfiles, check_load_profiles
-from dcgrid_env.scenario.members import check_random_feeders, member, members
+from dcgrid_env.scenario.members import member, members
 from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.serialization import feeder_from_data, sags_from_data
@@ -108,18 +107,15 @@ class Scenario(PickledByFields):
 
     def _check(self) -> None:
         check_feeder_kind(self)
-        check_random_feeders(self)
         check_model(self)
         with inside("Scenario", "grid_control"):
             check_grid_control(self.grid_control, self.feeder, self.background)
         with inside("Scenario", "cost"):
             check_profile(self)
         object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))
-        check_placement(self.name, self.feeder, self.devices)
+        check_placement(self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
         check_ramp_limit(self)
-        check_ratings(self)
-        check_regulator_sensing(self)
         check_grid_request(self)
         check_load_profiles(self)
         with inside("Scenario", "workload"):
@@ -129,7 +125,8 @@ class Scenario(PickledByFields):
                 device.check_episode(self.horizon)
                 if isinstance(device, DataCenters):
                     device.check_step(self.dt_s)
-        check_events(self)
+        check_faults(self)
+        check_sags(self)
         if self.cost.reward == "difference":
             check_difference_reward(self)
 

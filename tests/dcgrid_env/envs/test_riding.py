@@ -188,7 +188,7 @@ def test_sags_are_drawn_within_their_ranges_and_as_a_sequence():
         ({"sags": [{"begin_s": 1, "duration_s": 0, "retained_pu": 0.3}]}, r"sags\[0\]: duration_s is .* above 0 s"),
         ({"sags": [{"begin_s": [2, 1], "duration_s": 0.1, "retained_pu": 0.3}]}, "give the lowest first"),
         ({"sags": [{"begin_s": 1, "duration_s": 0.1, "retained_pu": 1.3}]}, "retained_pu is 1.3; give a pair"),
-        ({"sags": virginia_2024()[1:]}, r"sags\[0\].since is 'previous', but none is listed before it"),
+        ({"sags": virginia_2024()[1:]}, r"sags\[0\].since is 'previous'; none is listed before it"),
         ({"datacenters.ride_through": None, "inverters.ride_through": None}, "no device has a curve that they are"),
         ({"datacenters.ride_through": {"curve": ["itic"]}}, "curve has 1 curves; give one, or one for each of 3"),
         ({"datacenters.ride_through": {"kurve": "itic"}}, "no datacenters.ride_through field 'kurve'; did you"),

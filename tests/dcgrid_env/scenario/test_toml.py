@@ -124,7 +124,7 @@ def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["99"]\ns_rated_kva = 1', "has no bus '?99'?; its"),
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["3"]', r"devices\[0\].s_rated_kva is 0.0; give"),
         ('base = "ieee33"\n[[devices]]\nkind = "datacenter"\ncount = 1', r"devices\[0\].p_rated_kw is missing"),
-        ('base = "ieee33"\n[[faults]]\namong = ["dc_9"]\nbegin_s = [1, 2]', "a fault among 'dc_9'; choose"),
+        ('base = "ieee33"\n[[faults]]\namong = ["dc_9"]\nbegin_s = [1, 2]', r"faults\[0\].among is 'dc_9'; choose"),
         ('base = "ieee33"\nfeeder = "nowhere"', "no feeder 'nowhere'"),
         ('feeder = "toy6"', "devices is missing; give it, a list of groups"),
         ("", "is empty: it has neither base nor feeder; give base, a preset's name"),
