@@ -115,9 +115,9 @@ class UnknownFieldError(FieldError):
         return UnknownFieldError(owner, _joined(field, self.name), self.value, self.names)
 
 
-def _joined(path: str, name: str) -> str:
+def _joined(path: str, name: object) -> str:
     """Return a path with a field added, or an index such as ``[0].kind``."""
-    return f"{path}{name}" if name.startswith("[") else f"{path}.{name}"
+    return f"{path}{name}" if str(name).startswith("[") else f"{path}.{name}"
 
 
 def is_number(value: object) -> bool:

@@ -18,14 +18,13 @@ from dcgrid_env.core.suggestions import unknown
 from dcgrid_env.devices import DEVICE_REGISTRY, DataCenters, Device, Inverters, device_kind
 from dcgrid_env.grid import is_bundled
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
-from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, changed_weights
 from dcgrid_env.scenario.errors import ScenarioError, UnknownArgumentError
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest
 from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.sensing import Sensing
-from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.scenario.workload import Background, Workload
 
 PARTS: dict[str, type[Any]] = {
     "workload": Workload,

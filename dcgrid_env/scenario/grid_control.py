@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.core.checked import inside, pairs, part, refuse, settle
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
@@ -15,7 +16,7 @@ from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
-from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.workload import Background
 
 Decider = Literal["fixed", "controlled", "agent", "setpoint"]
 """Modes: fixed as in the feeder's tables, controlled by the equipment's own control, moved by an agent, or controlled
@@ -174,3 +175,44 @@ def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
         return (value,) * len(banks)  # pyright: ignore[reportReturnType] (one of the words, checked)
     named = dict(value)
     return tuple(named.get(bank, default) for bank in banks)
+
+
+def under_own_control(scenario: Any, keep_set_points: bool = False) -> Any:
+    """Return the scenario with regulator agents replaced by their banks' control, and capacitor agents by fixed banks.
+
+    Agents of set points are replaced by the control with its default set points, unless ``keep_set_points``. The other
+    agents see and do the same as before, and a move costs what it cost. A scenario without such agents is returned
+    unchanged.
+    """
+    return _without_agents(scenario, keep_set_points) or scenario
+
+
+@cached_on_owner
+def _without_agents(scenario: Any, keep_set_points: bool) -> Any:
+    feeder, control = scenario.feeder, scenario.grid_control
+    if not isinstance(feeder, ThreePhaseFeeder):
+        return None
+    deciders = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
+    kept: dict[Decider, Decider] = {} if keep_set_points else {"setpoint": "controlled"}
+    if not any({"agent", *kept} & set(of_kind) for of_kind in deciders):
+        return None
+    other = scenario.replace(
+        grid_control={
+            "regulators": _with_modes(control.regulators, {"agent": "controlled", **kept}),
+            "capacitors": _with_modes(control.capacitors, {"agent": "fixed", **kept}),
+        }
+    )
+    left = regulator_deciders(other.grid_control, feeder), capacitor_deciders(other.grid_control, feeder)
+    # Switching is charged by the mean over what is not fixed, of which there may now be less.
+    switching = scenario.cost.weights.switching * _n_moving(left) / _n_moving(deciders)
+    return other.replace(weights=other.cost.weights._replace(switching=switching))
+
+
+def _with_modes(decider: Decider | ByBank, instead: dict[Decider, Decider]) -> Decider | ByBank:
+    if isinstance(decider, str):
+        return instead.get(decider, decider)
+    return tuple((bank, instead.get(by, by)) for bank, by in decider)
+
+
+def _n_moving(deciders: tuple[tuple[Decider, ...], ...]) -> int:
+    return sum(decider != "fixed" for of_kind in deciders for decider in of_kind)

@@ -10,10 +10,9 @@ import numpy as np
 
 from dcgrid_env.devices import DataCenters
 from dcgrid_env.grid import AnyFeeder, Feeder
-from dcgrid_env.scenario.device_words import DATA_CENTRES, DRAWN, ENDS, INVERTERS, Kind, Part, read_group
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.feeder_ends import feeder_ends
-from dcgrid_env.scenario.placement import free_load_buses
+from dcgrid_env.scenario.group_notation import DATA_CENTRES, DRAWN, ENDS, INVERTERS, Kind, Part, read_group
+from dcgrid_env.scenario.placement import feeder_ends, free_load_buses
 from dcgrid_env.scenario.scenario import Scenario
 
 SITES, SITES_SHARE = 5, 0.4
@@ -33,7 +32,7 @@ def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: st
     feeder
         Any feeder with a load.
     datacenters, inverters
-        Devices in words, such as ``"3 x 1 MW at ends"`` and ``"5 x 200 kvar"``, see ``device_words``. The default is
+        Devices in words, such as ``"3 x 1 MW at ends"`` and ``"5 x 200 kvar"``, see ``group_notation``. The default is
         up to five data centres, 40 % of the load together, drawn among the load buses (with three phases if the feeder
         has phases). Up to seven inverters, 10 % of the load together, are spread evenly over the load buses.
 

@@ -22,7 +22,6 @@ from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.grid.reconfigured import reconfigured
 from dcgrid_env.scenario.assembly import GROUPS, PARTS, assembled
-from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.difference_reward import check_difference_reward
 from dcgrid_env.scenario.costs.voltage_reference import check_profile
@@ -40,10 +39,10 @@ from dcgrid_env.scenario.joint_checks import (
 from dcgrid_env.scenario.load_profiles import LoadProfiles, check_load_profiles
 from dcgrid_env.scenario.members import member, members
 from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
+from dcgrid_env.scenario.recordings import check_trace_scale
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.serialization import feeder_from_data, sags_from_data
-from dcgrid_env.scenario.trace_scale import check_trace_scale
-from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.scenario.workload import Background, Workload
 from dcgrid_env.traces import ALL_SPLITS, WHOLE
 
 PowerFlowName = Literal["distflow", "lindistflow", "sweep"]

@@ -11,7 +11,7 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.engine.exogenous.trace_pool import trace_pool, window_steps
 from dcgrid_env.scenario.load_profiles import profile_begins_h
-from dcgrid_env.scenario.recording_clocks import midnight_s, recordings_of, runs_on_clock
+from dcgrid_env.scenario.recordings import midnight_s, recordings_of, runs_on_clock
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import WHOLE, TraceRows
 from dcgrid_env.traces.recorded_rows import is_repeated

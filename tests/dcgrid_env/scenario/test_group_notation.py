@@ -3,7 +3,7 @@
 import pytest
 
 from dcgrid_env import ScenarioError
-from dcgrid_env.scenario.device_words import DATA_CENTRES, INVERTERS, Part, read_group
+from dcgrid_env.scenario.group_notation import DATA_CENTRES, INVERTERS, Part, read_group
 
 
 @pytest.mark.parametrize(
