@@ -13,13 +13,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, field
-from functools import cache, partial
+from functools import cache
 from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.suggestions import unknown
+from dcgrid_env.core.suggestions import nearest
 
 Plain = Any
 """Data as JSON and TOML hold it: None, bool, int, float, str, and lists and dictionaries of these."""
@@ -59,7 +59,8 @@ class FieldError(ValueError):
 
     def within(self, owner: str, field: str) -> FieldError:
         """The error of a value that is itself in a field of ``owner``."""
-        return FieldError(owner, _joined(field, self.name), self.value, self.remedy)
+        dot = "" if str(self.name).startswith("[") else "."
+        return FieldError(owner, f"{field}{dot}{self.name}", self.value, self.remedy)
 
 
 def shown(value: object) -> str:
@@ -87,39 +88,6 @@ def _parts(value: object) -> Iterable[object]:
     return value if isinstance(value, (list, tuple)) else ()
 
 
-class UnknownFieldError(FieldError):
-    """A field that does not exist.
-
-    Parameters
-    ----------
-    owner, name, value
-        Class, name of the field and value, see ``FieldError``.
-    names
-        The fields that exist.
-    """
-
-    def __init__(self, owner: str, name: str, value: object, names: Iterable[str]):
-        self.names = list(names)
-        super().__init__(owner, name, value, "")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.owner, self.name, self.value, self.names)
-
-    def said(self, name: str) -> str:
-        """The message under another name of the field."""
-        owner, _, field = str(name).rpartition(".")
-        return unknown(f"{owner or self.owner} field", field, self.names, f"its fields are {', '.join(self.names)}")
-
-    def within(self, owner: str, field: str) -> FieldError:
-        """The error of a value that is itself in a field of ``owner``."""
-        return UnknownFieldError(owner, _joined(field, self.name), self.value, self.names)
-
-
-def _joined(path: str, name: object) -> str:
-    """Return a path with a field added, or an index such as ``[0].kind``."""
-    return f"{path}{name}" if str(name).startswith("[") else f"{path}.{name}"
-
-
 def is_number(value: object) -> bool:
     """Return whether ``value`` is a real number, not a bool and not subnormal, which would lose digits."""
     return isinstance(value, Real) and not isinstance(value, bool) and not _is_subnormal(value)
@@ -129,49 +97,95 @@ def _is_subnormal(value: Any) -> bool:
     return 0 < abs(value) < _SMALLEST
 
 
-def number(low: float, high: float | str, default: object = MISSING) -> Any:
-    """Return a field for a finite number in [low, high]; ``high`` may name another field of the class.
+class _RefusedError(ValueError):
+    """Error of a value; the message is the remedy."""
 
-    None is allowed if it is the default.
-    """
-    return field(default=default, metadata={"check": _check_number, "bounds": (low, high)})
+
+def number(low: float, high: float | str, default: object = MISSING) -> Any:
+    """Return a field for a finite number in [low, high]; ``high`` may name another field of the class."""
+
+    def take(owner: object, value: Any) -> Any:
+        most = getattr(owner, high) if isinstance(high, str) else high
+        if finite(value, low, most):
+            return value
+        upper = f"{high} = {most:g}" if isinstance(high, str) else f"{most:g}"
+        subnormal = f", 0 or of at least {_SMALLEST:.1e} in size" * (isinstance(value, Real) and _is_subnormal(value))
+        raise _RefusedError(f"give a finite number in [{low:g}, {upper}]{subnormal}")
+
+    return _field(take, default, bounds=(low, high))
 
 
 def count(low: int, high: int, default: object = MISSING) -> Any:
     """Return a field for a whole number from ``low`` to ``high``."""
-    return field(default=default, metadata={"check": _check_count, "bounds": (low, high)})
+
+    def take(_: object, value: Any) -> Any:
+        if isinstance(value, Integral) and not isinstance(value, bool) and low <= int(value) <= high:
+            return value
+        raise _RefusedError(f"give a whole number of at least {low} and at most {high:,}")
+
+    return _field(take, default, bounds=(low, high))
 
 
 def choice(*options: Any, default: object = MISSING) -> Any:
     """Return a field for one of some values, of their type."""
-    return field(default=default, metadata={"check": _check_choice, "options": options})
 
+    def take(_: object, value: Any) -> Any:
+        if type(value) is type(options[0]) and value in options:
+            return value
+        raise _RefusedError(f"choose one of {', '.join(map(str, options))}")
 
-def part(kind: type[Any], default: object = MISSING) -> Any:
-    """Return a field for an instance of a dataclass, or a mapping of its fields; None is allowed if it is the default.
-
-    Without a default, the field is ``kind()``.
-    """
-    metadata = {"convert": partial(from_mapping, kind), "check": _check_part, "kind": kind}
-    if default is MISSING:
-        return field(default_factory=kind, metadata=metadata)
-    return field(default=default, metadata=metadata)
-
-
-def parts(kind: type[Any]) -> Any:
-    """Return a field for a tuple of instances of a dataclass, or of mappings of its fields; one alone is taken too."""
-    return field(default=(), metadata={"convert": partial(_from_mappings, kind), "check": _check_parts, "kind": kind})
-
-
-def pairs(default: object) -> Any:
-    """Return a field for pairs of a name and a value, or the mapping from names to values that they represent."""
-    return field(default=default, metadata={"convert": as_pairs, "is_mapping": True})
+    return _field(take, default)
 
 
 def span(low: float, high: float, default: object = MISSING) -> Any:
     """Return a field for a lowest and a highest number in [low, high]; one number is a range without width."""
-    metadata = {"convert": partial(_as_span, low, high), "check": _check_span, "bounds": (low, high)}
-    return field(default=default, metadata=metadata)
+
+    def take(_: object, value: Any) -> Any:
+        pair = (value, value) if is_number(value) else value
+        if not isinstance(pair, tuple) or len(pair) != 2 or not all(_in_range(one, low, high) for one in pair):
+            raise _RefusedError(f"give a number from {low:g} to {high:g}, or a pair of them, a lowest and a highest")
+        if pair[0] > pair[1]:
+            raise _RefusedError("give the lowest first")
+        return float(pair[0]), float(pair[1])
+
+    return _field(take, default)
+
+
+def pairs(default: object) -> Any:
+    """Return a field for pairs of a name and a value, or the mapping from names to values that they represent."""
+    return _field(lambda _, value: as_tuples(as_pairs(value)), default, is_mapping=True)
+
+
+def part(kind: type[Any]) -> Any:
+    """Return a field for an instance of a dataclass, by default ``kind()``, or a mapping of its fields."""
+
+    def take(_: object, value: Any) -> Any:
+        made = from_mapping(kind, value)
+        if isinstance(made, kind):
+            return made
+        raise _RefusedError(f"give {kind.__name__}(...) or a mapping of its fields")
+
+    return field(default_factory=kind, metadata={"take": take})
+
+
+def parts(kind: type[Any]) -> Any:
+    """Return a field for a tuple of instances of a dataclass, or of mappings of its fields; one alone is taken too."""
+
+    def take(_: object, value: Any) -> Any:
+        items, made = (value,) if isinstance(value, kind | Mapping) else value, list[Any]()
+        for i, item in enumerate(items if isinstance(items, tuple) else (items,)):
+            with inside(kind.__name__, f"[{i}]"):
+                made.append(from_mapping(kind, item))
+        if all(isinstance(item, kind) for item in made):
+            return tuple(made)
+        raise _RefusedError(f"give a list of {kind.__name__}(...) or of mappings of its fields, () for none")
+
+    return _field(take, ())
+
+
+def _field(take: Callable[[Any, Any], Any], default: object, **metadata: object) -> Any:
+    """Return a field whose values a function converts, or refuses with a remedy; None is allowed as the default."""
+    return field(default=default, metadata={"take": take, **metadata})
 
 
 def as_pairs(value: object) -> Any:
@@ -195,24 +209,24 @@ def as_tuples(value: object) -> Any:
 def settle(owner: Any, **conversions: Callable[[Any], Any]) -> None:
     """Convert and check the fields of a frozen dataclass instance in its ``__post_init__``.
 
-    Plain data becomes objects where a field declares it, lists and arrays become tuples, and NumPy scalars Python
-    numbers. ``conversions`` has a function for each further field that converts plain data. Then FieldError is raised
-    for the first invalid field among those made with this module.
+    Lists and arrays become tuples, NumPy scalars Python numbers, and plain data what the field declares.
+    ``conversions`` has a function for each further field that converts plain data. FieldError is raised for the first
+    invalid field among those made with this module.
     """
     kind = type(owner)
     for f in _fields(kind):
-        value = before = getattr(owner, f.name)
-        if f.name in conversions:
-            value = conversions[f.name](value)
-        if f.metadata and value is not f.default and (convert := f.metadata.get("convert")):
-            with inside(kind.__name__, f.name):
-                value = convert(value)
-        value = as_tuples(value)
+        before = getattr(owner, f.name)
+        value = as_tuples(conversions[f.name](before) if f.name in conversions else before)
+        if "take" in f.metadata and not (value is None and f.default is None):
+            try:
+                value = f.metadata["take"](owner, value)
+            except _RefusedError as error:
+                none = ", or None" if f.default is None else ""
+                raise FieldError(kind.__name__, f.name, before, f"{error}{none}") from None
+            except FieldError as error:
+                raise error.within(kind.__name__, f.name) from None
         if value is not before:
             object.__setattr__(owner, f.name, value)
-    for f in _fields(kind):
-        if f.metadata and (check := f.metadata.get("check")):
-            check(owner, f)
 
 
 @cache
@@ -240,7 +254,7 @@ def from_mapping(kind: type[Any], value: object, start: Any = None) -> Any:
     there = {f.name: f for f in dataclasses.fields(kind)}
     for name in value:
         if name not in there:
-            raise UnknownFieldError(kind.__name__, name, value[name], there)
+            raise unknown_field(kind.__name__, name, there)
     if start is not None:
         return dataclasses.replace(start, **value) if value else start
     for name, f in there.items():
@@ -255,83 +269,15 @@ def changed_fields(instance: Any) -> dict[str, Any]:
     return {f.name: value for f, value in values if f.default is MISSING or value != f.default}
 
 
+def unknown_field(owner: str, name: object, names: Iterable[str]) -> FieldError:
+    """Return the error of a field that does not exist, with the nearest ones of those that do."""
+    remedy = nearest(str(name).rpartition(".")[2], names, f"its fields are {', '.join(names)}")
+    return FieldError(owner, f"{name}", ..., f"is no field; {remedy}")
+
+
 def refuse(owner: object, name: str, remedy: str) -> FieldError:
     """Return the error of a field of a dataclass instance."""
     return FieldError(type(owner).__name__, name, getattr(owner, name), remedy)
-
-
-def _from_mappings(kind: type[Any], value: object) -> Any:
-    """Return instances of a dataclass for their plain forms; any other value unchanged."""
-    items = (value,) if isinstance(value, kind | Mapping) else as_tuples(value)
-    if not isinstance(items, tuple):
-        return value
-    made: list[Any] = []
-    for i, item in enumerate(items):
-        with inside(kind.__name__, f"[{i}]"):
-            made.append(from_mapping(kind, item))
-    return tuple(made)
-
-
-def _as_span(low: float, high: float, value: object) -> object:
-    value = as_tuples(value)
-    pair = (value, value) if finite(value) else value
-    return tuple(map(float, pair)) if isinstance(pair, tuple) and all(_in_range(v, low, high) for v in pair) else value
-
-
-def _check_part(owner: object, f: dataclasses.Field[Any]) -> None:
-    kind, value = f.metadata["kind"], getattr(owner, f.name)
-    if not isinstance(value, kind) and not (value is None and f.default is None):
-        none = ", or None" if f.default is None else ""
-        raise refuse(owner, f.name, f"give {kind.__name__}(...) or a mapping of its fields{none}")
-
-
-def _check_parts(owner: object, f: dataclasses.Field[Any]) -> None:
-    kind, value = f.metadata["kind"], getattr(owner, f.name)
-    if not isinstance(value, tuple) or not all(isinstance(item, kind) for item in value):
-        raise refuse(owner, f.name, f"give a list of {kind.__name__}(...) or of mappings of its fields, () for none")
-
-
-def _check_span(owner: object, f: dataclasses.Field[Any]) -> None:
-    low, high = f.metadata["bounds"]
-    value = getattr(owner, f.name)
-    if value is None and f.default is None:
-        return
-    if not isinstance(value, tuple) or len(value) != 2 or not all(_in_range(one, low, high) for one in value):
-        remedy = f"give a number from {low:g} to {high:g}, or a pair of them, a lowest and a highest"
-        raise refuse(owner, f.name, remedy)
-    if value[0] > value[1]:
-        raise refuse(owner, f.name, "give the lowest first")
-
-
-def _check_number(owner: object, f: dataclasses.Field[Any]) -> None:
-    low, bound = f.metadata["bounds"]
-    high = getattr(owner, bound) if isinstance(bound, str) else bound
-    value = getattr(owner, f.name)
-    if value is None and f.default is None:
-        return
-    if not (is_number(value) and is_number(high) and low <= value <= min(high, 1e300)):
-        upper = f"{bound} = {high:g}" if isinstance(bound, str) and is_number(high) else f"{high:g}"
-        remedy = f"give a finite number in [{low:g}, {upper}]{', or None' * (f.default is None)}"
-        raise refuse(owner, f.name, remedy + _not_subnormal(value))
-
-
-def _not_subnormal(value: object) -> str:
-    subnormal = isinstance(value, Real) and _is_subnormal(value)
-    return f", 0 or of at least {_SMALLEST:.1e} in size" if subnormal else ""
-
-
-def _check_count(owner: object, f: dataclasses.Field[Any]) -> None:
-    low, high = f.metadata["bounds"]
-    value = getattr(owner, f.name)
-    if not isinstance(value, Integral) or isinstance(value, bool) or not low <= int(value) <= high:
-        raise refuse(owner, f.name, f"give a whole number of at least {low} and at most {high:,}")
-
-
-def _check_choice(owner: object, f: dataclasses.Field[Any]) -> None:
-    options = f.metadata["options"]
-    value = getattr(owner, f.name)
-    if type(value) is not type(options[0]) or value not in options:
-        raise refuse(owner, f.name, f"choose one of {', '.join(map(str, options))}")
 
 
 def finite(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:

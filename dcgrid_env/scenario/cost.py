@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 from dcgrid_env.core.checked import (
     FieldError,
-    UnknownFieldError,
     as_pairs,
     as_tuples,
     choice,
@@ -18,6 +17,7 @@ from dcgrid_env.core.checked import (
     pairs,
     refuse,
     settle,
+    unknown_field,
 )
 from dcgrid_env.core.magnitudes import LARGEST_OF_ANY
 from dcgrid_env.scenario.costs.grid_terms import TERMS
@@ -147,5 +147,5 @@ def changed_weights(weights: CostWeights, changes: object) -> Any:
         return changes
     for key in changes:
         if key not in CostWeights._fields:
-            raise UnknownFieldError("Cost", f"weights.{key}", changes[key], CostWeights._fields)
+            raise unknown_field("Cost", f"weights.{key}", CostWeights._fields)
     return weights._replace(**{key: as_tuples(value) for key, value in changes.items()})

@@ -15,17 +15,19 @@ import numpy as np
 from dcgrid_env.core.cache import PickledByFields
 from dcgrid_env.core.checked import choice, count, inside, number, parts, refuse, settle
 from dcgrid_env.core.equality import alike
+from dcgrid_env.core.seeds import whole_seed
 from dcgrid_env.devices import DataCenters, Device, Inverters
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.grid.reconfigured import reconfigured
 from dcgrid_env.scenario.assembly import GROUPS, PARTS, assembled
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.difference_reward import check_difference_reward
 from dcgrid_env.scenario.costs.voltage_reference import check_profile
-from dcgrid_env.scenario.errors import located
+from dcgrid_env.scenario.errors import ScenarioError, located
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
 from dcgrid_env.scenario.grid_request import GridRequest, check_grid_request
 from dcgrid_env.scenario.joint_checks import (
@@ -37,7 +39,7 @@ from dcgrid_env.scenario.joint_checks import (
     check_sags,
 )
 from dcgrid_env.scenario.load_profiles import LoadProfiles, check_load_profiles
-from dcgrid_env.scenario.members import member, members
+from dcgrid_env.scenario.members import grouped
 from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
 from dcgrid_env.scenario.recordings import check_trace_scale
 from dcgrid_env.scenario.sensing import Sensing
@@ -158,11 +160,22 @@ class Scenario(PickledByFields):
 
         ScenarioError if the seeds are on different feeders.
         """
-        return member(self, seeds)
+        groups = self.members([seeds] if isinstance(seeds, int | np.integer) else seeds)
+        if len(groups) != 1:
+            how = f"seeds within a multiple of {self.feeder.batch}" if self.split == "train" else "one at a time"
+            n = sum(len(positions) for _, positions in groups)
+            raise ScenarioError(
+                f"scenario {self.name!r}: these {n} episodes are on {len(groups)} feeders, and all must be on one; "
+                f"give {how}, or another batch to RandomFeeders"
+            )
+        return groups[0][0]
 
     def members(self, seeds: Sequence[int] | np.ndarray) -> list[tuple[Scenario, np.ndarray]]:
         """Return this scenario on each feeder of the seeds' first episodes, with the positions of these seeds."""
-        return members(self, seeds)
+        first = np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64)
+        if not isinstance(self.feeder, RandomFeeders):
+            return [(self, np.arange(len(first)))]
+        return grouped(self, first, np.zeros_like(first))
 
     @property
     def family(self) -> Scenario:

@@ -111,7 +111,7 @@ def test_a_bank_whose_set_point_is_chosen_is_one_agent():
         ),
         (
             {"grid_control.capacitor_settings": {"delay": 1.0}},
-            "no grid_control.capacitor_settings field 'delay'; did you mean delay_s",
+            "grid_control.capacitor_settings.delay is no field; did you mean delay_s",
         ),
         ({"grid_control.capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
         ({"grid_control.capacitor_settings": 3}, r"grid_control.capacitor_settings is 3; give CapacitorControl\(...\)"),

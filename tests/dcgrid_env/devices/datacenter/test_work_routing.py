@@ -170,7 +170,7 @@ def test_one_environment_a_batch_and_tensors_agree_and_no_work_is_lost(changes):
         ({"datacenters.routing": {"move_latency_s": 2.0}}, "move_latency_s is 2.0; give at most one step, dt_s = 1"),
         (
             {"datacenters.routing": {"share": 1.0}},
-            "no datacenters.routing field 'share'; .*its fields are movable_share",
+            "datacenters.routing.share is no field; .*its fields are movable_share",
         ),
         ({"datacenters.routing": 3}, "routing is 3; give Routing\\(..\\), a mapping of its fields, or None"),
         ({"datacenters.batching": {"lowest": 64.0, "highest": 8.0}}, "lowest is 64.0; give less than highest = 8"),

@@ -76,5 +76,5 @@ def test_what_one_feeder_has_is_refused_with_its_remedy():
         FAMILY.index(20)
     with pytest.raises(FeederError, match="no style for the split 'ood'"):
         RandomFeeders(ood=None).style_of("ood")
-    with pytest.raises(ScenarioError, match="no feeder field 'size'; its fields are n_bus"):
+    with pytest.raises(ScenarioError, match=r"feeder.size is no field; its fields are n_bus"):
         make_scenario("ieee33", feeder={"size": 3})
