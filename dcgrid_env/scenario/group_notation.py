@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from dcgrid_env.scenario.errors import ScenarioError
@@ -31,7 +32,7 @@ _PLUS = re.compile(rf"\s*\+\s*(?={re.sub('[?]P<[a-z]+>', '?:', _HEAD)}(?:\s|[+]|
 
 
 class Notation(NamedTuple):
-    """How groups of a kind of device are written."""
+    """Notation of the groups of one kind of device."""
 
     option: str
     """Name of the option, which errors begin with."""
@@ -59,7 +60,8 @@ INVERTERS = Notation(
 """Inverters, spread over the load buses unless places are given."""
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True)
+class Part:
     """Devices of one size."""
 
     count: int

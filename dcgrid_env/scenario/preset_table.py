@@ -23,7 +23,7 @@ class Preset:
     about
         One-line description.
     base
-        Name of the preset that it changes; None for a scenario of its own fields.
+        Name of the preset that it changes; None for a scenario without a base.
     fields
         Fields of the scenario, see ``make_scenario``.
     """

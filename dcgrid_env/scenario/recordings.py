@@ -35,7 +35,7 @@ def scaled_recordings(scenario: Any) -> tuple[ScaledRecording, ...]:
     recordings = []
     for trace in recordings_of(scenario):
         is_rating = trace.rated_kw is not None
-        full_kw = float(trace.rated_kw if is_rating else trace.power_kw.max())
+        full_kw = float(trace.power_kw.max() if trace.rated_kw is None else trace.rated_kw)
         factors = np.ones(scenario.n_sites)
         if scenario.workload.trace_scale == "rated":
             # Without a rating, the highest power becomes the highest draw of a site.
