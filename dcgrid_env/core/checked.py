@@ -156,16 +156,28 @@ def pairs(default: object) -> Any:
     return _field(lambda _, value: as_tuples(as_pairs(value)), default, is_mapping=True)
 
 
-def part(kind: type[Any]) -> Any:
-    """Return a field for an instance of a dataclass, by default ``kind()``, or a mapping of its fields."""
+def part(kind: type[Any], default: object = MISSING, text: str = "") -> Any:
+    """Return a field for an instance of a dataclass, or a mapping of its fields.
+
+    Parameters
+    ----------
+    kind
+        The dataclass.
+    default
+        Default of the field; ``kind()`` if it is left out.
+    text
+        Field of ``kind`` that a text alone gives; "" for none.
+    """
 
     def take(_: object, value: Any) -> Any:
-        made = from_mapping(kind, value)
+        made = from_mapping(kind, {text: value} if text and isinstance(value, str) else value)
         if isinstance(made, kind):
             return made
         raise _RefusedError(f"give {kind.__name__}(...) or a mapping of its fields")
 
-    return field(default_factory=kind, metadata={"take": take})
+    if default is MISSING:
+        return field(default_factory=kind, metadata={"take": take})
+    return _field(take, default)
 
 
 def parts(kind: type[Any]) -> Any:

@@ -13,7 +13,6 @@ from dcgrid_env.core.checked import (
     FieldError,
     choice,
     count,
-    from_mapping,
     number,
     refuse,
     settle,
@@ -168,13 +167,3 @@ class UpsRideThrough(RideThrough):
         super().__post_init__()
         if self.release == "agent" and self.walk_in_s <= 0.0:
             raise refuse(self, "walk_in_s", "give more than 0 s where the agent sets how fast a site returns")
-
-
-def rule_of(kind: type[Any], value: object) -> Any:
-    """Make a rule from its plain form, a mapping of its fields or the name of a curve; return other values unchanged.
-
-    Raises FieldError for an unknown field, or if the curve is missing.
-    """
-    if isinstance(value, str):
-        return kind(curve=value)
-    return from_mapping(kind, value)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env.core.checked import FieldError
-from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough, rule_of
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.voltage_curve import CURVES, RideThroughCurve
 from dcgrid_env.scenario.serialization import to_data
 
@@ -80,5 +80,4 @@ def test_an_agent_returns_by_a_ramp():
     "plain", [{"curve": "itic"}, {"curve": ["itic", {"under": [[0.9, 1.0]], "over": []}], "walk_in_s": 2.0}]
 )
 def test_the_plain_form_has_what_differs_from_the_defaults(plain):
-    assert to_data(rule_of(UpsRideThrough, plain)) == plain
-    assert rule_of(UpsRideThrough, "itic") == UpsRideThrough(curve="itic")
+    assert to_data(UpsRideThrough(**plain)) == plain
