@@ -41,9 +41,9 @@ from dcgrid_env.scenario.joint_checks import (
 from dcgrid_env.scenario.load_profiles import LoadProfiles, check_load_profiles
 from dcgrid_env.scenario.members import grouped
 from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
-from dcgrid_env.scenario.recordings import check_trace_scale
 from dcgrid_env.scenario.sensing import Sensing
 from dcgrid_env.scenario.serialization import feeder_from_data, sags_from_data
+from dcgrid_env.scenario.site_recordings import check_trace_scale
 from dcgrid_env.scenario.workload import Background, Workload
 from dcgrid_env.traces import ALL_SPLITS, WHOLE
 
