@@ -91,7 +91,9 @@ def check_placement(feeder: AnyFeeder | RandomFeeders, devices: tuple[Any, ...])
             continue
         if not isinstance(device.buses, tuple) or len(device.buses) != device.count:
             remedy = f"but {path}.buses is {device.buses!r}; give both, as many buses as the count, or buses alone, or"
-            raise FieldError("Scenario", f"{path}.count", ..., f"is {device.count}, {remedy} buses None to draw them")
+            raise FieldError(
+                "Scenario", f"{path}.count", ..., f"is {device.count}, {remedy} buses None to have them drawn"
+            )
         among = device.kind if getattr(device, "shares_bus", False) else ""
         for bus, phases in zip(device.buses, phases_of(device), strict=True):
             key = among, _position(feeder, path, bus, phases)
