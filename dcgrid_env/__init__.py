@@ -74,20 +74,18 @@ from dcgrid_env.powerflow import (
     sensitivity_by,
     solver_for,
 )
-from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost, CostWeights
 from dcgrid_env.scenario.costs.voltage_reference import beyond_band, voltage_deviation, voltage_targets
 from dcgrid_env.scenario.errors import ScenarioError
 from dcgrid_env.scenario.fingerprint import scenario_hash
-from dcgrid_env.scenario.grid_control import GridControl
+from dcgrid_env.scenario.grid_control import GridControl, under_own_control
 from dcgrid_env.scenario.grid_request import GridRequest, LoadTarget
 from dcgrid_env.scenario.load_profiles import LoadProfiles, ProfileCoverage, profile_begins_h, profile_coverage
 from dcgrid_env.scenario.on_feeder import scenario_on
-from dcgrid_env.scenario.own_control import under_own_control
 from dcgrid_env.scenario.presets import IDS, PRESETS, SCENARIO_REGISTRY, make_scenario
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
-from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.scenario.workload import Background, Workload
 
 __version__ = "1.0.0"
 

@@ -110,11 +110,11 @@ class ExportPowerGridModel(_Export):
 def _balanced(name: str) -> Feeder:
     """Return a feeder by name or folder; raise ValueError if it does not exist or has three phases."""
     from dcgrid_env import Feeder
-    from dcgrid_env.scenario.plain import feeder_from_plain
+    from dcgrid_env.scenario.serialization import feeder_from_data
 
     if not name.strip():
         raise ValueError("feeder: must not be empty; give a feeder's name or folder")
-    feeder = feeder_from_plain(name)
+    feeder = feeder_from_data(name)
     if not isinstance(feeder, Feeder):
         raise ValueError(
             f"feeder: must be balanced, got {name} with three phases; the formats only support balanced feeders"

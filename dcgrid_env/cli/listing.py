@@ -81,8 +81,7 @@ def scenario_fields() -> dict[str, str]:
     """Return the description of each field of a scenario, its parts and its device groups, by path."""
     from dcgrid_env import Scenario
     from dcgrid_env.devices import device_kind
-    from dcgrid_env.scenario.assembly import GROUPS, PARTS
-    from dcgrid_env.scenario.field_names import ALIASES
+    from dcgrid_env.scenario.assembly import ALIASES, GROUPS, PARTS
 
     rows = {name: text for name, text in helps(Scenario).items() if name not in PARTS}
     for name, kind in (PARTS | {name: device_kind(kind) for name, kind in GROUPS.items()}).items():

@@ -72,12 +72,12 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
 def _feeder(named: str) -> Any:
     """Return a feeder by name or folder; raise FeederError if it does not exist or cannot be read."""
     from dcgrid_env import FeederError
-    from dcgrid_env.scenario.plain import feeder_from_plain
+    from dcgrid_env.scenario.serialization import feeder_from_data
 
     if not named.strip():
         raise ValueError("feeder: must not be empty; give a feeder's name or folder")
     try:
-        return feeder_from_plain(named)
+        return feeder_from_data(named)
     except FeederError as error:
         raise FeederError(f"feeder {named}: {error}" if Path(named).is_dir() else str(error)) from None
 

@@ -96,7 +96,7 @@ class Run(Command):
         from dcgrid_env.baselines.scenario_spec import voltage_line
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.grid import AnyFeeder, is_bundled
-        from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
+        from dcgrid_env.scenario.site_recordings import scaled_recordings, scaling_lines
 
         _check_options(self)
         check_folder(self.out)

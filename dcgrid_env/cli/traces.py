@@ -75,7 +75,7 @@ class CheckRecording(Command):
         from dcgrid_env.baselines.scenario_spec import ScenarioSpec
         from dcgrid_env.core.files import write_figure, write_json
         from dcgrid_env.engine.exogenous.trace_pool import window_steps
-        from dcgrid_env.scenario.trace_scale import scaling_lines
+        from dcgrid_env.scenario.site_recordings import scaling_lines
         from dcgrid_env.traces.recording_check import check_recording
 
         for field, path in (("png", self.png), ("out", self.out), ("save", self.save)):

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 
+from dcgrid_env.core.checked import refuse, settle, span
 from dcgrid_env.devices.registry import DEVICE_REGISTRY
 
 CAPACITOR = "capacitor"
@@ -27,27 +27,15 @@ class Fault:
 
     among: tuple[str, ...]
     """Candidates: one is drawn evenly among these kinds (of devices, or capacitor) or agent ids (dc_0, inv_2)."""
-    begin_s: tuple[float, float]
+    begin_s: tuple[float, float] = span(0.0, 1e300)
     """Earliest and latest beginning, s from the episode's; a fault after its end does not happen."""
-    duration_s: tuple[float, float] = (math.inf, math.inf)
-    """Shortest and longest duration, s; infinite lasts until the episode's end."""
+    duration_s: tuple[float, float] = span(0.0, math.inf, default=(math.inf, math.inf))
+    """Shortest and longest duration, s; infinite, or None, lasts until the episode's end."""
 
     def __post_init__(self) -> None:
-        if isinstance(self.among, str) or not self.among:
+        settle(self, duration_s=lambda value: (math.inf, math.inf) if value is None else value)
+        if not isinstance(self.among, tuple) or not self.among:
             kinds = ", ".join((*DEVICE_REGISTRY, CAPACITOR))
-            raise ValueError(f"fault: among is {self.among!r}; give a tuple of {kinds} or agent ids")
-        object.__setattr__(self, "among", tuple(self.among))
-        for name in ("begin_s", "duration_s"):
-            given = getattr(self, name)
-            if not isinstance(given, tuple | list) or len(given) != 2 or not all(map(_is_number, given)):
-                raise ValueError(f"fault: {name} is {given!r}; give a pair of numbers, a shortest and a longest in s")
-            low, high = given
-            object.__setattr__(self, name, (low, high))
-            if not 0.0 <= low <= high or (name == "begin_s" and math.isinf(high)):
-                raise ValueError(f"fault: {name} is {(low, high)!r}; give a shortest and a longest of at least 0 s")
+            raise refuse(self, "among", f"give a tuple of {kinds} or agent ids")
         if math.isinf(self.duration_s[1]) and not math.isinf(self.duration_s[0]):
-            raise ValueError(f"fault: duration_s is {self.duration_s!r}; give two finite times, or two infinite ones")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
+            raise refuse(self, "duration_s", "give two finite times, or two infinite ones")

@@ -10,12 +10,12 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import PickledByFields
-from dcgrid_env.core.checked import FieldError, is_number, refuse, settle
+from dcgrid_env.core.checked import FieldError, is_number, part, refuse, settle
 from dcgrid_env.devices.device import Channel, CostTerm, DeviceInput, DeviceState, Field, GridChange, Q
 from dcgrid_env.devices.phases import Phases, check_phases
 from dcgrid_env.devices.ratings import InverterParams, Rating, check_rating, per_device, read_only
 from dcgrid_env.devices.ride_through import connection, riding_inverter
-from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough, rule_of
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.grid import buses_as_text
 from dcgrid_env.traces import SUN, PowerTrace, TraceError, is_recording, recorded_trace
 
@@ -45,17 +45,17 @@ class Inverters(PickledByFields):
     phases: Phases | None = None
     """Phases of a three-phase feeder that an inverter feeds in equal parts, such as "abc" or "b"; by default all that
     its bus has."""
-    ride_through: RideThrough | None = None
+    ride_through: RideThrough | None = part(RideThrough, default=None, text="curve")
     """Rule for trips and returns; None for inverters that stay connected at any voltage."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, injection=_injection, ride_through=_rule)
+        settle(self, buses=buses_as_text, injection=_injection)
         if not isinstance(self.buses, tuple):
             raise refuse(self, "buses", "give a tuple of buses, () for none")
         check_rating(self, "s_rated_kva", self.count)
         check_phases(self, self.count)
         if self.ride_through is not None:
-            if not isinstance(self.ride_through, RideThrough) or isinstance(self.ride_through, UpsRideThrough):
+            if isinstance(self.ride_through, UpsRideThrough):
                 raise refuse(self, "ride_through", "give RideThrough(curve=..), a mapping of its fields, or None")
             self.ride_through.check_slots(self.count)
         if isinstance(self.injection, tuple):
@@ -174,13 +174,6 @@ class Inverters(PickledByFields):
         if isinstance(self.injection, tuple) and len(self.injection) < horizon + 1:
             remedy = f"give {horizon + 1} numbers from -1 to 1, for t = 0 and each step"
             raise FieldError("Inverters", "injection", ..., f"has {len(self.injection)} shares; {remedy}")
-
-
-def _rule(value: object) -> Any:
-    try:
-        return rule_of(RideThrough, value)
-    except FieldError as error:
-        raise error.within("Inverters", "ride_through") from None
 
 
 def _injection(value: object) -> Any:

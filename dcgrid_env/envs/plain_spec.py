@@ -10,8 +10,8 @@ from gymnasium.envs.registration import EnvSpec, registry
 from dcgrid_env.core.checked import Plain
 from dcgrid_env.envs.time_limit import Horizon
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.plain import refuse_objects, to_plain
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.serialization import refuse_objects, to_data
 
 
 class PlainSpec:
@@ -68,8 +68,8 @@ class _WithObjects(EnvSpec):
 def _plain(value: Any) -> Plain:
     """Return a keyword argument in plain form; for a scenario, its preset's name or a mapping of its fields."""
     if not isinstance(value, Scenario):
-        return to_plain(value)
-    return value.preset or {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return to_data(value)
+    return value.preset or {field.name: to_data(getattr(value, field.name)) for field in dataclasses.fields(value)}
 
 
 def _is_plain(kwargs: dict[str, Any]) -> bool:

@@ -9,17 +9,17 @@ from typing import Any, Literal
 
 from dcgrid_env.core.checked import (
     FieldError,
-    UnknownFieldError,
-    as_plain,
-    check_fields,
+    as_pairs,
+    as_tuples,
     choice,
     finite,
     number,
+    pairs,
     refuse,
     settle,
+    unknown_field,
 )
 from dcgrid_env.core.magnitudes import LARGEST_OF_ANY
-from dcgrid_env.grid.network import buses_as_text
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 
 VoltageReference = Literal["nominal", "profile"]
@@ -66,7 +66,7 @@ class Cost:
     """Form of the voltage cost."""
     reference: VoltageReference = choice("nominal", "profile", default="nominal")
     """Reference of the voltage cost: 1 p.u., or the utility's voltage profile with a target for each node."""
-    profile_pu: float | tuple[tuple[str, float], ...] | None = None
+    profile_pu: float | tuple[tuple[str, float], ...] | None = pairs(default=None)
     """Targets of the profile, p.u.: one number, or a mapping from buses or nodes to numbers. Targets that are not given
     are the voltages of the nominal loads with regulators settled and without devices; None for all of them."""
     profile_band_pu: float = number(0.0, 0.2, default=0.0083)
@@ -80,21 +80,15 @@ class Cost:
     reactive power of the step before. droop: the droop law with ``default_gains``."""
     default_gains: tuple[float, float, float] = (1.0, 0.5, 0.3)
     """Gains of the droop as the default action: k_p in MW/p.u., k_q in Mvar/(p.u. s) and alpha in 1/s."""
-    ramp_limit_kw_per_s: float | None = None
+    ramp_limit_kw_per_s: float | None = number(1e-9, 1e9, default=None)
     """Limit on the ramp of a site's draw, kW/s, on average over ``ramp_window_s``; None for no limit."""
-    ramp_window_s: float | None = None
+    ramp_window_s: float | None = number(1e-9, 1e9, default=None)
     """Averaging window of a ramp, s, a whole number of steps; None for one step."""
-    voltage_step_limit_pu: float | None = None
+    voltage_step_limit_pu: float | None = number(1e-9, 1e9, default=None)
     """Limit on the change of a bus's voltage from a step to the next, p.u.; None for no limit."""
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            weights=lambda given: changed_weights(CostWeights(), given),
-            profile_pu=_targets,
-            default_gains=lambda given: tuple(map(as_plain, given)) if isinstance(given, list | tuple) else given,
-        )
-        check_fields(self)
+        settle(self, weights=lambda value: changed_weights(CostWeights(), value), profile_pu=_targets)
         if not isinstance(self.weights, CostWeights):
             raise refuse(self, "weights", "give CostWeights(voltage=..., ...) or a mapping such as {'backlog': 0.3}")
         for name, value in self.weights._asdict().items():
@@ -102,10 +96,6 @@ class Cost:
                 raise FieldError(
                     "Cost", f"weights.{name}", value, f"give a finite number >= 0 and at most {LARGEST_OF_ANY:g}"
                 )
-        for name in ("ramp_limit_kw_per_s", "ramp_window_s", "voltage_step_limit_pu"):
-            value = getattr(self, name)
-            if value is not None and not finite(value, 1e-9, 1e9):
-                raise refuse(self, name, "give a finite number above 0, or None")
         for term in TERMS:
             if term.limit and getattr(self.weights, term.name) and getattr(self, term.limit) is None:
                 remedy = f"give {term.limit} too, which it weighs the excess over, or set it to 0"
@@ -130,13 +120,13 @@ class Cost:
             is_given = getattr(self, name) != type(self).__dataclass_fields__[name].default
             if is_given and self.reference == "nominal":
                 raise refuse(self, name, "set reference to 'profile', which it belongs to, or leave it out")
-        pairs = self.profile_pu if isinstance(self.profile_pu, tuple) else ()
-        if not all(isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) for pair in pairs):
+        targets = self.profile_pu if isinstance(self.profile_pu, tuple) else ()
+        if not all(isinstance(pair, tuple) and len(pair) == 2 and isinstance(pair[0], str) for pair in targets):
             raise refuse(self, "profile_pu", _TARGETS)
-        for bus, target in pairs:
+        for bus, target in targets:
             if not finite(target, *_TARGET_RANGE_PU):
                 raise FieldError("Cost", f"profile_pu.{bus}", target, _TARGET)
-        if not pairs and self.profile_pu is not None and not finite(self.profile_pu, *_TARGET_RANGE_PU):
+        if not targets and self.profile_pu is not None and not finite(self.profile_pu, *_TARGET_RANGE_PU):
             raise refuse(self, "profile_pu", _TARGETS)
 
     @property
@@ -145,23 +135,17 @@ class Cost:
         return self.profile_band_pu if self.reference == "profile" else 0.0
 
 
-def _targets(given: object) -> Any:
-    """Return pairs of a bus or node, as text, and its target from a mapping, None from an empty one.
-
-    A whole number is returned as a float, pairs in lists as tuples, and any other value unchanged.
-    """
-    if isinstance(given, Mapping):
-        return tuple(zip(buses_as_text(tuple(given)), map(as_plain, given.values()), strict=True)) or None
-    if isinstance(given, list | tuple):
-        return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in given)
-    return float(given) if isinstance(given, int) and not isinstance(given, bool) else given
+def _targets(value: object) -> Any:
+    """Return pairs for a mapping, None for an empty one, and a float for a whole number."""
+    targets = as_pairs(value)
+    return None if targets == () else float(targets) if type(targets) is int else targets
 
 
-def changed_weights(weights: CostWeights, given: object) -> Any:
+def changed_weights(weights: CostWeights, changes: object) -> Any:
     """Return the weights with those that a mapping names; any other value unchanged."""
-    if not isinstance(given, Mapping):
-        return given
-    for key in given:
+    if not isinstance(changes, Mapping):
+        return changes
+    for key in changes:
         if key not in CostWeights._fields:
-            raise UnknownFieldError("Cost", f"weights.{key}", given[key], CostWeights._fields)
-    return weights._replace(**{key: as_plain(value) for key, value in given.items()})
+            raise unknown_field("Cost", f"weights.{key}", CostWeights._fields)
+    return weights._replace(**{key: as_tuples(value) for key, value in changes.items()})

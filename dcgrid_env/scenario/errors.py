@@ -1,4 +1,4 @@
-"""Error of an invalid scenario, and conversion of a part's error to it."""
+"""Errors of an invalid scenario."""
 
 from __future__ import annotations
 
@@ -14,21 +14,12 @@ class ScenarioError(ValueError):
 
 
 @contextmanager
-def located(scenario: object, part: str) -> Iterator[None]:
-    """Turn the FieldError of a part into a ScenarioError that names the scenario and the path of the field.
-
-    Parameters
-    ----------
-    scenario
-        The scenario's name.
-    part
-        Path to the field, such as ``sensing``; "" for fields of the scenario itself.
-    """
+def located(scenario: object) -> Iterator[None]:
+    """Turn a FieldError into a ScenarioError with the name of the scenario and the path of the field."""
     try:
         yield
     except FieldError as error:
-        path = f"{part}.{error.name}" if part else str(error.name)
-        raise ScenarioError(f"scenario {scenario!r}: {error.said(path)}") from None
+        raise ScenarioError(f"scenario {scenario!r}: {error.said(error.name)}") from None
 
 
 class UnknownArgumentError(TypeError):

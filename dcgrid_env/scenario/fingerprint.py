@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import MISSING
 from itertools import chain
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 from dcgrid_env.core.digest import digest
 from dcgrid_env.devices import DataCenters, Inverters, PowerCapDvfs, PrefillDecodeDvfs, Storages
@@ -44,111 +44,82 @@ from dcgrid_env.grid.network import (
     SwitchTable,
     TransformerTable,
 )
-from dcgrid_env.scenario.assembly import GROUPS, PARTS
+from dcgrid_env.scenario.assembly import ALIASES, FORMER, GROUPS, PARTS
 from dcgrid_env.scenario.cost import CostWeights
-from dcgrid_env.scenario.field_names import ALIASES, FORMER
 from dcgrid_env.scenario.grid_request import LoadTarget
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.traces import ProfileTable
 
-
-class Kind(NamedTuple):
-    """Entry of the schema for a kind of object."""
-
-    name: str
-    fields: tuple[str, ...]
-    """Always hashed."""
-    with_names: bool = True
-    """Whether the names of these fields are hashed too."""
-
-
-_SCENARIO = """
-    name feeder v0_pu capacitors n_datacenters datacenter_buses p_rated_kw idle_share f_min_mhz f_max_mhz s_rated_share
-    q_max_share dvfs boost_share inverter_buses inverter_s_kva inverter_trace faults trace recording_split trace_window
-    site_correlation compute_share load_sigma load_rho voltage_noise_pu measurement_delay start_hour? horizon dt_s
-    power_flow split
-    weights band_pu voltage_cost reward observe preview r_model_share x_model_share
-"""
+SCHEMA_1: dict[type[Any], str] = {
+    Scenario: """
+        name feeder v0_pu capacitors n_datacenters datacenter_buses p_rated_kw idle_share f_min_mhz f_max_mhz
+        s_rated_share q_max_share dvfs boost_share inverter_buses inverter_s_kva inverter_trace faults trace
+        recording_split trace_window site_correlation compute_share load_sigma load_rho voltage_noise_pu
+        measurement_delay start_hour? horizon dt_s power_flow split weights band_pu voltage_cost reward observe
+        preview r_model_share x_model_share
+    """,
+    Feeder: "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y",
+    CostWeights: "voltage violation backlog effort leftover clock step loss",
+    Fault: "among begin_s duration_s",
+    DataCenters: """
+        count buses p_rated_kw idle_share f_max_mhz f_min_mhz s_rated_share q_max_share clock_law boost_share phases
+    """,
+    Inverters: "buses s_rated_kva injection phases",
+    Storages: """
+        buses p_rated_kw energy_kwh charge_efficiency discharge_efficiency standby_share_per_h s_rated_kva
+        initial_share returned_share ageing_price missing_price phases
+    """,
+    RideThroughCurve: "under over",
+    RideThrough: "curve return_delay_s walk_in_s trip_weight",
+    UpsRideThrough: """
+        curve return_delay_s walk_in_s trip_weight lockout_events lockout_window_s returns_per_minute release
+        by_hand_s stagger_s on_battery battery_s recharge_share charge_efficiency away_weight missing_weight
+    """,
+    Sag: "begin_s duration_s retained_pu since",
+    PowerSmoothing: """
+        floor_share ramp_up_w_per_s ramp_down_w_per_s hysteresis_s gpus gpu_rated_w control change_every_s
+        slowest_share burnt_weight
+    """,
+    Cooling: "cooling_share time_constant_s auxiliary_share",
+    SiteStorage: """
+        p_rated_kw energy_kwh charge_efficiency discharge_efficiency standby_share_per_h initial_share returned_share
+        ageing_price missing_price
+    """,
+    Routing: "movable_share move_latency_s move_weight",
+    Batching: "lowest highest reference batch_energy_share gather_s batch_weight",
+    ServiceLevels: "target_s deadline_s interactive_share order late_weight",
+    Network: """
+        name source node line load shunt phase_line switch transformer regulator phase_load capacitor frequency_hz
+        source_of_facts
+    """,
+    NodeTable: "bus phase x y base_kv_ln",
+    LineTable: "from_bus to_bus r_ohm x_ohm",
+    ShuntTable: "bus phase capacitor_kvar",
+    PhaseLineTable: "name from_bus to_bus phases length_m r_ohm x_ohm b_us",
+    SwitchTable: "name from_bus to_bus phases state r_ohm x_ohm",
+    TransformerTable: """
+        name from_bus to_bus phases connection_from connection_to kva kv_ll_from kv_ll_to r_percent x_percent
+        shift_deg antifloat_ppm
+    """,
+    RegulatorTable: """
+        name bank from_bus to_bus phases sensed_phase kv_ln kva_per_phase r_percent x_percent tap tap_neutral tap_min
+        tap_max tap_step vreg_v band_v pt_ratio ct_primary_a r_ldc_v x_ldc_v delay_s tap_delay_s max_taps_per_move
+        antifloat_ppm
+    """,
+    PhaseLoadTable: "name bus connection model leg_kv p_kw q_kvar vmin_pu vmax_pu vlow_pu zip",
+    CapacitorTable: "name bus connection leg_kv kvar state",
+    RegulatorControl: "timer offset_v hold_s",
+    LoadTarget: "kind value_share value_mw begin_s ramp_s duration_s priority",
+    PrefillDecodeDvfs: "decode_clock_share decode_memory_share compute_linear_share",
+    ProfileTable: "begin_h step_s names values first_day",
+    PowerCapDvfs: "decode_clock_share decode_memory_share compute_linear_share decode_draw_share",
+}
+"""Fields that are always hashed, by class; those of a scenario by their names in the schema."""
+_NAMES = {CostWeights: "tuple8", PrefillDecodeDvfs: "PhaseDvfs"}
+"""Names of classes in the schema where they differ."""
 _PATHS = ALIASES | FORMER
 """Paths of the scenario's fields by the names in the schema; a name without one is its own path."""
-_FEEDER = "name base_kv v0_pu bus_ids p_load_kw q_load_kvar capacitor_kvar parent r_ohm x_ohm x y"
-_PHASE_LINE = "name from_bus to_bus phases length_m r_ohm x_ohm b_us"
-_SWITCH = "name from_bus to_bus phases state r_ohm x_ohm"
-_TRANSFORMER = """
-    name from_bus to_bus phases connection_from connection_to kva kv_ll_from kv_ll_to r_percent x_percent shift_deg
-    antifloat_ppm
-"""
-_REGULATOR = """
-    name bank from_bus to_bus phases sensed_phase kv_ln kva_per_phase r_percent x_percent tap tap_neutral tap_min
-    tap_max tap_step vreg_v band_v pt_ratio ct_primary_a r_ldc_v x_ldc_v delay_s tap_delay_s max_taps_per_move
-    antifloat_ppm
-"""
-_PHASE_LOAD = "name bus connection model leg_kv p_kw q_kvar vmin_pu vmax_pu vlow_pu zip"
-_NETWORK = """
-    name source node line load shunt phase_line switch transformer regulator phase_load capacitor frequency_hz
-    source_of_facts
-"""
 _BUSES = ("bus_ids", "datacenter_buses", "inverter_buses")
-_DATA_CENTERS = """
-    count buses p_rated_kw idle_share f_max_mhz f_min_mhz s_rated_share q_max_share clock_law boost_share phases
-"""
-_STORAGES = """
-    buses p_rated_kw energy_kwh charge_efficiency discharge_efficiency standby_share_per_h s_rated_kva initial_share
-    returned_share ageing_price missing_price phases
-"""
-_WEIGHTS = "voltage violation backlog effort leftover clock step loss"
-_RULE = "curve return_delay_s walk_in_s trip_weight"
-_UPS_RULE = f"""
-    {_RULE} lockout_events lockout_window_s returns_per_minute release by_hand_s stagger_s on_battery battery_s
-    recharge_share charge_efficiency away_weight missing_weight
-"""
-_SMOOTHING = """
-    floor_share ramp_up_w_per_s ramp_down_w_per_s hysteresis_s gpus gpu_rated_w control change_every_s slowest_share
-    burnt_weight
-"""
-_SITE_STORAGE = """
-    p_rated_kw energy_kwh charge_efficiency discharge_efficiency standby_share_per_h initial_share returned_share
-    ageing_price missing_price
-"""
-_BATCHING = "lowest highest reference batch_energy_share gather_s batch_weight"
-_LOAD_TARGET = "kind value_share value_mw begin_s ramp_s duration_s priority"
-_PREFILL_DECODE = "decode_clock_share decode_memory_share compute_linear_share"
-_SERVICE = "target_s deadline_s interactive_share order late_weight"
-
-SCHEMA_1: dict[type[Any], Kind] = {
-    Scenario: Kind("Scenario", tuple(_SCENARIO.split())),
-    Feeder: Kind("Feeder", tuple(_FEEDER.split())),
-    CostWeights: Kind("tuple8", tuple(_WEIGHTS.split()), with_names=False),
-    Fault: Kind("Fault", ("among", "begin_s", "duration_s")),
-    DataCenters: Kind("DataCenters", tuple(_DATA_CENTERS.split())),
-    Inverters: Kind("Inverters", ("buses", "s_rated_kva", "injection", "phases")),
-    Storages: Kind("Storages", tuple(_STORAGES.split())),
-    RideThroughCurve: Kind("RideThroughCurve", ("under", "over")),
-    RideThrough: Kind("RideThrough", tuple(_RULE.split())),
-    UpsRideThrough: Kind("UpsRideThrough", tuple(_UPS_RULE.split())),
-    Sag: Kind("Sag", ("begin_s", "duration_s", "retained_pu", "since")),
-    PowerSmoothing: Kind("PowerSmoothing", tuple(_SMOOTHING.split())),
-    Cooling: Kind("Cooling", ("cooling_share", "time_constant_s", "auxiliary_share")),
-    SiteStorage: Kind("SiteStorage", tuple(_SITE_STORAGE.split())),
-    Routing: Kind("Routing", ("movable_share", "move_latency_s", "move_weight")),
-    Batching: Kind("Batching", tuple(_BATCHING.split())),
-    ServiceLevels: Kind("ServiceLevels", tuple(_SERVICE.split())),
-    Network: Kind("Network", tuple(_NETWORK.split())),
-    NodeTable: Kind("NodeTable", ("bus", "phase", "x", "y", "base_kv_ln")),
-    LineTable: Kind("LineTable", ("from_bus", "to_bus", "r_ohm", "x_ohm")),
-    ShuntTable: Kind("ShuntTable", ("bus", "phase", "capacitor_kvar")),
-    PhaseLineTable: Kind("PhaseLineTable", tuple(_PHASE_LINE.split())),
-    SwitchTable: Kind("SwitchTable", tuple(_SWITCH.split())),
-    TransformerTable: Kind("TransformerTable", tuple(_TRANSFORMER.split())),
-    RegulatorTable: Kind("RegulatorTable", tuple(_REGULATOR.split())),
-    PhaseLoadTable: Kind("PhaseLoadTable", tuple(_PHASE_LOAD.split())),
-    CapacitorTable: Kind("CapacitorTable", ("name", "bus", "connection", "leg_kv", "kvar", "state")),
-    RegulatorControl: Kind("RegulatorControl", ("timer", "offset_v", "hold_s")),
-    LoadTarget: Kind("LoadTarget", tuple(_LOAD_TARGET.split())),
-    PrefillDecodeDvfs: Kind("PhaseDvfs", tuple(_PREFILL_DECODE.split())),
-    ProfileTable: Kind("ProfileTable", ("begin_h", "step_s", "names", "values", "first_day")),
-    PowerCapDvfs: Kind("PowerCapDvfs", (*_PREFILL_DECODE.split(), "decode_draw_share")),
-}
 
 
 def scenario_hash(scenario: Scenario) -> str:
@@ -161,27 +132,26 @@ def scenario_hash(scenario: Scenario) -> str:
 
 def fields(value: object) -> tuple[str, Iterable[tuple[str, Any]]] | None:
     """Return the part of a value that schema 1 hashes; None for a kind that is not in the schema."""
-    kind = SCHEMA_1.get(type(value))
-    if kind is None:
+    kind = type(value)
+    if kind not in SCHEMA_1:
         return None
-    always = _published(value, kind)
+    listed, name = SCHEMA_1[kind].split(), _NAMES.get(kind, kind.__name__)
+    always = _published(value, listed)
     if isinstance(value, Scenario):
-        return kind.name, chain(always, _later_of_parts(value))
-    later = {name: default for name, default in _defaults(type(value)).items() if name not in kind.fields}
-    return kind.name, chain(
-        always, ((n, getattr(value, n)) for n, d in later.items() if _is_other(getattr(value, n), d))
-    )
+        return name, chain(always, _later_of_parts(value))
+    later = {field: default for field, default in _defaults(kind).items() if field not in listed}
+    return name, chain(always, ((n, getattr(value, n)) for n, d in later.items() if _is_other(getattr(value, n), d)))
 
 
-def _published(value: object, kind: Kind) -> Iterator[tuple[str, Any]]:
+def _published(value: object, listed: list[str]) -> Iterator[tuple[str, Any]]:
     """Return the fields that the schema lists; one marked with ? is left out if it is None."""
-    for listed in kind.fields:
-        name = listed.removesuffix("?")
-        if isinstance(value, Scenario) and _path(name)[0] in GROUPS and not _has_two_groups(value):
+    for name in listed:
+        field = name.removesuffix("?")
+        if isinstance(value, Scenario) and _path(field)[0] in GROUPS and not _has_two_groups(value):
             continue
-        content = _hashed(value, name)
-        if name == listed or content is not None:
-            yield name if kind.with_names else "", content
+        content = _hashed(value, field)
+        if name == field or content is not None:
+            yield "" if isinstance(value, CostWeights) else field, content
 
 
 def _path(name: str) -> tuple[str, str]:
@@ -192,7 +162,7 @@ def _path(name: str) -> tuple[str, str]:
 
 def _later_of_parts(scenario: Scenario) -> Iterator[tuple[str, Any]]:
     """Fields of a scenario and its parts that are in no list, and not at their default."""
-    listed = {_path(field.removesuffix("?")) for field in SCHEMA_1[Scenario].fields}
+    listed = {_path(field.removesuffix("?")) for field in SCHEMA_1[Scenario].split()}
     parts: dict[str, Any] = {"": scenario} | {name: getattr(scenario, name) for name in PARTS}
     if _has_two_groups(scenario):
         parts |= {name: getattr(scenario, name) for name in GROUPS}
@@ -218,11 +188,11 @@ def _has_two_groups(scenario: Scenario) -> bool:
 
 def _hashed(value: Any, name: str) -> Any:
     """Return the hashed form of a field: its value, and numbers or texts for buses."""
-    given = attrgetter(_PATHS.get(name, name))(value) if isinstance(value, Scenario) else getattr(value, name)
-    if name not in _BUSES or given is None:
-        return given
+    content = attrgetter(_PATHS.get(name, name))(value) if isinstance(value, Scenario) else getattr(value, name)
+    if name not in _BUSES or content is None:
+        return content
     feeder = value if isinstance(value, Feeder) else value.feeder
-    return given if bus_numbers(feeder.bus_ids) is None else tuple(map(int, given))
+    return content if bus_numbers(feeder.bus_ids) is None else tuple(map(int, content))
 
 
 def _defaults(kind: type[Any]) -> dict[str, Any]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from dcgrid_env.core.checked import FieldError, from_mapping, refuse, settle
+from dcgrid_env.core.cache import cached_on_owner
+from dcgrid_env.core.checked import inside, pairs, part, refuse, settle
 from dcgrid_env.devices.capacitor_bank.capacitor_banks import CapacitorBanks
 from dcgrid_env.devices.capacitor_bank.capacitor_control import CapacitorControl
 from dcgrid_env.devices.capacitor_bank.threshold_set_points import ThresholdSetPoints
@@ -16,7 +16,7 @@ from dcgrid_env.devices.tap_changer.regulator_control import RegulatorControl
 from dcgrid_env.devices.tap_changer.regulator_set_points import RegulatorSetPoints
 from dcgrid_env.devices.tap_changer.tap_changers import TapChangers
 from dcgrid_env.grid import AnyFeeder, ThreePhaseFeeder
-from dcgrid_env.scenario.background import Background
+from dcgrid_env.scenario.workload import Background
 
 Decider = Literal["fixed", "controlled", "agent", "setpoint"]
 """Modes: fixed as in the feeder's tables, controlled by the equipment's own control, moved by an agent, or controlled
@@ -45,31 +45,22 @@ class GridControl:
     feeder has neither and accepts only the defaults.
     """
 
-    regulators: Decider | ByBank = REGULATORS
+    regulators: Decider | ByBank = pairs(default=REGULATORS)
     """Mode of regulators; banks that a mapping does not name are controlled."""
-    capacitors: Decider | ByBank = CAPACITORS
+    capacitors: Decider | ByBank = pairs(default=CAPACITORS)
     """Mode of capacitor banks; banks that a mapping does not name are fixed."""
-    capacitor_settings: CapacitorControl = field(default_factory=CapacitorControl)
+    capacitor_settings: CapacitorControl = part(CapacitorControl)
     """Switching rule of the controlled capacitor banks; settings that a mapping does not name keep their default."""
-    regulator_settings: RegulatorControl = field(default_factory=RegulatorControl)
+    regulator_settings: RegulatorControl = part(RegulatorControl)
     """Timers and set points of the controlled regulators; likewise."""
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            regulators=_pairs,
-            capacitors=_pairs,
-            capacitor_settings=partial(_settings, CapacitorControl, "capacitor_settings"),
-            regulator_settings=partial(_settings, RegulatorControl, "regulator_settings"),
-        )
+        settle(self)
         for name in ("regulators", "capacitors"):
             value = getattr(self, name)
-            pairs = value if isinstance(value, tuple) else ((None, value),)
-            if not all(isinstance(pair, tuple) and len(pair) == 2 and pair[1] in DECIDERS for pair in pairs):
+            modes = value if isinstance(value, tuple) else ((None, value),)
+            if not all(isinstance(pair, tuple) and len(pair) == 2 and pair[1] in DECIDERS for pair in modes):
                 raise refuse(self, name, f"give one of {', '.join(DECIDERS)}, or a mapping from banks to these")
-        for name, kind in (("capacitor_settings", CapacitorControl), ("regulator_settings", RegulatorControl)):
-            if not isinstance(getattr(self, name), kind):
-                raise refuse(self, name, f"give {kind.__name__}(...) or a mapping of its fields")
         measures, capacitors = self.capacitor_settings.measures, self.capacitors
         modes = dict(capacitors).values() if isinstance(capacitors, tuple) else (capacitors,)
         if "setpoint" in modes and measures != "voltage":
@@ -125,10 +116,8 @@ def _rows(deciders: tuple[Decider, ...], decider: Decider) -> tuple[int, ...]:
 
 def check_grid_control(control: GridControl, feeder: AnyFeeder, background: Background) -> None:
     """Raise FieldError for a bank that the feeder lacks, or equipment that needs another background."""
-    try:
+    with inside("GridControl", "regulator_settings"):
         _check_offsets(control, feeder, background)
-    except FieldError as error:
-        raise error.within("GridControl", "regulator_settings") from None
     if not isinstance(feeder, ThreePhaseFeeder) and control.regulator_settings != RegulatorControl():
         remedy = f"the balanced feeder {feeder.name!r} has no regulators that act; leave it out"
         raise refuse(control, "regulator_settings", remedy)
@@ -188,18 +177,42 @@ def _by_row(value: Any, banks: Any, default: Decider) -> tuple[Decider, ...]:
     return tuple(named.get(bank, default) for bank in banks)
 
 
-def _pairs(value: object) -> Any:
-    """Return pairs of a bank and a mode from a mapping or from JSON lists; any other value unchanged."""
-    if isinstance(value, Mapping):
-        return tuple(value.items())
-    if isinstance(value, list | tuple):
-        return tuple(tuple(pair) if isinstance(pair, list) else pair for pair in value)
-    return value
+def under_own_control(scenario: Any, keep_set_points: bool = False) -> Any:
+    """Return the scenario with regulator agents replaced by their banks' control, and capacitor agents by fixed banks.
+
+    Agents of set points are replaced by the control with its default set points, unless ``keep_set_points``. The other
+    agents see and do the same as before, and a move costs what it cost. A scenario without such agents is returned
+    unchanged.
+    """
+    return _without_agents(scenario, keep_set_points) or scenario
 
 
-def _settings(kind: type[Any], name: str, value: object) -> Any:
-    """Return settings for a mapping of their fields; any other value unchanged."""
-    try:
-        return from_mapping(kind, value)
-    except FieldError as error:
-        raise error.within("GridControl", name) from None
+@cached_on_owner
+def _without_agents(scenario: Any, keep_set_points: bool) -> Any:
+    feeder, control = scenario.feeder, scenario.grid_control
+    if not isinstance(feeder, ThreePhaseFeeder):
+        return None
+    deciders = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
+    kept: dict[Decider, Decider] = {} if keep_set_points else {"setpoint": "controlled"}
+    if not any({"agent", *kept} & set(of_kind) for of_kind in deciders):
+        return None
+    other = scenario.replace(
+        grid_control={
+            "regulators": _with_modes(control.regulators, {"agent": "controlled", **kept}),
+            "capacitors": _with_modes(control.capacitors, {"agent": "fixed", **kept}),
+        }
+    )
+    left = regulator_deciders(other.grid_control, feeder), capacitor_deciders(other.grid_control, feeder)
+    # Switching is charged by the mean over what is not fixed, of which there may now be less.
+    switching = scenario.cost.weights.switching * _n_moving(left) / _n_moving(deciders)
+    return other.replace(weights=other.cost.weights._replace(switching=switching))
+
+
+def _with_modes(decider: Decider | ByBank, instead: dict[Decider, Decider]) -> Decider | ByBank:
+    if isinstance(decider, str):
+        return instead.get(decider, decider)
+    return tuple((bank, instead.get(by, by)) for bank, by in decider)
+
+
+def _n_moving(deciders: tuple[tuple[Decider, ...], ...]) -> int:
+    return sum(decider != "fixed" for of_kind in deciders for decider in of_kind)

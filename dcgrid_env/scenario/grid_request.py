@@ -23,21 +23,10 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import (
-    FieldError,
-    check_fields,
-    choice,
-    count,
-    finite,
-    from_mapping,
-    number,
-    refuse,
-    settle,
-)
+from dcgrid_env.core.checked import FieldError, choice, count, number, parts, refuse, settle, span
 
 RequestKind = Literal["cap", "target"]
 
@@ -54,55 +43,33 @@ class LoadTarget:
 
     kind: RequestKind = choice("cap", "target", default="cap")
     """Kind of request: "cap", a most for the total draw of the sites, or "target", a value for it."""
-    value_share: Range | None = None
+    value_share: Range | None = span(0.0, 10.0, default=None)
     """Lowest and highest requested draw, as a share of the sum of the sites' ratings."""
-    value_mw: Range | None = None
+    value_mw: Range | None = span(0.0, 1e6, default=None)
     """Lowest and highest requested draw, MW."""
-    begin_s: Range = (0.0, 0.0)
+    begin_s: Range = span(0.0, 1e9, default=(0.0, 0.0))
     """Earliest and latest start, s from the episode's; a request after the episode's end does not happen."""
-    ramp_s: Range = (0.0, 0.0)
+    ramp_s: Range = span(0.0, 1e9, default=(0.0, 0.0))
     """Shortest and longest time from the start until the value holds, s."""
-    duration_s: Range = (3600.0, 3600.0)
+    duration_s: Range = span(0.0, 1e9, default=(3600.0, 3600.0))
     """Shortest and longest time from the start to the end, s, with the ramp."""
     priority: int = count(0, 1000, default=0)
     """Rank: of several requests in force, that of the highest priority holds, and of equals that which started last."""
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if (self.value_share is None) == (self.value_mw is None):
-            raise refuse(
-                self, "value_share", "give value_share, a share of the sites' ratings, or value_mw, and not both"
-            )
-        for name, highest in (
-            ("value_share", 10.0),
-            ("value_mw", 1e6),
-            ("begin_s", 1e9),
-            ("ramp_s", 1e9),
-            ("duration_s", 1e9),
-        ):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, _range(self, name, highest))
+            remedy = "give value_share, a share of the sites' ratings, or value_mw, and not both"
+            raise refuse(self, "value_share", remedy)
         if self.duration_s[0] <= 0.0:
             raise refuse(self, "duration_s", "give a shortest above 0 s, or leave the request out")
-
-
-def _range(target: LoadTarget, name: str, highest: float) -> Range:
-    given = getattr(target, name)
-    pair = (given, given) if finite(given) else given
-    if not isinstance(pair, tuple) or len(pair) != 2 or not all(finite(value, 0.0, highest) for value in pair):
-        raise refuse(target, name, f"give a number from 0 to {highest:g}, or a pair of them, a lowest and a highest")
-    low, high = pair
-    if low > high:
-        raise refuse(target, name, "give the lowest first")
-    return float(low), float(high)
 
 
 @dataclass(frozen=True, kw_only=True)
 class GridRequest:
     """Requests of a utility for the total draw of the data centres. By default there are none."""
 
-    targets: tuple[LoadTarget, ...] = ()
+    targets: tuple[LoadTarget, ...] = parts(LoadTarget)
     """Requests, each a :class:`LoadTarget` or a mapping of its fields; () for none."""
     notice_s: float = number(0.0, 1e9, default=60.0)
     """Time before its start from which agents observe a request, s."""
@@ -110,25 +77,7 @@ class GridRequest:
     """Distance from a request up to which the metric of compliance counts it as met, share of the sites' ratings."""
 
     def __post_init__(self) -> None:
-        settle(self, targets=_targets)
-        check_fields(self)
-        if not isinstance(self.targets, tuple) or not all(isinstance(target, LoadTarget) for target in self.targets):
-            raise refuse(self, "targets", "give a list of LoadTarget(...) or of mappings of its fields, () for none")
-
-
-def _targets(given: object) -> Any:
-    """Return load targets, made from mappings where needed; any other value unchanged."""
-    if isinstance(given, LoadTarget | Mapping):
-        given = (given,)
-    if not isinstance(given, list | tuple):
-        return given
-    targets = []
-    for i, target in enumerate(given):
-        try:
-            targets.append(from_mapping(LoadTarget, target))
-        except FieldError as error:
-            raise error.within("GridRequest", f"targets[{i}]") from None
-    return tuple(targets)
+        settle(self)
 
 
 def check_grid_request(scenario: Any) -> None:

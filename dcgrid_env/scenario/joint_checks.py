@@ -1,33 +1,56 @@
-"""Checks of a scenario whose parts are right each but may not fit together."""
+"""Checks of a scenario whose parts are each valid but may not fit together."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from dcgrid_env.core.checked import FieldError, refuse
+from dcgrid_env.devices.device import may_leave
+from dcgrid_env.devices.faults import CAPACITOR
+from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.grid import AnyFeeder, Feeder, FeederError, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.powerflow import has_ratings
 from dcgrid_env.scenario.costs.grid_terms import TERMS
 
+MOST_STEPS = 10_000
+"""Longest window in steps. It may reach beyond an episode: before it a site has always drawn what it draws at t = 0."""
+
 
 def check_feeder_kind(scenario: Any) -> None:
-    """Raise FieldError for a wrong type, another kind's power flow, or a cost term that the kind of feeder lacks."""
-    feeder, weights = scenario.feeder, scenario.cost.weights
+    """Raise FieldError for a wrong type, another kind's power flow, or what the kind of feeder lacks."""
+    feeder, sensing = scenario.feeder, scenario.sensing
     if not isinstance(feeder, AnyFeeder | RandomFeeders):
         raise refuse(scenario, "feeder", "give a feeder, load_feeder(name) or read_feeder(folder), or RandomFeeders")
     balanced = not isinstance(feeder, ThreePhaseFeeder)
+    kind = "balanced" if balanced else "three-phase"
     if balanced == (scenario.power_flow == "sweep"):
         methods = "'distflow' or 'lindistflow'" if balanced else "'sweep'"
-        kind = "balanced" if balanced else "three-phase"
         raise refuse(scenario, "power_flow", f"give {methods} for the {kind} feeder {feeder.name!r}")
     if scenario.power_flow == "lindistflow" and isinstance(feeder, Feeder) and feeder.n_loop:
         raise refuse(scenario, "power_flow", f"give 'distflow' for feeder {feeder.name!r}, which has loops")
+    if sensing.regulator and (balanced or not len(feeder.network.regulator)):
+        remedy = f"the {kind} feeder {feeder.name!r} has no regulator; give a three-phase feeder with regulators, or "
+        raise FieldError("Scenario", "sensing.regulator", True, f"{remedy}leave it out")
+    has = {
+        "": True,
+        "three phases": not balanced,
+        "ratings": isinstance(feeder, AnyFeeder) and has_ratings(feeder),
+    }
+    lacking = {
+        "three phases": f"set it to 0: the balanced feeder {feeder.name!r} has no such term",
+        "ratings": f"feeder {feeder.name!r} has no rated branch; give its branches rating_a, or leave it out",
+    }
     for term in TERMS:
-        weight = getattr(weights, term.name)
-        if balanced and weight and term.needs == "three phases":
-            remedy = f"set it to 0: the balanced feeder {feeder.name!r} has no such term"
-            raise FieldError("Scenario", f"cost.weights.{term.name}", weight, remedy)
+        if (weight := getattr(scenario.cost.weights, term.name)) and not has[term.needs]:
+            raise FieldError("Scenario", f"cost.weights.{term.name}", weight, lacking[term.needs])
+    if sensing.loading and not has["ratings"]:
+        raise FieldError("Scenario", "sensing.loading", True, lacking["ratings"])
+    if isinstance(feeder, RandomFeeders):
+        if sensing.observe == "feeder":
+            remedy = "each of its random feeders has its buses elsewhere; choose 'local' or 'neighbours'"
+            raise FieldError("Scenario", "sensing.observe", "feeder", remedy)
+        feeder.style_of(scenario.generator_split)
 
 
 def check_model(scenario: Any) -> None:
@@ -44,34 +67,6 @@ def check_model(scenario: Any) -> None:
         _ = scenario.model
     except FeederError as error:
         raise FieldError("Scenario", name, value, f"the model is no feeder: {error}") from None
-
-
-def check_ratings(scenario: Any) -> None:
-    """Raise FieldError for a price on currents, or for their observation, on a feeder without ratings."""
-    if has_ratings(scenario.feeder):
-        return
-    remedy = (
-        f"feeder {scenario.feeder.name!r} knows the rating of no branch; give its branches rating_a, or leave it out"
-    )
-    for term in TERMS:
-        if term.needs == "ratings" and (weight := getattr(scenario.cost.weights, term.name)):
-            raise FieldError("Scenario", f"cost.weights.{term.name}", weight, remedy)
-    if scenario.sensing.loading:
-        raise FieldError("Scenario", "sensing.loading", True, remedy)
-
-
-def check_regulator_sensing(scenario: Any) -> None:
-    """Raise FieldError for the observation of regulators on a feeder without regulators."""
-    feeder = scenario.feeder
-    if not scenario.sensing.regulator or (isinstance(feeder, ThreePhaseFeeder) and len(feeder.network.regulator)):
-        return
-    kind = "three-phase feeder" if isinstance(feeder, ThreePhaseFeeder) else "balanced feeder"
-    remedy = f"the {kind} {feeder.name!r} has no regulator; give a three-phase feeder with regulators, or leave it out"
-    raise FieldError("Scenario", "sensing.regulator", True, remedy)
-
-
-MOST_STEPS = 10_000
-"""Longest window in steps. It may reach beyond an episode: before it a site has always drawn what it draws at t = 0."""
 
 
 def check_ramp_limit(scenario: Any) -> None:
@@ -110,3 +105,33 @@ def check_groups(devices: tuple[Any, ...], horizon: int, dt_s: float) -> None:
 
 def _refused(remedy: str) -> FieldError:
     return FieldError("Scenario", "devices", ..., f"cannot be: {remedy}")
+
+
+def check_faults(scenario: Any) -> None:
+    """Raise FieldError for faults of what the scenario does not have."""
+    can_be_lost = [device for device in scenario.devices if not is_equipment(device)]
+    kinds = [device.kind for device in can_be_lost]
+    agents = scenario.agents[: sum(device.count for device in can_be_lost)]
+    there = ", ".join((*(device.kind for device in can_be_lost if device.count), CAPACITOR))
+    for i, fault in enumerate(scenario.faults):
+        for among in fault.among:
+            if among not in (*kinds, CAPACITOR, *agents):
+                remedy = f"choose {there} or an agent, {', '.join(agents)}"
+                raise FieldError("Scenario", f"faults[{i}].among", among, remedy)
+        if not len(scenario.fault_targets[i]):
+            raise FieldError("Scenario", f"faults[{i}].among", fault.among, "there is none of these; name others")
+
+
+def check_sags(scenario: Any) -> None:
+    """Raise FieldError for sags that follow nothing, or that no device has a curve for."""
+    if not scenario.sags:
+        return
+    if scenario.sags[0].since == "previous":
+        raise FieldError("Scenario", "sags[0].since", "previous", "none is listed before it; give 'episode'")
+    with_curve = [device for device in scenario.devices if may_leave(device)]
+    if not any(device.count for device in with_curve):
+        remedy = "give datacenters.ride_through or inverters.ride_through"
+        if with_curve:
+            remedy = f"there is no {' and no '.join(device.kind for device in with_curve)}: give at least one"
+        wrong = f"is given, but no device has a curve that decides whether it trips; {remedy}, or leave sags out"
+        raise FieldError("Scenario", "sags", ..., wrong)

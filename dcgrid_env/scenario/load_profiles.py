@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, refuse, settle
+from dcgrid_env.core.checked import FieldError, as_pairs, choice, number, pairs, refuse, settle
 from dcgrid_env.core.suggestions import nearest
 from dcgrid_env.grid import AnyFeeder, Feeder
 from dcgrid_env.traces import WHOLE, ProfileTable, TraceError, read_classes, read_profiles
@@ -35,7 +35,7 @@ class LoadProfiles:
     """CSV or Parquet file, or a ``ProfileTable`` (``traces.profile_file`` has the forms); None for no profiles."""
     columns: Literal["load", "bus", "class"] = choice("load", "bus", "class", default="load")
     """Meaning of the names of the columns: loads, buses, or classes. A balanced feeder has a load for each bus."""
-    classes: tuple[tuple[str, str], ...] | None = None
+    classes: tuple[tuple[str, str], ...] | None = pairs(default=None)
     """Class of each load, or of each bus on a balanced feeder: a mapping of names, or a CSV file with the columns load
     and class. Required for columns of classes."""
     unit: Literal["pu", "kw"] = choice("pu", "kw", default="pu")
@@ -47,20 +47,17 @@ class LoadProfiles:
     """Days in which episodes lie. ``split``: blocks of days go to train, validation and test in turn, 60, 20 and 20 %,
     and no episode lies in two of them; ood has those of test, and whole has all. ``all``: all days, in each split.
     ``repeat``: all days, and the file begins again after its end."""
-    start_h: float | None = None
+    start_h: float | None = number(0.0, 1e9, default=None)
     """Begin of all episodes, h since the midnight before the file's first sample; None for a begin by seed."""
     uncovered: Literal["refuse", "nominal"] = choice("refuse", "nominal", default="refuse")
     """Loads without a profile: an error that names them, or constant nominal power."""
 
     def __post_init__(self) -> None:
         settle(self, file=_file, classes=_classes)
-        check_fields(self)
         if self.file is not None and not isinstance(self.file, ProfileTable):
             raise refuse(self, "file", "give the path of a CSV or Parquet file, a ProfileTable, or None")
         if self.classes is not None and not _are_pairs(self.classes):
             raise refuse(self, "classes", "give a mapping from loads to classes, or a CSV file")
-        if self.start_h is not None and not finite(self.start_h, 0.0, 1e9):
-            raise refuse(self, "start_h", "give hours since the midnight before the file's first sample, or None")
         self._check_others()
 
     def _check_others(self) -> None:
@@ -295,8 +292,8 @@ def _columns(feeder: AnyFeeder, profiles: LoadProfiles, targets: Mapping[str, np
 
 
 def _are_pairs(value: object) -> bool:
-    pairs = isinstance(value, tuple) and len(value) > 0 and all(isinstance(pair, tuple) for pair in value)
-    return pairs and all(len(pair) == 2 and all(isinstance(text, str) for text in pair) for pair in value)  # pyright: ignore
+    are_tuples = isinstance(value, tuple) and len(value) > 0 and all(isinstance(pair, tuple) for pair in value)
+    return are_tuples and all(len(pair) == 2 and all(isinstance(text, str) for text in pair) for pair in value)  # pyright: ignore
 
 
 def _shares(values: np.ndarray, total: float, balanced: bool) -> np.ndarray | None:
@@ -332,6 +329,4 @@ def _classes(value: object) -> Any:
             value = read_classes(value)
         except (TraceError, OSError, UnicodeDecodeError) as error:
             raise FieldError("LoadProfiles", "classes", str(value), str(error)) from None
-    if isinstance(value, Mapping):
-        return tuple((str(name), str(kind)) for name, kind in value.items())
-    return tuple(map(tuple, value)) if isinstance(value, list) else value
+    return as_pairs({name: str(kind) for name, kind in value.items()} if isinstance(value, Mapping) else value)

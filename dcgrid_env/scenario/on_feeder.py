@@ -10,10 +10,9 @@ import numpy as np
 
 from dcgrid_env.devices import DataCenters
 from dcgrid_env.grid import AnyFeeder, Feeder
-from dcgrid_env.scenario.device_words import DATA_CENTRES, DRAWN, ENDS, INVERTERS, Kind, Part, read_group
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.feeder_ends import feeder_ends
-from dcgrid_env.scenario.placement import free_load_buses
+from dcgrid_env.scenario.group_notation import DATA_CENTRES, DRAWN, ENDS, INVERTERS, Notation, Part, read_group
+from dcgrid_env.scenario.placement import feeder_ends, free_load_buses
 from dcgrid_env.scenario.scenario import Scenario
 
 SITES, SITES_SHARE = 5, 0.4
@@ -33,7 +32,7 @@ def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: st
     feeder
         Any feeder with a load.
     datacenters, inverters
-        Devices in words, such as ``"3 x 1 MW at ends"`` and ``"5 x 200 kvar"``, see ``device_words``. The default is
+        Devices in words, such as ``"3 x 1 MW at ends"`` and ``"5 x 200 kvar"``, see ``group_notation``. The default is
         up to five data centres, 40 % of the load together, drawn among the load buses (with three phases if the feeder
         has phases). Up to seven inverters, 10 % of the load together, are spread evenly over the load buses.
 
@@ -43,20 +42,25 @@ def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: st
         For invalid words, missing buses or ends, or a feeder without a load bus for a drawn data centre.
     """
     sites = None if datacenters is None else read_group(DATA_CENTRES, datacenters)
-    fed = None if inverters is None else read_group(INVERTERS, inverters)
+    others = None if inverters is None else read_group(INVERTERS, inverters)
+    pool = _pool(feeder)
+    if not pool and (sites is None or any(part.place == DRAWN for part in sites)):
+        kind = "" if isinstance(feeder, Feeder) else " of three phases"
+        raise ScenarioError(
+            f"feeder {feeder.name!r} has no load bus{kind} where a data centre could be drawn; name buses, such as "
+            "--datacenters '2 x 500 kW at BUS,BUS', or write a scenario with the places of devices (docs/scenarios.md)"
+        )
     if sites is None:
-        count = min(SITES, (_check_pool(feeder) + 1) // 2)
+        count = min(SITES, (len(pool) + 1) // 2)
         sites = (Part(count, _round(SITES_SHARE * base_load_kw(feeder) / count), DRAWN),)
     n_sites, drawn = sum(part.count for part in sites), any(part.place == DRAWN for part in sites)
     kept = n_sites if drawn else 0
-    if kept:
-        _check_pool(feeder)
-    taken = _named(feeder, ((DATA_CENTRES, sites), (INVERTERS, fed or ())))
+    taken = _named(feeder, ((DATA_CENTRES, sites), (INVERTERS, others or ())))
     site_buses = None if drawn else _placed(feeder, DATA_CENTRES, sites, taken, 0)
-    if fed is None:
+    if others is None:
         spread = _spread(feeder, INVERTERS_COUNT, kept, taken)
         rating = _round(INVERTERS_SHARE * base_load_kw(feeder) / max(1, len(spread)))
-        fed = (Part(len(spread), rating, tuple(feeder.bus_ids[i] for i in spread)),) if spread else ()
+        others = (Part(len(spread), rating, tuple(feeder.bus_ids[i] for i in spread)),) if spread else ()
     return Scenario(
         name=f"on-{feeder.name}",
         feeder=feeder,
@@ -69,7 +73,7 @@ def scenario_on(feeder: AnyFeeder, datacenters: str | None = None, inverters: st
             "s_rated_share": S_RATED_SHARE,
             "q_max_share": Q_MAX_SHARE,
         },
-        inverters={"buses": _placed(feeder, INVERTERS, fed, taken, kept), "s_rated_kva": _ratings(fed)},
+        inverters={"buses": _placed(feeder, INVERTERS, others, taken, kept), "s_rated_kva": _ratings(others)},
     )
 
 
@@ -83,48 +87,35 @@ def base_load_kw(feeder: AnyFeeder) -> float:
     return float(feeder.p_load_kw.sum())
 
 
-def _check_pool(feeder: AnyFeeder) -> int:
-    """Number of buses where a data centre could be drawn; ScenarioError where there is none."""
-    pool = len(_pool(feeder))
-    if not pool:
-        kind = "" if isinstance(feeder, Feeder) else " of three phases"
-        raise ScenarioError(
-            f"feeder {feeder.name!r} has no load bus{kind} where a data centre could be drawn; name buses, such as "
-            "--datacenters '2 x 500 kW at BUS,BUS', or write a scenario that says where devices stand "
-            "(docs/scenarios.md)"
-        )
-    return pool
-
-
 def _pool(feeder: AnyFeeder) -> set[int]:
     """Buses where a data centre can be drawn while none are taken."""
     drawn = DataCenters(count=1, p_rated_kw=1.0, s_rated_share=S_RATED_SHARE, q_max_share=Q_MAX_SHARE)
     return set(free_load_buses(feeder, (drawn,)).tolist())
 
 
-def _named(feeder: AnyFeeder, groups: Iterable[tuple[Kind, tuple[Part, ...]]]) -> set[int]:
+def _named(feeder: AnyFeeder, groups: Iterable[tuple[Notation, tuple[Part, ...]]]) -> set[int]:
     """Return the named buses; ScenarioError for an unknown bus, the substation, or a bus named twice."""
     taken: set[int] = set()
     position = {bus: i for i, bus in enumerate(feeder.bus_ids)}
     for kind, parts in groups:
         for bus in (bus for part in parts if isinstance(part.place, tuple) for bus in part.place):
+            wrong = None
             if bus not in position:
                 near = difflib.get_close_matches(bus, feeder.bus_ids) or list(feeder.bus_ids[1:4])
-                raise ScenarioError(
-                    f"{kind.option}: feeder {feeder.name!r} has no bus {bus!r}; it has {', '.join(near)} and "
-                    f"{feeder.n_bus - len(near)} more"
-                )
-            bus_index = position[bus]
-            if bus_index == 0:
-                raise ScenarioError(f"{kind.option}: bus {bus!r} is the substation, where the source is; name another")
-            if bus_index in taken:
-                raise ScenarioError(f"{kind.option}: bus {bus!r} is named twice; give each device a bus of its own")
-            taken.add(bus_index)
+                wrong = f"feeder {feeder.name!r} has no bus {bus!r}; it has {', '.join(near)} and "
+                wrong += f"{feeder.n_bus - len(near)} more"
+            elif position[bus] == 0:
+                wrong = f"bus {bus!r} is the substation, where the source is; name another"
+            elif position[bus] in taken:
+                wrong = f"bus {bus!r} is named twice; give each device a bus of its own"
+            if wrong:
+                raise ScenarioError(f"{kind.option}: {wrong}")
+            taken.add(position[bus])
     return taken
 
 
 def _placed(
-    feeder: AnyFeeder, kind: Kind, parts: tuple[Part, ...], taken: set[int], kept: int
+    feeder: AnyFeeder, kind: Notation, parts: tuple[Part, ...], taken: set[int], kept: int
 ) -> tuple[int | str, ...]:
     """Buses of the devices of all parts; those that are not named are added to ``taken``."""
     buses: list[str] = []
@@ -133,7 +124,11 @@ def _placed(
             buses += part.place
             continue
         if part.place == ENDS:
-            chosen = _ends(feeder, kind, taken)
+            allowed = np.ones(feeder.n_bus, dtype=bool)
+            if kind is DATA_CENTRES and not isinstance(feeder, Feeder):  # which need three phases
+                allowed = np.array([phases == "abc" for phases in feeder.bus_phases])
+            allowed[[0, *taken]] = False
+            chosen = feeder_ends(feeder, allowed)
             what, remedy = "ends without a device", "ask for fewer, name buses"
         else:
             chosen = _spread(feeder, part.count, kept, taken)
@@ -146,15 +141,6 @@ def _placed(
         buses += (feeder.bus_ids[i] for i in chosen[: part.count])
         taken.update(chosen[: part.count])
     return tuple(buses)
-
-
-def _ends(feeder: AnyFeeder, kind: Kind, taken: set[int]) -> list[int]:
-    """Return the ends that allow a device of a kind; data centres need three phases."""
-    allowed = np.ones(feeder.n_bus, dtype=bool)
-    if kind is DATA_CENTRES and not isinstance(feeder, Feeder):
-        allowed = np.array([phases == "abc" for phases in feeder.bus_phases])
-    allowed[[0, *taken]] = False
-    return feeder_ends(feeder, allowed)
 
 
 def _spread(feeder: AnyFeeder, n: int, kept: int, taken: set[int]) -> list[int]:

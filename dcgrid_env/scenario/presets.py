@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
 
 from dcgrid_env.core.plugins import Entry, Registry
-from dcgrid_env.scenario.assembly import refuse_deep
+from dcgrid_env.scenario.assembly import refuse_deep, with_overrides
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.plain import reads_files
-from dcgrid_env.scenario.preset_table import TABLE
-from dcgrid_env.scenario.replaced_feeder import with_overrides
+from dcgrid_env.scenario.preset_table import TABLE, Preset
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.serialization import reads_files
 from dcgrid_env.scenario.toml import SUFFIX, read_toml
 
 PRESETS: dict[str, str] = {preset.name: preset.about for preset in TABLE}
 """Description of each preset, by its name."""
 IDS: dict[str, str] = {preset.gym_id: preset.name for preset in TABLE}
 """Registered ids, for Gymnasium and, where its release has a registry, for PettingZoo, and their scenarios."""
-ENTRIES: dict[str, Entry] = {preset.name: (preset.about, preset.make) for preset in TABLE}
+
+
+def _made(preset: Preset) -> Scenario:
+    if preset.base is None:
+        return Scenario(name=preset.name, **preset.fields)
+    return _preset(preset.base).replace(name=preset.name, **preset.fields)
+
+
+ENTRIES: dict[str, Entry] = {preset.name: (preset.about, partial(_made, preset)) for preset in TABLE}
 """The presets as entries of the registry."""
 SCENARIO_REGISTRY = Registry("dcgrid.scenarios", "scenario", Scenario, ENTRIES)
 """All named scenarios, including those of other packages."""
@@ -36,9 +43,9 @@ def make_scenario(scenario: str | Path | Scenario | Mapping[str, Any], **overrid
 
     A name is one of ``PRESETS``, or of another package's entry points ``dcgrid.scenarios``.
 
-    Overrides are objects or plain data (``scenario.plain``); ``feeder`` may be a name or a folder. A feeder that is
-    not bundled brings its source voltage along unless ``source_voltage_pu`` is set too. While the frozen scenario is
-    referenced, the same call returns the same object, so equal environments share derived data.
+    Overrides are objects or plain data (``scenario.serialization``); ``feeder`` may be a name or a folder. A feeder
+    that is not bundled brings its source voltage along unless ``source_voltage_pu`` is set too. While the frozen
+    scenario is referenced, the same call returns the same object, so equal environments share derived data.
 
     Raises
     ------

@@ -13,37 +13,38 @@ from typing import Any, Literal
 import numpy as np
 
 from dcgrid_env.core.cache import PickledByFields
-from dcgrid_env.core.checked import check_fields, choice, count, number, settle
+from dcgrid_env.core.checked import choice, count, inside, number, parts, refuse, settle
 from dcgrid_env.core.coverage import alike
+from dcgrid_env.core.seeds import whole_seed
 from dcgrid_env.devices import DataCenters, Device, Inverters
 from dcgrid_env.devices.faults import CAPACITOR, Fault
 from dcgrid_env.devices.ratings import read_only
 from dcgrid_env.devices.ride_through.sags import Sag
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
+from dcgrid_env.grid.random_feeders.family import RandomFeeders
 from dcgrid_env.grid.reconfigured import reconfigured
 from dcgrid_env.scenario.assembly import GROUPS, PARTS, assembled
-from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.costs.difference_reward import check_difference_reward
 from dcgrid_env.scenario.costs.voltage_reference import check_profile
 from dcgrid_env.scenario.errors import ScenarioError, located
-from dcgrid_env.scenario.events import check_events
 from dcgrid_env.scenario.grid_control import GridControl, check_grid_control, with_equipment
 from dcgrid_env.scenario.grid_request import GridRequest, check_grid_request
 from dcgrid_env.scenario.joint_checks import (
+    check_faults,
     check_feeder_kind,
     check_groups,
     check_model,
     check_ramp_limit,
-    check_ratings,
-    check_regulator_sensing,
+    check_sags,
 )
 from dcgrid_env.scenario.load_profiles import LoadProfiles, check_load_profiles
-from dcgrid_env.scenario.members import check_random_feeders, member, members
+from dcgrid_env.scenario.members import grouped
 from dcgrid_env.scenario.placement import check_placement, free_load_buses, path_of
 from dcgrid_env.scenario.sensing import Sensing
-from dcgrid_env.scenario.trace_scale import check_trace_scale
-from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.scenario.serialization import feeder_from_data, sags_from_data
+from dcgrid_env.scenario.site_recordings import check_trace_scale
+from dcgrid_env.scenario.workload import Background, Workload
 from dcgrid_env.traces import ALL_SPLITS, WHOLE
 
 PowerFlowName = Literal["distflow", "lindistflow", "sweep"]
@@ -55,8 +56,8 @@ class Scenario(PickledByFields):
 
     A part is given as an object, or as a mapping of fields that changes these and leaves the others:
     ``sensing={"noise_pu": 0.005}``. ``datacenters`` and ``inverters`` are given in the same way. A path,
-    ``**{"sensing.noise_pu": 0.005}``, is the same; ``field_names`` has short names of common fields. Every field also
-    takes plain data, as JSON or TOML hold it: see ``plain``.
+    ``**{"sensing.noise_pu": 0.005}``, is the same; ``assembly.ALIASES`` has short names of common fields. Every field
+    also takes plain data, as in JSON and TOML: see ``serialization``.
     """
 
     name: str
@@ -75,9 +76,9 @@ class Scenario(PickledByFields):
     grid_control: GridControl
     grid_request: GridRequest
     load_profiles: LoadProfiles
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Fault, ...] = parts(Fault)
     """Devices lost in an episode, see :class:`Fault`."""
-    sags: tuple[Sag, ...] = ()
+    sags: tuple[Sag, ...] = parts(Sag)
     """Short sags of the voltage, which devices ride through or not, see :class:`Sag`."""
     horizon: int = count(1, 100_000_000, default=120)
     """Actions in an episode."""
@@ -90,45 +91,43 @@ class Scenario(PickledByFields):
     whole is for answers on the user's files: all hours of load profiles and all of every recording, next to the
     generated load and PV of test."""
 
-    def __init__(self, **given: object):
-        self._fill(assembled(None, self.__dataclass_fields__, given))
+    def __init__(self, **arguments: object):
+        self._fill(None, arguments)
 
-    def _fill(self, values: Mapping[str, Any]) -> None:
-        for field in dataclasses.fields(self):
-            if field.name not in values and field.default is MISSING:
-                raise TypeError(f"Scenario() missing the keyword argument {field.name!r}")
-            object.__setattr__(self, field.name, values.get(field.name, field.default))
-        if not isinstance(self.name, str) or not self.name.strip():
-            raise ScenarioError(f"scenario {self.name!r}: name is {self.name!r}; give a text that is not empty")
-        with located(self.name, ""):
-            settle(self)
-            check_fields(self)
+    def _fill(self, base: Scenario | None, arguments: Mapping[str, Any]) -> None:
+        with located(arguments.get("name", getattr(base, "name", None))):
+            values = assembled(base, self.__dataclass_fields__, arguments)
+            for field in dataclasses.fields(self):
+                if field.name not in values and field.default is MISSING:
+                    raise TypeError(f"Scenario() missing the keyword argument {field.name!r}")
+                object.__setattr__(self, field.name, values.get(field.name, field.default))
+            if not isinstance(self.name, str) or not self.name.strip():
+                raise refuse(self, "name", "give a text that is not empty")
+            settle(self, feeder=feeder_from_data, sags=sags_from_data)
             self._check()
 
     def _check(self) -> None:
         check_feeder_kind(self)
-        check_random_feeders(self)
         check_model(self)
-        with located(self.name, "grid_control"):
+        with inside("Scenario", "grid_control"):
             check_grid_control(self.grid_control, self.feeder, self.background)
-        with located(self.name, "cost"):
+        with inside("Scenario", "cost"):
             check_profile(self)
         object.__setattr__(self, "devices", with_equipment(self.devices, self.grid_control, self.feeder))
-        check_placement(self.name, self.feeder, self.devices)
+        check_placement(self.feeder, self.devices)
         check_groups(self.devices, self.horizon, self.dt_s)
         check_ramp_limit(self)
-        check_ratings(self)
-        check_regulator_sensing(self)
         check_grid_request(self)
         check_load_profiles(self)
-        with located(self.name, "workload"):
+        with inside("Scenario", "workload"):
             check_trace_scale(self)
         for device in self.devices:
-            with located(self.name, path_of(device)):
+            with inside("Scenario", path_of(device)):
                 device.check_episode(self.horizon)
                 if isinstance(device, DataCenters):
                     device.check_step(self.dt_s)
-        check_events(self)
+        check_faults(self)
+        check_sags(self)
         if self.cost.reward == "difference":
             check_difference_reward(self)
 
@@ -148,7 +147,7 @@ class Scenario(PickledByFields):
             For an invalid value.
         """
         other = object.__new__(type(self))
-        other._fill(assembled(self, self.__dataclass_fields__, overrides))
+        other._fill(self, overrides)
         return other
 
     def paid_as_team(self) -> Scenario:
@@ -161,11 +160,22 @@ class Scenario(PickledByFields):
 
         ScenarioError if the seeds are on different feeders.
         """
-        return member(self, seeds)
+        groups = self.members([seeds] if isinstance(seeds, int | np.integer) else seeds)
+        if len(groups) != 1:
+            how = f"seeds within a multiple of {self.feeder.batch}" if self.split == "train" else "one at a time"
+            n = sum(len(positions) for _, positions in groups)
+            raise ScenarioError(
+                f"scenario {self.name!r}: these {n} episodes are on {len(groups)} feeders, and all must be on one; "
+                f"give {how}, or another batch to RandomFeeders"
+            )
+        return groups[0][0]
 
     def members(self, seeds: Sequence[int] | np.ndarray) -> list[tuple[Scenario, np.ndarray]]:
         """Return this scenario on each feeder of the seeds' first episodes, with the positions of these seeds."""
-        return members(self, seeds)
+        first = np.array([whole_seed(seed) % 2**64 for seed in seeds], np.uint64)
+        if not isinstance(self.feeder, RandomFeeders):
+            return [(self, np.arange(len(first)))]
+        return grouped(self, first, np.zeros_like(first))
 
     @property
     def family(self) -> Scenario:

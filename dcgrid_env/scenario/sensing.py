@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Literal
 
-import numpy as np
-
-from dcgrid_env.core.checked import check_fields, choice, count, finite, number, refuse, settle
+from dcgrid_env.core.checked import as_tuples, choice, count, finite, number, refuse, settle
 
 ObservationScope = Literal["local", "neighbours", "feeder"]
 LARGEST_TIE_OHM = 1e4
@@ -45,8 +42,7 @@ class Sensing:
     reactance, ohm; only for a balanced feeder."""
 
     def __post_init__(self) -> None:
-        settle(self, model_open=_branches, model_closed=_branches)
-        check_fields(self)
+        settle(self, model_open=_with_bus_names, model_closed=_with_bus_names)
         if not _are_branches(self.model_open, 0):
             raise refuse(self, "model_open", "give a list of branches, each as two buses: [['6', '7']]")
         if not _are_branches(self.model_closed, 2):
@@ -57,20 +53,15 @@ class Sensing:
             raise refuse(self, "model_closed", remedy)
 
 
-def _branches(value: object) -> object:
-    """Return plain rows as tuples with text for buses; other values unchanged, for the checks to refuse."""
-    if not isinstance(value, list | tuple | np.ndarray):
+def _with_bus_names(value: object) -> object:
+    """Return rows with whole numbers in the first two places as text; other values unchanged."""
+    rows = as_tuples(value)
+    if not isinstance(rows, tuple) or not all(isinstance(row, tuple) for row in rows):
         return value
     return tuple(
-        tuple(map(_entry, enumerate(row))) if isinstance(row, list | tuple | np.ndarray) else row for row in value
+        (*(str(bus) if type(bus) is int else bus for bus in row[:2]), *(float(r) if finite(r) else r for r in row[2:]))
+        for row in rows
     )
-
-
-def _entry(numbered: tuple[int, object]) -> object:
-    place, entry = numbered
-    if place < 2 and isinstance(entry, Integral | str) and not isinstance(entry, bool):
-        return str(entry)
-    return float(entry) if isinstance(entry, Real) and not isinstance(entry, bool) else entry
 
 
 def _are_branches(rows: object, n_ohm: int) -> bool:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,9 @@ from dcgrid_env.core.files import write_text
 from dcgrid_env.core.user_files import read_toml as read_toml_file
 from dcgrid_env.devices import device_kind
 from dcgrid_env.grid import FEEDER_REGISTRY
-from dcgrid_env.scenario.assembly import GROUPS, PARTS
+from dcgrid_env.scenario.assembly import PARTS, with_overrides
 from dcgrid_env.scenario.errors import ScenarioError
-from dcgrid_env.scenario.plain import refuse_objects, to_plain
-from dcgrid_env.scenario.replaced_feeder import with_overrides
+from dcgrid_env.scenario.serialization import PATHS, refuse_objects, to_data
 
 SUFFIX = ".toml"
 """Ending of a scenario file's name."""
@@ -56,25 +56,23 @@ def read_toml(path: str | Path, preset: Callable[[str], Any], new: Callable[...,
     """
     path = Path(path)
     try:
-        given = read_toml_file(path, ScenarioError)
+        data = read_toml_file(path, ScenarioError)
     except (FileNotFoundError, IsADirectoryError):
         what = "a folder" if path.is_dir() else "no file"
         raise ScenarioError(f"{path} is {what}; give a scenario file, see Scenario.to_toml") from None
     except OSError as error:
         raise ScenarioError(f"{path}: {error}") from None
-    base = given.pop("base", None)
+    base = data.pop("base", None)
     if base is not None and not isinstance(base, str):
         raise ScenarioError(f"{path}: base is {base!r}; give the name of a preset")
-    given = {name: _from_here(path.parent, name, value) for name, value in given.items()}
-    if base is None and "feeder" not in given:
-        has = f"has {', '.join(given)}, but neither" if given else "is empty: it has neither"
+    if base is None and "feeder" not in data:
+        has = f"has {', '.join(data)}, but neither" if data else "is empty: it has neither"
         raise ScenarioError(f"{path} {has} base nor feeder; give base, a preset's name, or all fields of a scenario")
-    tables = (*PARTS, *GROUPS, "devices", "faults", "sags")  # a text where a table is to be is told as it stands
-    given = {name: value if value == NONE and name in tables else _none_in(value) for name, value in given.items()}
+    data = {name: _swapped(_from_here(path.parent, name, value), NONE, None) for name, value in data.items()}
     try:
         if base is None:
-            return new(**{"name": path.stem, **given})
-        return with_overrides(preset(base), {"name": path.stem, **given})
+            return new(**{"name": path.stem, **data})
+        return with_overrides(preset(base), {"name": path.stem, **data})
     except (TypeError, ValueError) as error:
         raise ScenarioError(f"{path}: {error}") from None
 
@@ -107,53 +105,43 @@ def to_toml(scenario: Any, path: str | Path | None = None, base: Any = None, bri
         raise ScenarioError(
             f"scenario {scenario.name!r}: base is {called}; give a preset as make_scenario(name) gives it"
         )
-    table: dict[str, Any] = {} if base is None else {"base": preset}
-    tables: dict[str, Any] = {}
-    for field in dataclasses.fields(scenario):
-        plain = to_plain(getattr(scenario, field.name))
-        if base is not None:
-            before = to_plain(getattr(base, field.name))
-            on_other = field.name == "source_voltage_pu" and "feeder" in table  # which would bring its own
-            if field.name != "name" and plain == before and not on_other:
-                continue
-            if field.name in PARTS:
-                plain = {name: now for name, now in plain.items() if now != before[name]}
-        refuse_objects(scenario.name, field.name, plain)
-        if brief and base is None:
-            plain = _without_defaults(field, plain)
-            if plain is _DEFAULT:
-                continue
-        if field.name == "feeder" and path is not None:
-            plain = _from_there(Path(path).parent, plain)
-        if field.name == "devices":
-            plain = [{name: item for name, item in device.items() if item is not None} for device in plain]
-        (tables if field.name in (*PARTS, "devices", "faults", "sags") else table)[field.name] = _without_none(plain)
-    text = tomli_w.dumps(table | {name: item for name, item in tables.items() if item or base is not None})
+    data = {field.name: to_data(getattr(scenario, field.name)) for field in dataclasses.fields(scenario)}
+    before: dict[str, Any] = {"faults": [], "sags": []}
+    if base is not None:
+        before = {name: to_data(getattr(base, name)) for name in data if name != "name"}
+        if data["feeder"] != before["feeder"]:
+            del before["source_voltage_pu"]  # a feeder may bring its own
+    elif brief:
+        before = _defaults(type(scenario)) | {part: to_data(kind()) for part, kind in PARTS.items()}
+        data["devices"] = [_without(group, _defaults(device_kind(group["kind"]))) for group in data["devices"]]
+    data = _without(data, before)
+    for name in PARTS.keys() & data:
+        data[name] = _without(data[name], before.get(name, {}))
+    for name, value in data.items():
+        refuse_objects(scenario.name, name, value)
+    if "feeder" in data and path is not None:
+        data["feeder"] = _from_there(Path(path).parent, data["feeder"])
+    if "devices" in data:
+        data["devices"] = [
+            {name: item for name, item in group.items() if item is not None} for group in data["devices"]
+        ]
+    text = tomli_w.dumps(({} if base is None else {"base": preset}) | _swapped(data, None, NONE))
     if path is not None:
         write_text(Path(path), text)
     return text
 
 
-_DEFAULT = object()
+def _defaults(kind: type[Any]) -> dict[str, Any]:
+    """Return the plain defaults of the fields of a dataclass that have one."""
+    fields = dataclasses.fields(kind)
+    values = {f.name: f.default_factory() for f in fields if f.default_factory is not MISSING}
+    values |= {f.name: f.default for f in fields if f.default is not MISSING}
+    return {name: to_data(value) for name, value in values.items()}
 
 
-def _without_defaults(field: dataclasses.Field[Any], plain: Plain) -> Plain:
-    """Return the plain form of a field without parts at their default; ``_DEFAULT`` if nothing is left."""
-    if field.name == "devices":
-        return [{"kind": group["kind"], **_changed(device_kind(group["kind"]), group)} for group in plain]
-    if field.name in PARTS:
-        return _changed(PARTS[field.name], plain)
-    return _DEFAULT if field.default is not dataclasses.MISSING and plain == to_plain(field.default) else plain
-
-
-def _changed(kind: type[Any], plain: dict[str, Any]) -> dict[str, Any]:
-    """Return the plain fields of a part or a group of devices that are not at their defaults."""
-    changed: dict[str, Any] = {}
-    for field in dataclasses.fields(kind):
-        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        if field.name in plain and plain[field.name] != to_plain(default):
-            changed[field.name] = plain[field.name]
-    return changed
+def _without(data: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """Return the items that another mapping lacks, or has with another value."""
+    return {name: value for name, value in data.items() if name not in other or value != other[name]}
 
 
 def _from_there(folder: Path, feeder: Any) -> Plain:
@@ -161,10 +149,7 @@ def _from_there(folder: Path, feeder: Any) -> Plain:
     if not isinstance(feeder, str) or feeder in FEEDER_REGISTRY:
         return feeder
     there, folder = Path(feeder).absolute(), folder.absolute()
-    if not there.is_relative_to(folder):
-        return feeder
-    below = there.relative_to(folder).as_posix()
-    return folder_text(below)
+    return folder_text(there.relative_to(folder).as_posix()) if there.is_relative_to(folder) else feeder
 
 
 def folder_text(folder: str | Path) -> str:
@@ -179,29 +164,19 @@ def _from_here(folder: Path, name: str, value: object) -> Plain:
         return {key: _from_here(folder, key, item) for key, item in value.items()}
     if isinstance(value, list) and name in ("devices", "trace"):
         return [_from_here(folder, name, item) for item in value]
-    if name == "feeder" and isinstance(value, str) and value in FEEDER_REGISTRY:
+    if not isinstance(value, str) or name not in PATHS or value in PATHS[name]:
         return value
-    if isinstance(value, str) and name in ("feeder", "trace", "injection", "file", "classes"):
-        there = folder / value
-        return (folder_text(there) if name == "feeder" else str(there)) if there.exists() else value
-    return value
+    return folder_text(folder / value) if (folder / value).exists() else value
 
 
 NONE = "none"
 """Text for None, which TOML does not have."""
 
 
-def _none_in(value: object) -> Plain:
+def _swapped(value: object, old: object, new: object) -> Plain:
+    """Return plain data with a value replaced by another."""
     if isinstance(value, dict):
-        return {key: _none_in(item) for key, item in value.items()}
+        return {key: _swapped(item, old, new) for key, item in value.items()}
     if isinstance(value, list):
-        return [_none_in(item) for item in value]
-    return None if value == NONE else value
-
-
-def _without_none(value: object) -> Plain:
-    if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_none(item) for item in value]
-    return NONE if value is None else value
+        return [_swapped(item, old, new) for item in value]
+    return new if value == old else value

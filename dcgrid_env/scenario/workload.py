@@ -1,4 +1,4 @@
-"""Workload of the data centres: the source of its power traces, and how episodes draw from them."""
+"""Workload of the data centres, and the background: other loads, capacitors and the time of day."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from dcgrid_env.core.checked import FieldError, check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, choice, finite, number, refuse, settle
 from dcgrid_env.core.suggestions import nearest
 from dcgrid_env.traces import TRACE_SOURCES, PowerTrace, TraceError, is_recording, recorded_trace
 
@@ -35,7 +35,7 @@ class Workload:
 
     With the shared time (``together``), power that was recorded or generated simultaneously remains simultaneous.
     Where the scenario follows the day, a recording with dates begins at the time of the episode instead, except with
-    ``start`` (``recording_clocks``).
+    ``start``.
     """
     site_correlation: float = number(0.0, 1.0, default=0.0)
     """Probability that a site has the same row and time as the first one; 1 for all sites in step."""
@@ -47,7 +47,6 @@ class Workload:
 
     def __post_init__(self) -> None:
         settle(self, trace=_trace)
-        check_fields(self)
         if self.full_load_s is not None and not _is_period(self.full_load_s):
             raise refuse(self, "full_load_s", "give its begin and its end, 0 <= begin < end, in s, or None")
         if isinstance(self.trace, str):
@@ -59,6 +58,28 @@ class Workload:
                 )
         elif not isinstance(self.trace, tuple) or not self.trace or not _are_traces(self.trace):
             raise refuse(self, "trace", "give a source's name, a PowerTrace or a tuple of them")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Background:
+    """Loads and capacitors of the feeder in addition to the devices, and the time of day."""
+
+    capacitors: bool = choice(True, False, default=True)
+    """Whether the feeder's capacitors are connected."""
+    load_sigma: float = number(0.0, 0.3, default=0.05)
+    """Standard deviation of the other loads' noise as a share of the load."""
+    load_rho: float = number(0.0, 0.999999, default=0.9)
+    """Correlation of that noise over one second."""
+    start_hour: float | Literal["random"] | None = None
+    """Time of day at which an episode begins, h in [0, 24), or "random": drawn in each episode. Base load, generated PV
+    and generated requests then follow the time of day (``traces.day_course``). None: "random" for an episode longer
+    than an hour; a shorter one stays at the feeder's nominal load and at noon."""
+
+    def __post_init__(self) -> None:
+        settle(self)
+        hour = self.start_hour
+        if hour not in (None, "random") and not (finite(hour, 0.0, 24.0) and hour != 24):
+            raise refuse(self, "start_hour", "give an hour from 0 to less than 24, 'random', or None")
 
 
 def _is_period(value: object) -> bool:

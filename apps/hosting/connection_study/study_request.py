@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from dcgrid_env import UpsRideThrough
 from dcgrid_env.apps.hosting.sites_together import Rule
-from dcgrid_env.core.checked import FieldError, check_fields, from_mapping, number, refuse, settle
+from dcgrid_env.core.checked import number, part, refuse, settle
 
 SECTIONS = (
     "base-case", "capacity", "worst-window", "day", "year", "ride-through", "fluctuation", "sensitivity", "checklists",
@@ -36,7 +36,6 @@ class FluctuationLimits:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if self.ramp_kw_per_s is not None and not (
             isinstance(self.ramp_kw_per_s, int | float) and self.ramp_kw_per_s > 0
         ):
@@ -95,24 +94,17 @@ class StudyRequest:
     """Scenario fields to override."""
     capacity: dict[str, Any] = field(default_factory=dict)
     """Settings of the capacity study, the fields of ``Study``: buses, samples, v_min_pu, .."""
-    limits: FluctuationLimits = field(default_factory=FluctuationLimits)
-    ride_through: RideThroughTest = field(default_factory=RideThroughTest)
+    limits: FluctuationLimits = part(FluctuationLimits)
+    ride_through: RideThroughTest = part(RideThroughTest)
     outages: tuple[str, ...] = ()
     """Outages for which the capacity of the bus is found again, as in ``with_outage``, or ``all``; none by default."""
-    several_sites: SeveralSites | None = None
+    several_sites: SeveralSites | None = part(SeveralSites, default=None)
     """Further sites, with which the bus shares what the feeder carries; None for none."""
     leave_out: tuple[str, ...] = ()
     """Sections to leave out."""
 
     def __post_init__(self) -> None:
-        settle(
-            self,
-            bus=_bus,
-            limits=_part(FluctuationLimits, "limits"),
-            ride_through=_part(RideThroughTest, "ride_through"),
-            several_sites=lambda value: None if value is None else _part(SeveralSites, "several_sites")(value),
-        )
-        check_fields(self)
+        settle(self, bus=_bus)
         for name in ("bus", "title"):
             if not isinstance(getattr(self, name), str) or not getattr(self, name).strip():
                 raise refuse(self, name, "give a text")
@@ -137,16 +129,3 @@ class StudyRequest:
 def _bus(value: object) -> object:
     """The name of a bus, also where the file has it as a whole number."""
     return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
-
-
-def _part(kind: type[Any], name: str) -> Any:
-    def made(value: object) -> Any:
-        try:
-            part = from_mapping(kind, value)
-        except FieldError as error:
-            raise error.within("StudyRequest", name) from None
-        if not isinstance(part, kind):
-            raise FieldError("StudyRequest", name, value, "give a table of its fields")
-        return part
-
-    return made

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from dcgrid_env.core.checked import check_fields, choice, number, refuse, settle
+from dcgrid_env.core.checked import choice, number, refuse, settle
 from dcgrid_env.devices.set_points import SHORTEST_HOLD_S
 
 
@@ -44,7 +44,6 @@ class CapacitorControl:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if self.off_above_pu <= self.on_below_pu:
             raise refuse(self, "off_above_pu", f"give more than on_below_pu = {self.on_below_pu:g}")
         if self.off_below_share >= self.on_above_share - 1.0:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dcgrid_env.core.arrays import Array, positive_part
-from dcgrid_env.core.checked import check_fields, number, refuse, settle
+from dcgrid_env.core.checked import number, refuse, settle
 from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, Load, PassesBy, SiteState
@@ -56,7 +56,6 @@ class Batching:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if not self.lowest < self.highest:
             raise refuse(self, "lowest", f"give less than highest = {self.highest:g}")
         if not self.lowest <= self.reference <= self.highest:

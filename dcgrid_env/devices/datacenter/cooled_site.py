@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from dcgrid_env.core.arrays import Array, namespace, sum_last
-from dcgrid_env.core.checked import check_fields, number, settle
+from dcgrid_env.core.checked import number, settle
 from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.site_features import Given, SiteState
@@ -40,7 +40,6 @@ class Cooling:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
 
     @property
     def pue_at_rating(self) -> float:

@@ -11,12 +11,12 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.cache import PickledByFields
-from dcgrid_env.core.checked import FieldError, check_fields, count, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, count, number, part, refuse, settle
 from dcgrid_env.devices.datacenter.batching import Batching
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, LinearDvfs, work_classes_of
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.devices.datacenter.feature_settings import CONVERSIONS, check_settings, check_step, features_of
+from dcgrid_env.devices.datacenter.feature_settings import check_settings, check_step, features_of
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
@@ -79,25 +79,24 @@ class DataCenters(PickledByFields):
     phases: Phases | None = None
     """Phases of a three-phase feeder that a site draws from in equal parts, such as "abc" or "b". By default all
     phases of its bus; a bus that is drawn has all three."""
-    ride_through: UpsRideThrough | None = None
+    ride_through: UpsRideThrough | None = part(UpsRideThrough, default=None, text="curve")
     """Rule for transfers to the UPS and returns; None for sites that stay connected at any voltage."""
-    storage: SiteStorage | None = None
+    storage: SiteStorage | None = part(SiteStorage, default=None)
     """Storage behind the site's converter, controlled by the site's agent; None for sites without one."""
-    smoothing: PowerSmoothing | None = None
+    smoothing: PowerSmoothing | None = part(PowerSmoothing, default=None)
     """GPU power smoothing; None for a draw that follows the work."""
-    cooling: Cooling | None = None
+    cooling: Cooling | None = part(Cooling, default=None)
     """Draw of a site in addition to its computers; None for no such draw. ``p_rated_kw`` is the rating of the
     computers. The converter grows by the same factor as the draw at the rating."""
-    routing: Routing | None = None
+    routing: Routing | None = part(Routing, default=None)
     """Settings for moving arriving work between the sites; None for work that stays where it arrives."""
-    batching: Batching | None = None
+    batching: Batching | None = part(Batching, default=None)
     """Batch sizes that the sites can be set to; None for those of the trace."""
-    service: ServiceLevels | None = None
+    service: ServiceLevels | None = part(ServiceLevels, default=None)
     """Deadlines of the work; None for work without a deadline."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=buses_as_text, clock_law=_clock_law, **CONVERSIONS)
-        check_fields(self)
+        settle(self, buses=buses_as_text, clock_law=_clock_law)
         if isinstance(self.clock_law, type) or not callable(getattr(self.clock_law, "serve", None)):
             remedy = "give 'linear', 'prefill-decode', 'power-cap', or a clock law such as PrefillDecodeDvfs()"
             raise refuse(self, "clock_law", remedy)

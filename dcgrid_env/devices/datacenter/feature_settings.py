@@ -6,11 +6,9 @@ invalid for the sites, and a method ``check_step`` for settings that are invalid
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-from dcgrid_env.core.checked import FieldError, from_mapping, refuse
+from dcgrid_env.core.checked import inside, refuse
 from dcgrid_env.devices.datacenter import batching, cooled_site, service_levels, smoothed_site, ups_site, work_routing
 from dcgrid_env.devices.datacenter.batching import BatchedSites, Batching
 from dcgrid_env.devices.datacenter.cooled_site import CooledSite, Cooling
@@ -21,7 +19,7 @@ from dcgrid_env.devices.datacenter.site_storage import OF_SITES, SiteStorage
 from dcgrid_env.devices.datacenter.smoothed_site import SmoothedSite
 from dcgrid_env.devices.datacenter.ups_site import UpsSite
 from dcgrid_env.devices.datacenter.work_routing import RoutedSites, Routing
-from dcgrid_env.devices.ride_through.rules import UpsRideThrough, rule_of
+from dcgrid_env.devices.ride_through.rules import UpsRideThrough
 from dcgrid_env.devices.storage.figures import metrics_of
 
 SETTINGS: dict[str, type[Any]] = {
@@ -48,39 +46,17 @@ METRICS = (
     *service_levels.METRICS,
 )
 """Metrics of the features."""
-_REQUIRED = {"ride_through": "curve=..", "storage": "p_rated_kw=.., energy_kwh=.."}
-"""Required fields of each."""
-
-
-def with_path(field: str, function: Callable[..., Any], *given: Any) -> Any:
-    """What a function returns; a FieldError of settings names the field of the sites that holds them too."""
-    try:
-        return function(*given)
-    except FieldError as error:
-        raise error.within("DataCenters", field) from None
-
-
-CONVERSIONS: dict[str, Callable[[Any], Any]] = {
-    **{field: partial(with_path, field, from_mapping, kind) for field, kind in SETTINGS.items()},
-    "ride_through": partial(with_path, "ride_through", rule_of, UpsRideThrough),
-}
-"""Function for each field that creates settings from their plain form, a mapping of their fields."""
 
 
 def check_settings(sites: Any) -> None:
-    """Raise FieldError for settings of another class, or that cannot be of these sites."""
-    for name, kind in SETTINGS.items():
-        given = getattr(sites, name)
-        if given is None:
-            continue
-        if not isinstance(given, kind):
-            raise refuse(
-                sites, name, f"give {kind.__name__}({_REQUIRED.get(name, '..')}), a mapping of its fields, or None"
-            )
-        if hasattr(given, "check_sites"):
-            with_path(name, given.check_sites, sites.count, sites.idle_share)
-        if hasattr(given, "check_slots"):
-            with_path(name, given.check_slots, sites.count)
+    """Raise FieldError for settings that cannot be of these sites."""
+    for name in SETTINGS:
+        settings = getattr(sites, name)
+        with inside("DataCenters", name):
+            if hasattr(settings, "check_sites"):
+                settings.check_sites(sites.count, sites.idle_share)
+            if hasattr(settings, "check_slots"):
+                settings.check_slots(sites.count)
     if sites.storage is not None and sites.ride_through is not None:
         raise refuse(sites, "storage", "leave it out beside ride_through, or give Storages, agents of their own")
 

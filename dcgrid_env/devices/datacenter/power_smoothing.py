@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.checked import choice, finite, number, refuse, settle
 from dcgrid_env.devices.ratings import Rating, check_each, per_device
 
 GPU_RATED_W = 1200.0
@@ -55,7 +55,6 @@ class PowerSmoothing:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if self.gpu_rated_w is not None and not finite(self.gpu_rated_w, 1.0, 1e6):
             raise refuse(self, "gpu_rated_w", "give a number in [1, 1e+06], or None")
         if self.gpus is not None and self.gpu_rated_w is not None:

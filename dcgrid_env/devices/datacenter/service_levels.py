@@ -20,7 +20,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part, sum_last
-from dcgrid_env.core.checked import FieldError, check_fields, choice, number, refuse, settle
+from dcgrid_env.core.checked import FieldError, choice, number, refuse, settle
 from dcgrid_env.core.formula import compiled_as
 from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
@@ -51,7 +51,6 @@ class ServiceLevels:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if not self.target_s < self.deadline_s:
             raise refuse(self, "deadline_s", f"give more than target_s = {self.target_s:g}")
 

@@ -23,7 +23,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
-from dcgrid_env.core.checked import FieldError, check_fields, number, settle
+from dcgrid_env.core.checked import FieldError, number, settle
 from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.site_features import Load, PassesBy, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
@@ -46,7 +46,6 @@ class Routing:
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
 
     def check_step(self, dt_s: float) -> None:
         """Raise FieldError if the latency is longer than a step."""

@@ -11,16 +11,13 @@ import numpy as np
 from dcgrid_env.core.cache import PickledByFields, cached_on_owner
 from dcgrid_env.core.checked import (
     FieldError,
-    changed_fields,
-    check_fields,
     choice,
     count,
-    from_mapping,
     number,
     refuse,
     settle,
 )
-from dcgrid_env.devices.ride_through.voltage_curve import Elements, RideThroughCurve, curves_of, plain_curve
+from dcgrid_env.devices.ride_through.voltage_curve import Elements, RideThroughCurve, curves_of
 
 ALL_BACK = 1.0 - 1e-6
 """Share above which a device counts as fully reconnected: ten steps of a tenth add up to slightly less than 1."""
@@ -76,7 +73,6 @@ class RideThrough(PickledByFields):
 
     def __post_init__(self) -> None:
         settle(self, curve=curves_of)
-        check_fields(self)
         curves = self.curve if isinstance(self.curve, tuple) else (self.curve,)
         if not curves or not all(isinstance(curve, RideThroughCurve) for curve in curves):
             raise refuse(self, "curve", "give the name of a curve, a RideThroughCurve, or a list of one for each slot")
@@ -171,20 +167,3 @@ class UpsRideThrough(RideThrough):
         super().__post_init__()
         if self.release == "agent" and self.walk_in_s <= 0.0:
             raise refuse(self, "walk_in_s", "give more than 0 s where the agent sets how fast a site returns")
-
-
-def rule_of(kind: type[Any], value: object) -> Any:
-    """Make a rule from its plain form, a mapping of its fields or the name of a curve; return other values unchanged.
-
-    Raises FieldError for an unknown field, or if the curve is missing.
-    """
-    if isinstance(value, str):
-        return kind(curve=value)
-    return from_mapping(kind, value)
-
-
-def plain_rule(rule: RideThrough) -> dict[str, Any]:
-    """Return the plain form of a rule: a mapping of its fields without those at their default."""
-    curve = rule.curve
-    plain = {"curve": list(map(plain_curve, curve)) if isinstance(curve, tuple) else plain_curve(curve)}
-    return changed_fields(rule) | plain

@@ -11,39 +11,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dcgrid_env.core.checked import FieldError, finite
+from dcgrid_env.core.checked import choice, refuse, settle, span
 
 
 @dataclass(frozen=True)
 class Sag:
     """One sag of an episode, drawn evenly within its ranges; a single number is a range without width."""
 
-    begin_s: tuple[float, float]
+    begin_s: tuple[float, float] = span(0.0, 1e9)
     """Earliest and latest beginning, s, see ``since``; a sag after the episode's end does not happen."""
-    duration_s: tuple[float, float]
+    duration_s: tuple[float, float] = span(0.0, 60.0)
     """Shortest and longest duration, s."""
-    retained_pu: tuple[float, float]
+    retained_pu: tuple[float, float] = span(0.0, 1.0)
     """Lowest and highest voltage left at the source, as a share of that before, 0 .. 1."""
-    since: str = "episode"
+    since: str = choice("episode", "previous", default="episode")
     """Reference of ``begin_s``: "episode", its beginning, or "previous", the beginning of the sag listed before."""
 
     def __post_init__(self) -> None:
-        for name, highest in (("begin_s", 1e9), ("duration_s", 60.0), ("retained_pu", 1.0)):
-            object.__setattr__(self, name, _range(name, getattr(self, name), highest))
+        settle(self)
         if self.duration_s[0] <= 0.0:
-            raise FieldError("Sag", "duration_s", self.duration_s, "give a shortest above 0 s, or leave the sag out")
-        if self.since not in ("episode", "previous"):
-            raise FieldError("Sag", "since", self.since, "choose one of episode, previous")
-
-
-def _range(name: str, given: Any, highest: float) -> tuple[float, float]:
-    pair = (given, given) if finite(given) else given
-    if not isinstance(pair, list | tuple) or len(pair) != 2 or not all(finite(v, 0.0, highest) for v in pair):
-        raise FieldError("Sag", name, given, f"give a pair of numbers from 0 to {highest:g}, a lowest and a highest")
-    low, high = pair
-    if low > high:
-        raise FieldError("Sag", name, given, "give the lowest first")
-    return float(low), float(high)
+            raise refuse(self, "duration_s", "give a shortest above 0 s, or leave the sag out")
 
 
 def virginia_2024(begin_s: tuple[float, float] = (10.0, 30.0)) -> tuple[Sag, ...]:

@@ -10,15 +10,14 @@ at that moment, so step lengths do not matter.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from dcgrid_env.core.checked import check_fields, choice, finite, number, refuse, settle
+from dcgrid_env.core.checked import choice, finite, number, pairs, refuse, settle
 from dcgrid_env.devices.set_points import SHORTEST_HOLD_S
 from dcgrid_env.grid.three_phase_tables import RegulatorTable
 
@@ -37,7 +36,7 @@ class RegulatorControl:
     timer: Timer = choice("reset", "integrating", default="integrating")
     """Time delay: ``"reset"`` returns to zero when the relay is back in band, ``"integrating"`` counts down in
     band."""
-    offset_v: float | tuple[tuple[str, float | Schedule], ...] = 0.0
+    offset_v: float | tuple[tuple[str, float | Schedule], ...] = pairs(default=0.0)
     """Addition to the set point ``vreg_v`` of the table, V on the relay's base: one number for all, or a mapping from
     banks or single regulators to numbers or daily schedules. The name of a regulator goes before that of its bank;
     others have none. A schedule is a list of (hour, volts), constant between its hours and over midnight."""
@@ -45,11 +44,10 @@ class RegulatorControl:
     """Least time between changes of a set point by an agent (mode ``"setpoint"``), s."""
 
     def __post_init__(self) -> None:
-        settle(self, offset_v=_pairs)
-        check_fields(self)
+        settle(self)
         value = self.offset_v
-        pairs = value if isinstance(value, tuple) else (("all", value),)
-        if not all(map(_is_pair, pairs)) or len({name for name, _ in pairs}) < len(pairs):
+        named = value if isinstance(value, tuple) else (("all", value),)
+        if not all(map(_is_pair, named)) or len({name for name, _ in named}) < len(named):
             volts = f"volts between -{FARTHEST_OFFSET_V:g} and {FARTHEST_OFFSET_V:g}"
             schedules = "to lists of (hour, volts) with rising hours from 0 to less than 24"
             raise refuse(
@@ -103,12 +101,3 @@ def _is_offset(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return -FARTHEST_OFFSET_V <= value <= FARTHEST_OFFSET_V
-
-
-def _pairs(value: object) -> Any:
-    """Return pairs of a bank and an offset or a schedule from a mapping or from JSON lists; other values unchanged."""
-    return _tuples(tuple(value.items()) if isinstance(value, Mapping) else value)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

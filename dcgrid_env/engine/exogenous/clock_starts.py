@@ -11,8 +11,8 @@ import numpy as np
 from dcgrid_env.core.cache import cached_on_owner
 from dcgrid_env.engine.exogenous.trace_pool import trace_pool, window_steps
 from dcgrid_env.scenario.load_profiles import profile_begins_h
-from dcgrid_env.scenario.recording_clocks import midnight_s, recordings_of, runs_on_clock
 from dcgrid_env.scenario.scenario import Scenario
+from dcgrid_env.scenario.site_recordings import midnight_s, recordings_of, runs_on_clock
 from dcgrid_env.traces import WHOLE, TraceRows
 from dcgrid_env.traces.recorded_rows import is_repeated
 from dcgrid_env.traces.recording_clock import clock_of

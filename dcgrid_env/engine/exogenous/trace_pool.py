@@ -12,9 +12,8 @@ import math
 import numpy as np
 
 from dcgrid_env.core.cache import cached_on_owner
-from dcgrid_env.scenario.recording_clocks import runs_on_clock
 from dcgrid_env.scenario.scenario import Scenario
-from dcgrid_env.scenario.trace_scale import as_shares_of
+from dcgrid_env.scenario.site_recordings import as_shares_of, runs_on_clock
 from dcgrid_env.traces import (
     TRACE_SOURCES,
     RowsOnDemand,

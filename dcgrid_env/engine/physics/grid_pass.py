@@ -32,14 +32,13 @@ from dcgrid_env.powerflow.balanced.compiled_blocks import FEW, MOST_IN_BLOCKS, d
 from dcgrid_env.powerflow.balanced.distflow import MAX_SWEEPS, TOLERANCE_KVA
 from dcgrid_env.powerflow.balanced.distflow_kernels import distflow_rows
 from dcgrid_env.powerflow.solution import raise_not_finite
-from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest
 from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
-from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.scenario.workload import Background, Workload
 
 CHUNK = 64  # rows whose loads stand in the cache together
 TOLERANCE = TOLERANCE_KVA[8] / S_BASE_KVA

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
-from dcgrid_env.core.checked import check_fields, choice, count, number, refuse, settle
-from dcgrid_env.core.suggestions import unknown
+from dcgrid_env.core.checked import choice, count, number, refuse, settle
 from dcgrid_env.grid.balanced_nodes import OneNodeABus
 from dcgrid_env.grid.feeder import Feeder
 from dcgrid_env.grid.network import BusId, bus_text
@@ -56,20 +54,9 @@ class RandomFeeders(OneNodeABus):
 
     def __post_init__(self) -> None:
         settle(self)
-        check_fields(self)
         if self.ood is not None and (self.ood not in STYLES or self.ood == self.style):
             others = ", ".join(style for style in STYLES if style != self.style)
             raise refuse(self, "ood", f"choose one of {others}, or None")
-
-    @classmethod
-    def of_plain(cls, value: Mapping[str, Any]) -> RandomFeeders:
-        """A family out of its plain form, a mapping of its fields; FeederError for a field that there is not."""
-        for key in value:
-            if key not in cls.__dataclass_fields__:
-                fields = cls.__dataclass_fields__
-                said = unknown("random feeders field", key, fields, f"their fields are {', '.join(fields)}")
-                raise FeederError(f"feeder: {said}")
-        return cls(**value)
 
     @property
     def name(self) -> str:

@@ -225,7 +225,7 @@ TERMS = (
         "ramp excess cost",
         "mean over sites of the excess of ramps over ``ramp_limit_kw_per_s``, as a share of that limit",
         amount=lambda step: sum_last(utility_limits.ramp_excess(step.scenario, step.state)),
-        divisor=lambda step: utility_limits.n_sites(step.scenario),
+        divisor=lambda step: step.scenario.n_sites,
         of_agents=_ramps_of_agents,
         largest=utility_limits.largest_ramp_excess,
         limit="ramp_limit_kw_per_s",

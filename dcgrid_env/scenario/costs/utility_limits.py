@@ -38,12 +38,6 @@ def sites(scenario: Any) -> slice:
     return slice(int(positions[0]), int(positions[-1]) + 1) if len(positions) else slice(0, 0)
 
 
-@cached_on_owner
-def n_sites(scenario: Any) -> int:
-    """Number of these agents."""
-    return sites(scenario).stop - sites(scenario).start
-
-
 def ramps_kw_per_s(scenario: Any, p_kw: Array, p_before_kw: Array) -> Array:
     """Mean rise or fall of draws over the window, kW/s, from those at its end and at its beginning."""
     return namespace(p_kw).abs(p_kw - p_before_kw) / (ramp_steps(scenario) * scenario.dt_s)

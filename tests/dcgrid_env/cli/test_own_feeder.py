@@ -147,7 +147,7 @@ def test_tune_evaluate_benchmark_hindsight_and_training_take_the_file_as_a_prese
         (["--feeder", "broken"], "feeder broken: broken/loads.csv, line 2: "),
         (["--feeder", "my-feeder", "--set", "feeder=das69"], "set: must not contain feeder together with --feeder"),
         (["--feeder", "my-feeder", "--set", "power_flow=distflow"], "give 'sweep' for the three-phase feeder"),
-        (["--feeder", "my-feeder", "--set", "n_datacenters=9"], "datacenters.count is 9, but only 3 load buses"),
+        (["--feeder", "my-feeder", "--set", "n_datacenters=9"], "datacenters.count is 9; only 3 load buses"),
         (["--feeder", "my-feeder", "--set", "inverters.buses=[999]"], "feeder 'ieee13-3ph' has no bus '999'"),
         (
             ["--feeder", "my-feeder", "--set", "datacenters.clock_law=linear", "--dvfs", "linear"],

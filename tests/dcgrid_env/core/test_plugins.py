@@ -118,9 +118,9 @@ def test_a_scenario_takes_the_name_of_another_packages_feeder(site):
     (folder / "toy-far").mkdir()  # a name goes before a folder, and the name is no file that may change
     (folder / "far.toml").write_text("base = 'toy6'\nfeeder = 'toy-far'\n")
     code = (
-        "from dcgrid_env import *\nfrom dcgrid_env.scenario.plain import reads_files, to_plain\n"
+        "from dcgrid_env import *\nfrom dcgrid_env.scenario.serialization import reads_files, to_data\n"
         "s = make_scenario('toy6', feeder='toy-far')\n"
-        "print(s.feeder is load_feeder('toy-far'), to_plain(s.feeder), reads_files('feeder', 'toy-far'))\n"
+        "print(s.feeder is load_feeder('toy-far'), to_data(s.feeder), reads_files('feeder', 'toy-far'))\n"
         "print(make_scenario('far.toml').feeder is s.feeder)\n"
         "try: make_scenario('toy6', feeder='toy-near')\nexcept ValueError as error: print('toy-far' in str(error))"
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.core.cache import PickledByFields
-from dcgrid_env.core.checked import check_fields, number, settle
+from dcgrid_env.core.checked import number, settle
 from dcgrid_env.devices import Channel, CostTerm, Field, GridChange
 from dcgrid_env.devices.ratings import Rating, check_rating, per_device, read_only
 from dcgrid_env.grid import buses_as_text
@@ -51,7 +51,6 @@ class Batteries(PickledByFields):
 
     def __post_init__(self) -> None:
         settle(self, buses=buses_as_text)
-        check_fields(self)
         check_rating(self, "p_rated_kw", self.count)
         check_rating(self, "energy_kwh", self.count)
 

@@ -176,10 +176,10 @@ def test_faults_that_cannot_be(arguments, message):
     [
         (
             (Fault(("transformer",), (1.0, 2.0)),),
-            "a fault among 'transformer'; choose datacenter, inverter, capacitor or",
+            "among is 'transformer'; choose datacenter, inverter, capacitor or",
         ),
-        ((Fault(("capacitor",), (1.0, 2.0)),), "a fault among capacitor, of which there is none"),
-        (("inverter",), "give a tuple of Fault"),
+        ((Fault(("capacitor",), (1.0, 2.0)),), r"among is \('capacitor',\); there is none of these"),
+        (("inverter",), "give a list of Fault"),
     ],
 )
 def test_scenarios_that_cannot_have_them(faults, message):

@@ -241,7 +241,7 @@ def test_a_bus_is_taken_once_however_it_is_written():
     base = make_scenario("toy6")
     for buses in (("3",), (3,), (4,), ("2", 2)):
         extra = BATTERIES(buses=buses, p_rated_kw=1.0, energy_kwh=1.0)
-        with pytest.raises(ScenarioError, match="more than one device at bus"):
+        with pytest.raises(ScenarioError, match="where another device is"):
             base.replace(devices=(*base.devices, extra))
 
 

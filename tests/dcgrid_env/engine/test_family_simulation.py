@@ -154,13 +154,13 @@ def test_gymnasium_makes_it_and_draws_its_feeder():
 
 
 def test_what_cannot_be_is_refused_in_one_line_with_its_remedy():
-    with pytest.raises(ScenarioError, match=r"observe is 'feeder', .* choose 'local' or 'neighbours'"):
+    with pytest.raises(ScenarioError, match=r"observe is 'feeder'; .* choose 'local' or 'neighbours'"):
         SCENARIO.replace(observe="feeder")
     with pytest.raises(ScenarioError, match=r"2 episodes are on 2 feeders, .* give seeds within a multiple of 4"):
         TensorEnv(SCENARIO, like=np.empty(0)).reset([3, 4])
     with pytest.raises(ScenarioError, match="not drawn together; give num_envs=1"):
         DcgridVectorEnv(2, SCENARIO, render_mode="rgb_array")
-    with pytest.raises(ScenarioError, match=r"datacenters\.count is 30, but only"):
+    with pytest.raises(ScenarioError, match=r"datacenters\.count is 30; only"):
         SCENARIO.replace(n_datacenters=30)
     assert DcgridVectorEnv(2, SCENARIO.replace(observe="neighbours")).reset(seed=3)[0].shape[0] == 2
 

@@ -21,7 +21,6 @@ from dcgrid_env.engine.cost import reward
 from dcgrid_env.engine.physics import dynamics, grid_pass, loads
 from dcgrid_env.engine.physics.state import Exogenous, LoadsToDraw
 from dcgrid_env.grid import Feeder
-from dcgrid_env.scenario.background import Background
 from dcgrid_env.scenario.cost import Cost
 from dcgrid_env.scenario.grid_control import GridControl
 from dcgrid_env.scenario.grid_request import GridRequest
@@ -29,7 +28,7 @@ from dcgrid_env.scenario.load_profiles import LoadProfiles
 from dcgrid_env.scenario.presets import PRESETS
 from dcgrid_env.scenario.scenario import Scenario
 from dcgrid_env.scenario.sensing import Sensing
-from dcgrid_env.scenario.workload import Workload
+from dcgrid_env.scenario.workload import Background, Workload
 from dcgrid_env.traces import PowerTrace
 from helpers.fast_paths import NAME, add_field, altered, assert_same, both_ways, edit, fast_paths, results
 

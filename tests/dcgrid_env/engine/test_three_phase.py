@@ -283,7 +283,7 @@ def test_tensors_step_alike_and_carry_a_derivative():
         ({"inverters.phases": ("a", "b")}, "or one for each of the 4 devices"),
         ({"inverters.phases": ("a", "b", "a", "a")}, "bus '611' has the phases c, not a"),
         ({"datacenters.phases": "ba"}, "datacenters.phases is 'ba'"),
-        ({"inverters.buses": ("sourcebus", "675", "611", "652")}, "a device at the substation 'sourcebus'"),
+        ({"inverters.buses": ("sourcebus", "675", "611", "652")}, "inverters.buses has the substation 'sourcebus'"),
         ({"datacenters.buses": None, "n_datacenters": 9}, "only 4 load buses have no device"),
     ],
 )

@@ -184,16 +184,16 @@ def test_sags_are_drawn_within_their_ranges_and_as_a_sequence():
     ("changes", "said"),
     [
         ({"sags": "texas"}, "sags is 'texas'; choose one of virginia-2024"),
-        ({"sags": [{"begin_s": [1, 2], "duration_s": [0.1, 0.1]}]}, r"sags\[0\]: 'retained_pu' is missing"),
-        ({"sags": [{"begin_s": 1, "duration_s": 0, "retained_pu": 0.3}]}, r"sags\[0\]: duration_s is .* above 0 s"),
+        ({"sags": [{"begin_s": [1, 2], "duration_s": [0.1, 0.1]}]}, r"sags\[0\].retained_pu is missing"),
+        ({"sags": [{"begin_s": 1, "duration_s": 0, "retained_pu": 0.3}]}, r"sags\[0\].duration_s is .* above 0 s"),
         ({"sags": [{"begin_s": [2, 1], "duration_s": 0.1, "retained_pu": 0.3}]}, "give the lowest first"),
-        ({"sags": [{"begin_s": 1, "duration_s": 0.1, "retained_pu": 1.3}]}, "retained_pu is 1.3; give a pair"),
-        ({"sags": virginia_2024()[1:]}, r"sags\[0\].since is 'previous', but none is listed before it"),
-        ({"datacenters.ride_through": None, "inverters.ride_through": None}, "no device has a curve that they are"),
+        ({"sags": [{"begin_s": 1, "duration_s": 0.1, "retained_pu": 1.3}]}, "retained_pu is 1.3; give a number"),
+        ({"sags": virginia_2024()[1:]}, r"sags\[0\].since is 'previous'; none is listed before it"),
+        ({"datacenters.ride_through": None, "inverters.ride_through": None}, "no device has a curve that decides"),
         ({"datacenters.ride_through": {"curve": ["itic"]}}, "curve has 1 curves; give one, or one for each of 3"),
-        ({"datacenters.ride_through": {"kurve": "itic"}}, "no datacenters.ride_through field 'kurve'; did you"),
-        ({"inverters.ride_through": {"curve": "itic", "battery_s": 3.0}}, "no inverters.ride_through field 'batt"),
-        ({"sags": (1,)}, r"sags is \(1,\); give a tuple of Sag"),
+        ({"datacenters.ride_through": {"kurve": "itic"}}, "datacenters.ride_through.kurve is no field; did you"),
+        ({"inverters.ride_through": {"curve": "itic", "battery_s": 3.0}}, "battery_s is no field"),
+        ({"sags": (1,)}, r"sags is \(1,\); give a list of Sag"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_by_field_value_and_remedy(changes, said):
@@ -217,5 +217,5 @@ def test_a_ramp_of_whole_steps_takes_no_step_more(walk_in_s):
 
 
 def test_a_rule_with_a_key_that_is_no_text_is_refused():
-    with pytest.raises(ScenarioError, match=r"no inverters.ride_through field '1'; its fields are curve"):
+    with pytest.raises(ScenarioError, match=r"inverters.ride_through.1 is no field; its fields are curve"):
         make_scenario("ieee33", inverters={"ride_through": {1: 2}})

@@ -265,7 +265,7 @@ def test_what_a_user_writes_into_stays_outside():
     [
         ({"trace": "foo"}, "trace is 'foo'; `dcgrid list traces` lists all"),
         ({"trace": ("inference",)}, "give a source's name, a PowerTrace"),
-        ({"weights": {"volts": 1}}, "no cost.weights field 'volts'; did you mean voltage"),
+        ({"weights": {"volts": 1}}, "cost.weights.volts is no field; did you mean voltage"),
         (
             {"datacenters.clock_law": None},
             "datacenters.clock_law is None; give 'linear', 'prefill-decode', 'power-cap', or a clock law",

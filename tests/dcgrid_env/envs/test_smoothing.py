@@ -244,8 +244,8 @@ def test_planners_refuse_by_the_name_of_the_field_and_laws_go_on():
         ({"control": "auto"}, "smoothing.control is 'auto'; choose one of fixed, agent"),
         ({"slowest_share": 0.0}, "smoothing.slowest_share is 0.0; give a finite number"),
         ({"change_every_s": -1.0}, "smoothing.change_every_s is -1.0"),
-        ({"floor": 0.5}, "no datacenters.smoothing field 'floor'; did you mean floor_share"),
-        (0.9, r"datacenters.smoothing is 0.9; give PowerSmoothing\(..\), a mapping of its fields, or None"),
+        ({"floor": 0.5}, "datacenters.smoothing.floor is no field; did you mean floor_share"),
+        (0.9, r"datacenters.smoothing is 0.9; give PowerSmoothing\(...\) or a mapping of its fields, or None"),
     ],
 )
 def test_bad_settings_are_refused_by_field_value_and_remedy(wrong, message):

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import FeederError, distflow, load_feeder
+from dcgrid_env import FeederError, distflow, load_feeder, make_scenario
 from dcgrid_env.grid.reconfigured import reconfigured
-from dcgrid_env.scenario.presets_balanced import wrong_model
 
 
 def test_the_loss_minimum_of_baran_and_wu():
     # 139.55 kW and 0.9378 p.u.: S. K. Goswami, S. K. Basu, IEEE Trans. Power Delivery 7(3), 1992.
-    feeder, sensing = load_feeder("ieee33"), wrong_model().sensing
+    feeder, sensing = load_feeder("ieee33"), make_scenario("wrong-model").sensing
     switched = reconfigured(feeder, sensing.model_open, sensing.model_closed)
     assert set(switched.bus_ids) == set(feeder.bus_ids)
     assert switched.n_branch == 32

@@ -111,7 +111,7 @@ def test_a_bank_whose_set_point_is_chosen_is_one_agent():
         ),
         (
             {"grid_control.capacitor_settings": {"delay": 1.0}},
-            "no grid_control.capacitor_settings field 'delay'; did you mean delay_s",
+            "grid_control.capacitor_settings.delay is no field; did you mean delay_s",
         ),
         ({"grid_control.capacitor_settings": {"delay_s": -1.0}}, "capacitor_settings.delay_s is -1.0"),
         ({"grid_control.capacitor_settings": 3}, r"grid_control.capacitor_settings is 3; give CapacitorControl\(...\)"),
@@ -153,15 +153,15 @@ def test_a_bank_whose_set_point_is_chosen_is_one_agent():
                 "grid_control.regulator_settings": {"timer": "reset"},
                 "faults": [{"among": ["regset_0"], "begin_s": [1, 2]}],
             },
-            "a fault among 'regset_0'",
+            "among is 'regset_0'; choose",
         ),
         (
             {"grid_control.regulators": "agent", "faults": [{"among": ["tap_changer"], "begin_s": [1, 2]}]},
-            "a fault among 'tap_changer'",
+            "among is 'tap_changer'; choose",
         ),
         (
             {"grid_control.regulators": "agent", "faults": [{"among": ["reg_0"], "begin_s": [1, 2]}]},
-            "a fault among 'reg_0'",
+            "among is 'reg_0'; choose",
         ),
     ],
 )

@@ -6,7 +6,7 @@ import pytest
 
 from dcgrid_env import GridRequest, LoadTarget, ScenarioError, make_scenario, scenario_hash
 from dcgrid_env.scenario.grid_request import draw_range
-from dcgrid_env.scenario.plain import to_plain
+from dcgrid_env.scenario.serialization import to_data
 
 CAP = {"value_share": [0.3, 0.5], "begin_s": [20.0, 40.0], "ramp_s": 10.0, "duration_s": 60.0}
 
@@ -27,7 +27,7 @@ def test_forms_of_a_request_give_the_same_scenario(tmp_path):
     differences = tmp_path / "differences.toml"
     by_object.to_toml(differences, base=make_scenario("ieee33-weak"))
     assert "[[grid_request.targets]]" in differences.read_text()
-    plain = json.loads(json.dumps(to_plain(by_object.grid_request)))
+    plain = json.loads(json.dumps(to_data(by_object.grid_request)))
     again = make_scenario("ieee33-weak", grid_request=plain)
     for other in (by_mapping, by_path, make_scenario(file), make_scenario(differences), again):
         assert by_object.grid_request == other.grid_request
@@ -54,11 +54,11 @@ def test_a_fingerprint_changes_with_every_field_of_a_request_and_not_without_one
         ([{"begin_s": 3.0}], r"targets\[0\].value_share is None; give value_share, .* or value_mw, and not both"),
         ([CAP | {"value_mw": 1}], r"targets\[0\].value_share is .*; give value_share, .* and not both"),
         ([CAP | {"kind": "floor"}], r"targets\[0\].kind is 'floor'; choose one of cap, target"),
-        ([CAP, CAP | {"ramp_s": [5, 1]}], r"targets\[1\].ramp_s is \(5, 1\); give the lowest first"),
+        ([CAP, CAP | {"ramp_s": [5, 1]}], r"targets\[1\].ramp_s is \[5, 1\]; give the lowest first"),
         ([CAP | {"duration_s": 0}], r"targets\[0\].duration_s is .*; give a shortest above 0 s"),
         ([CAP | {"begin_s": -1}], r"targets\[0\].begin_s is -1; give a number from 0 to"),
         ([CAP | {"priority": 1.5}], r"targets\[0\].priority is 1.5; give a whole number"),
-        ([CAP | {"share": 1}], r"no grid_request.targets\[0\] field 'share'; did you mean value_share"),
+        ([CAP | {"share": 1}], r"grid_request.targets\[0\].share is no field; did you mean value_share"),
         (3, r"grid_request.targets is 3; give a list of LoadTarget"),
         ([CAP | {"value_share": 1.5}], r"targets\[0\].value_share is \(1.5, 1.5\); give at most 1, which"),
         ([{"value_mw": [1, 4]}], r"targets\[0\].value_mw is \(1.0, 4.0\); give at most 3 MW, which"),

@@ -220,7 +220,7 @@ HOME = {"columns": "class", "classes": {"18": "home"}, "uncovered": "nominal"}
         ),
         ({"file": _days(0.75), **HOME, "days": "repeat"}, r"give 'all', or a file of whole days: this one covers 18 h"),
         ({"file": _days(10), **HOME, "start_h": 1.0}, r"start_h is 1.0; give a begin of the split 'test' within 96"),
-        ({"file": _days(10), **HOME, "start_h": -1.0}, r"start_h is -1.0; give hours since the midnight"),
+        ({"file": _days(10), **HOME, "start_h": -1.0}, r"start_h is -1.0; give a finite number in \[0, 1e"),
         ({"file": _days(10), **HOME, "between": "cubic"}, r"between is 'cubic'; choose one of hold, linear"),
     ],
 )

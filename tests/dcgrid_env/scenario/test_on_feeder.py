@@ -100,8 +100,8 @@ def test_data_centres_at_the_ends_of_a_three_phase_feeder_have_three_phases():
             "9 are to stand at ends, but feeder 'ieee33' has 4 ends without a device; ask",
         ),
         ((None, "30 x 1 kvar"), "30 are to stand spread, but feeder 'ieee33' has 27 load buses left for them; ask"),
-        (("40 x 1 MW", None), "datacenters.count is 40, but only 32 load buses have no device"),
-        (("none", "none"), "no data centre and no inverter, hence no agent"),
+        (("40 x 1 MW", None), "datacenters.count is 40; only 32 load buses have no device"),
+        (("none", "none"), "devices are none, hence there is no agent"),
     ],
 )
 def test_what_a_feeder_has_no_room_for_is_refused(words, message):

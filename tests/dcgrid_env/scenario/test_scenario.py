@@ -360,7 +360,7 @@ def test_an_unknown_bus_lists_those_there_are(field):
 @pytest.mark.parametrize("field", ["inverters.buses", "datacenters.buses"])
 def test_no_device_at_the_substation(field):
     buses = (0,) if field == "inverters.buses" else (2, 0)
-    with pytest.raises(ScenarioError, match=r"'mine'.*device at the substation '0'"):
+    with pytest.raises(ScenarioError, match=r"'mine'.*buses has the substation '0'"):
         scenario_of_ones_own(**{field: buses})
 
 
@@ -369,7 +369,7 @@ def test_no_device_at_the_substation(field):
 )
 def test_one_device_a_bus(changes):
     bus = {"(2, 2)": 2, "(2, 3)": 3, "(4, 4)": 4}[str(next(iter(changes.values())))]
-    with pytest.raises(ScenarioError, match=rf"more than one device at bus '{bus}'; give each its own"):
+    with pytest.raises(ScenarioError, match=rf"buses has '{bus}', where another device is; give each its own"):
         scenario_of_ones_own(**changes)
 
 
@@ -403,12 +403,12 @@ def test_the_number_of_sites_follows_from_their_buses():
 
 
 def test_no_more_datacenters_than_free_load_buses():
-    with pytest.raises(ScenarioError, match=r"datacenters\.count is 3, but only 2 load buses have no device"):
+    with pytest.raises(ScenarioError, match=r"datacenters\.count is 3; only 2 load buses have no device"):
         scenario_of_ones_own(n_datacenters=3, datacenters={"p_rated_kw": 1.0})
 
 
 def test_somebody_must_act():
-    with pytest.raises(ScenarioError, match="'mine': no data centre and no inverter"):
+    with pytest.raises(ScenarioError, match="'mine': devices are none, hence there is no agent"):
         scenario_of_ones_own(n_datacenters=0, datacenters={"p_rated_kw": 1.0}, inverters={"buses": ()})
 
 

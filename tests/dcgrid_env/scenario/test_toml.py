@@ -86,10 +86,10 @@ def test_paths_begin_where_the_file_stands(tmp_path):
     scenario.to_toml(tmp_path / "far" / "mine.toml")
     again = make_scenario(tmp_path / "far" / "mine.toml")
     assert scenario_hash(again) == scenario_hash(scenario)
-    with pytest.raises(ScenarioError, match=r"feeder is a Feeder that stands in no file.*feeder.to_csv\(folder\)"):
+    with pytest.raises(ScenarioError, match=r"feeder is a Feeder that is in no file.*feeder.to_csv\(folder\)"):
         pickle.loads(pickle.dumps(scenario)).to_toml()
     (feeder / "buses.csv").write_text("bus,p_kw,q_kvar\ns,0,0\na,11,3\nb,10,3\n")
-    with pytest.raises(ScenarioError, match="feeder is a Feeder that stands in no file"):
+    with pytest.raises(ScenarioError, match="feeder is a Feeder that is in no file"):
         scenario.to_toml()
 
 
@@ -113,27 +113,27 @@ def test_a_base_that_is_no_preset_as_it_is_is_refused(base):
         ("base = 3", "base is 3; give the name of a preset"),
         ('base = "ieee34"', "no scenario 'ieee34'; did you mean ieee33"),
         ('base = "ieee33"\nhorizont = 3', "no scenario field 'horizont'; did you mean horizon"),
-        ('base = "ieee33"\n[sensing]\nnoise = 3', "no sensing field 'noise'; did you mean noise_pu"),
+        ('base = "ieee33"\n[sensing]\nnoise = 3', "sensing.noise is no field; did you mean noise_pu"),
         ('base = "ieee33"\n[sensing]\nnoise_pu = "high"', "sensing.noise_pu is 'high'; give a finite number"),
         ('base = "ieee33"\n[sensing]\nnoise_pu = -1.0', r"sensing.noise_pu is -1.0; give a finite number in \[0, 1\]"),
         ('base = "ieee33"\n[cost]\nreward = "mine"', "cost.reward is 'mine'; choose one of shared, local"),
-        ('base = "ieee33"\n[cost.weights]\nvolts = 1', "no cost.weights field 'volts'; did you mean voltage"),
+        ('base = "ieee33"\n[cost.weights]\nvolts = 1', "cost.weights.volts is no field; did you mean voltage"),
         ('base = "ieee33"\nsensing = 3', r"sensing is 3; give Sensing\(...\) or a mapping of its fields"),
         ('base = "ieee33"\nobserve = "local"\n[sensing]\nobserve = "local"', "observe is given twice; give"),
-        ('base = "ieee33"\n[[devices]]\nkind = "wind"', r"devices\[0\].kind: no kind of device 'wind'"),
+        ('base = "ieee33"\n[[devices]]\nkind = "wind"', r"devices\[0\].kind is 'wind'; no kind of device 'wind'"),
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["99"]\ns_rated_kva = 1', "has no bus '?99'?; its"),
         ('base = "ieee33"\n[[devices]]\nkind = "inverter"\nbuses = ["3"]', r"devices\[0\].s_rated_kva is 0.0; give"),
         ('base = "ieee33"\n[[devices]]\nkind = "datacenter"\ncount = 1', r"devices\[0\].p_rated_kw is missing"),
-        ('base = "ieee33"\n[[faults]]\namong = ["dc_9"]\nbegin_s = [1, 2]', "a fault among 'dc_9'; choose"),
+        ('base = "ieee33"\n[[faults]]\namong = ["dc_9"]\nbegin_s = [1, 2]', r"faults\[0\].among is 'dc_9'; choose"),
         ('base = "ieee33"\nfeeder = "nowhere"', "no feeder 'nowhere'"),
         ('feeder = "toy6"', "devices is missing; give it, a list of groups"),
         ("", "is empty: it has neither base nor feeder; give base, a preset's name"),
         ("horizon = 3", "has horizon, but neither base nor feeder; give base"),
-        ('base = "ieee33"\nsensing = "none"', r"sensing is 'none'; give Sensing\(...\) or a mapping"),
+        ('base = "ieee33"\nsensing = "none"', "sensing is None; leave it out, or give what"),
         ('base = "ieee33"\nfeeder = "."', "feeder.toml is missing"),
         ('base = "ieee33"\ntrace = "."', r"trace is '.*'; `dcgrid list traces` lists all; or give recordings"),
         ('base = "ieee33"\nfeeder = "a\\u0000b"', r"no feeder 'a\\x00b'; `dcgrid list feeders`"),
-        ('base = "ieee33"\n[inverters]\nbuses = [["3"]]', r"inverters.buses has \['3'\], no number or text; give"),
+        ('base = "ieee33"\n[inverters]\nbuses = [["3"]]', r"inverters.buses has \('3',\), no number or text; give"),
         ('base = "ieee33"\nsource_voltage_pu = 9.0', r"source_voltage_pu is 9.0; give a finite number in \[0.5"),
         ('base = "ieee33"\nv0_pu = 9.0', "no scenario field 'v0_pu': it is source_voltage_pu now"),
         ('base = "toy6"\n[inverters]\nbuses = []\n[[faults]]\namong = ["ev"]\nbegin_s = [1, 2]', "choose data"),
@@ -171,9 +171,7 @@ def test_the_example_of_the_module_is_a_scenario(tmp_path):
 
 def test_what_stands_in_no_file_is_refused():
     trace = PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own")
-    with pytest.raises(
-        ScenarioError, match=r"workload.trace\[0\] is a PowerTrace that stands in no file.*give its path"
-    ):
+    with pytest.raises(ScenarioError, match=r"workload.trace\[0\] is a PowerTrace that is in no file.*give its path"):
         make_scenario("ieee33", trace=(trace,)).to_toml()
 
 

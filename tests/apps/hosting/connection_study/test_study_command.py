@@ -51,7 +51,7 @@ def test_it_prints_the_answer_and_writes_the_report(tmp_path, capsys):
         ('bus = "12"', 'bus = "1"', "bus is '1'; give a bus of feeder 'ieee33' other than the substation"),
         ('feeder = "ieee33"', 'feeder = "nowhere"', "nowhere"),
         ("mw = 0.2", "mw = -1.0", "mw is -1.0; give a finite number"),
-        ("mw = 0.2", "size = 3", "StudyRequest field 'size'"),
+        ("mw = 0.2", "size = 3", "size is no field; its fields are bus"),
         ("samples = 2", "sample = 2", "capacity has no field 'sample'"),
         ("samples = 2", "samples = 0", "samples is 0"),
         ('title = "A site"', "title = ", "s.toml"),

@@ -122,11 +122,11 @@ def test_laws_leave_it_at_rest_and_hindsight_refuses_it():
     ("given", "message"),
     [
         ({"p_rated_kw": 300.0}, "energy_kwh is missing; give it"),
-        (FIGURES | {"size": 1.0}, "field 'size'; its fields are p_rated_kw, energy_kwh"),
+        (FIGURES | {"size": 1.0}, "size is no field; its fields are p_rated_kw, energy_kwh"),
         (FIGURES | {"energy_kwh": -1.0}, "energy_kwh is -1.0; give one positive number"),
         (FIGURES | {"charge_efficiency": 1.1}, "charge_efficiency is 1.1; give one finite number"),
         (FIGURES | {"p_rated_kw": (1.0, 2.0)}, "or one for each of the 3 devices"),
-        (300.0, r"datacenters.storage is 300.0; give SiteStorage\(p_rated_kw=.., energy_kwh=..\), a mapping of its"),
+        (300.0, r"datacenters.storage is 300.0; give SiteStorage\(...\) or a mapping of its"),
     ],
 )
 def test_bad_figures_are_refused_by_name(given, message):

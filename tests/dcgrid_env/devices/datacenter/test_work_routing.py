@@ -170,9 +170,9 @@ def test_one_environment_a_batch_and_tensors_agree_and_no_work_is_lost(changes):
         ({"datacenters.routing": {"move_latency_s": 2.0}}, "move_latency_s is 2.0; give at most one step, dt_s = 1"),
         (
             {"datacenters.routing": {"share": 1.0}},
-            "no datacenters.routing field 'share'; .*its fields are movable_share",
+            "datacenters.routing.share is no field; .*its fields are movable_share",
         ),
-        ({"datacenters.routing": 3}, "routing is 3; give Routing\\(..\\), a mapping of its fields, or None"),
+        ({"datacenters.routing": 3}, "routing is 3; give Routing\\(...\\) or a mapping of its fields, or None"),
         ({"datacenters.batching": {"lowest": 64.0, "highest": 8.0}}, "lowest is 64.0; give less than highest = 8"),
         ({"datacenters.batching": {"reference": 1024.0}}, "reference is 1024.0; give a size from 8 to 512"),
         ({"datacenters.service": {"deadline_s": 0.0}}, "deadline_s is 0.0; give a finite number"),

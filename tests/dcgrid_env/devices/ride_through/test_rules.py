@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from dcgrid_env.core.checked import FieldError
-from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough, plain_rule, rule_of
+from dcgrid_env.devices.ride_through.rules import RideThrough, UpsRideThrough
 from dcgrid_env.devices.ride_through.voltage_curve import CURVES, RideThroughCurve
+from dcgrid_env.scenario.serialization import to_data
 
 TIMES: dict[str, Any] = {"return_delay_s": 4.0, "by_hand_s": 50.0, "stagger_s": 7.0, "lockout_window_s": 45.0}
 
@@ -79,5 +80,4 @@ def test_an_agent_returns_by_a_ramp():
     "plain", [{"curve": "itic"}, {"curve": ["itic", {"under": [[0.9, 1.0]], "over": []}], "walk_in_s": 2.0}]
 )
 def test_the_plain_form_has_what_differs_from_the_defaults(plain):
-    assert plain_rule(rule_of(UpsRideThrough, plain)) == plain
-    assert rule_of(UpsRideThrough, "itic") == UpsRideThrough(curve="itic")
+    assert to_data(UpsRideThrough(**plain)) == plain

@@ -35,13 +35,13 @@ def test_a_number_is_a_range_without_width_and_the_ends_are_allowed(fields, stor
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"begin_s": -1.0}, "Sag: begin_s is -1.0; give a pair of numbers from 0 to 1e"),
+        ({"begin_s": -1.0}, "Sag: begin_s is -1.0; give a number from 0 to 1e"),
         ({"begin_s": (1.0, 2e9)}, "from 0 to 1e"),
         ({"duration_s": (0.0, 1.0)}, "Sag: duration_s is .*; give a shortest above 0 s"),
-        ({"duration_s": 60.1}, "from 0 to 60, a lowest and a highest"),
-        ({"retained_pu": 1.01}, "from 0 to 1, a lowest and a highest"),
+        ({"duration_s": 60.1}, "from 0 to 60, or a pair of them"),
+        ({"retained_pu": 1.01}, "from 0 to 1, or a pair of them"),
         ({"retained_pu": (0.5, 0.4)}, "Sag: retained_pu is .*; give the lowest first"),
-        ({"retained_pu": (0.1, 0.2, 0.3)}, "give a pair"),
+        ({"retained_pu": (0.1, 0.2, 0.3)}, "or a pair of them"),
         ({"since": "now"}, "Sag: since is 'now'; choose one of episode, previous"),
     ],
 )

@@ -127,9 +127,9 @@ def test_a_storage_that_a_fault_takes_from_the_grid_keeps_its_energy():
 def test_a_storage_stands_where_a_site_does_and_two_storages_do_not():
     s = toy6_storage()
     assert s.devices[-1].buses == ("4", "2")
-    with pytest.raises(ScenarioError, match="more than one storage device at bus '4'; give each its own"):
+    with pytest.raises(ScenarioError, match="buses has '4', where another storage is; give each its own"):
         s.replace(devices=(*s.devices[:2], Storages(buses=(4, 4), **FIGURES)))
-    with pytest.raises(ScenarioError, match="a device at the substation"):
+    with pytest.raises(ScenarioError, match="has the substation"):
         s.replace(devices=(*s.devices[:2], Storages(buses=(s.feeder.bus_ids[0],), **FIGURES)))
 
 

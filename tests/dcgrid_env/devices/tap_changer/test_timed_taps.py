@@ -201,7 +201,7 @@ def test_offsets_of_banks_move_what_their_relays_hold():
         ({"offset_v": {"creg9": 1.0}}, "has no bank or regulator 'creg9'; there are reg1a, reg2, reg3, reg4"),
         ({"offset_v": [["reg4", 1.0], ["reg4", 2.0]]}, "or a mapping from banks or regulators to these"),
         ({"offset_v": [[{"a": 1}, 2.0]]}, "or a mapping from banks or regulators to these"),
-        ({"offset": 1.0}, "no grid_control.regulator_settings field 'offset'; did you mean offset_v"),
+        ({"offset": 1.0}, "grid_control.regulator_settings.offset is no field; did you mean offset_v"),
     ],
 )
 def test_what_cannot_be_set_is_refused_by_name(control, message):

@@ -7,6 +7,7 @@ import pytest
 
 from dcgrid_env import METRICS, Metric, load_feeder, make_scenario
 from dcgrid_env.baselines import NoControl, rollout
+from dcgrid_env.scenario.costs.grid_terms import TERMS
 from helpers.riding import riding
 from helpers.storages import toy6_storage
 from helpers.three_phase import ieee13
@@ -77,6 +78,8 @@ OF_SITES = {"smoothing", "cooling", "routing", "batching", "service", "behind si
 def test_every_metric_of_an_episode_is_listed_and_none_besides(scenario, has):
     own = rollout(scenario, NoControl(), [0]).metrics()[0]
     without = set().union(*(names for group, names in GROUPS.items() if group not in has))
+    weights = scenario.cost.weights
+    without |= {f"cost_{term.name}" for term in TERMS if not (term.is_always_listed or getattr(weights, term.name))}
     assert set(own) == set(METRICS) - without
     assert all(GROUPS.values())
     for name, metric in METRICS.items():

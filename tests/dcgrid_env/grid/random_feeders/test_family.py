@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dcgrid_env import RandomFeeders
+from dcgrid_env import RandomFeeders, ScenarioError, make_scenario
 from dcgrid_env.core.checked import FieldError
 from dcgrid_env.core.digest import digest
 from dcgrid_env.grid import FeederError
@@ -76,5 +76,5 @@ def test_what_one_feeder_has_is_refused_with_its_remedy():
         FAMILY.index(20)
     with pytest.raises(FeederError, match="no style for the split 'ood'"):
         RandomFeeders(ood=None).style_of("ood")
-    with pytest.raises(FeederError, match="no random feeders field 'size'"):
-        RandomFeeders.of_plain({"size": 3})
+    with pytest.raises(ScenarioError, match=r"feeder.size is no field; its fields are n_bus"):
+        make_scenario("ieee33", feeder={"size": 3})

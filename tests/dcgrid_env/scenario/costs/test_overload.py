@@ -133,8 +133,8 @@ def test_the_cost_has_a_derivative():
 
 
 @pytest.mark.parametrize(("overrides", "said"), [
-    ({"weights": {"overload": 2.0}}, r"weights\.overload is 2\.0; feeder 'toy6' knows the rating of no branch; give"),
-    ({"sensing.loading": True}, "sensing.loading is True; feeder 'toy6' knows the rating of no branch; give"),
+    ({"weights": {"overload": 2.0}}, r"weights\.overload is 2\.0; feeder 'toy6' has no rated branch; give"),
+    ({"sensing.loading": True}, "sensing.loading is True; feeder 'toy6' has no rated branch; give"),
 ])  # fmt: skip
 def test_a_feeder_without_ratings_has_neither(overrides, said):
     with pytest.raises(ScenarioError, match=said):
@@ -145,5 +145,5 @@ def test_ratings_that_are_all_unknown_are_none():
     feeder = dataclasses.replace(load_feeder("toy6"), rating_a=np.full(5, np.nan))
     s = make_scenario("toy6", feeder=feeder, horizon=3)
     assert "loading_max_pct" not in rollout(s, NoControl(), [0]).metrics()[0]
-    with pytest.raises(ScenarioError, match="knows the rating of no branch"):
+    with pytest.raises(ScenarioError, match="has no rated branch"):
         s.replace(sensing={"loading": True})

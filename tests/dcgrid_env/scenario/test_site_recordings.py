@@ -9,7 +9,7 @@ from dcgrid_env import ScenarioError, make_scenario, scenario_hash
 from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.cli.main import main
 from dcgrid_env.engine.exogenous import episode
-from dcgrid_env.scenario.trace_scale import scaled_recordings, scaling_lines
+from dcgrid_env.scenario.site_recordings import scaled_recordings, scaling_lines
 from dcgrid_env.traces import PowerTrace
 
 SECONDS = np.arange(0.0, 401.0)

@@ -25,9 +25,8 @@ from dcgrid_env import (
     scenario_hash,
 )
 from dcgrid_env.grid import FeederError
-from dcgrid_env.scenario.assembly import PARTS
-from dcgrid_env.scenario.field_names import ALIASES, FORMER
-from dcgrid_env.scenario.plain import to_plain
+from dcgrid_env.scenario.assembly import ALIASES, FORMER, PARTS
+from dcgrid_env.scenario.serialization import to_data
 from dcgrid_env.traces import PowerTrace, generate_inference
 from helpers.three_phase import ieee13
 
@@ -121,7 +120,7 @@ def test_a_field_of_three_phases_goes_through_json_and_back(name):
     scenario = base.replace(**overrides)
     assert scenario.difference(base) is not None
     assert scenario.difference(base.replace(**json.loads(json.dumps(overrides)))) is None
-    again = json.loads(json.dumps({name: to_plain(attrgetter(ALIASES.get(name) or name)(scenario))}))
+    again = json.loads(json.dumps({name: to_data(attrgetter(ALIASES.get(name) or name)(scenario))}))
     assert scenario.difference(base.replace(**again)) is None
 
 
@@ -131,7 +130,7 @@ def test_a_field_goes_through_json_and_back(name):
     scenario = make_scenario("ieee33-weak", **overrides)
     assert scenario.difference(make_scenario("ieee33-weak")) is not None
     assert scenario.difference(make_scenario("ieee33-weak", **json.loads(json.dumps(overrides)))) is None
-    again = json.loads(json.dumps({key: to_plain(attrgetter(ALIASES.get(key) or key)(scenario)) for key in overrides}))
+    again = json.loads(json.dumps({key: to_data(attrgetter(ALIASES.get(key) or key)(scenario)) for key in overrides}))
     assert scenario.difference(make_scenario("ieee33-weak", **again)) is None
 
 
@@ -182,7 +181,7 @@ def test_a_scenario_goes_through_the_spec_of_an_environment(overrides):
 def test_what_has_no_plain_form_is_refused_by_name_where_a_spec_is_written():
     trace = PowerTrace([0.0, 500.0, 1000.0], [1.0, 0.5, 0.5], "own")
     env: Any = gymnasium.make("dcgrid/IEEE33Weak-v0", scenario=make_scenario("ieee33", trace=(trace,)))
-    with pytest.raises(ScenarioError, match=r"scenario.workload.trace\[0\] is a PowerTrace that stands in no file"):
+    with pytest.raises(ScenarioError, match=r"scenario.workload.trace\[0\] is a PowerTrace that is in no file"):
         env.spec.to_json()
     env.close()
 
@@ -190,7 +189,7 @@ def test_what_has_no_plain_form_is_refused_by_name_where_a_spec_is_written():
 def test_weights_that_a_mapping_leaves_out_keep_their_value():
     assert make_scenario("training", weights={"backlog": 1}).cost.weights == CostWeights(backlog=1, leftover=90.0)
     assert make_scenario("ieee33").replace(weights={"loss": 2.0}).cost.weights == CostWeights(loss=2.0)
-    with pytest.raises(ScenarioError, match=r"no cost.weights field 'volts'; did you mean voltage.* loss"):
+    with pytest.raises(ScenarioError, match=r"cost.weights.volts is no field; did you mean voltage.* loss"):
         make_scenario("ieee33", weights={"volts": 1})
     with pytest.raises(ScenarioError, match=r"weights.backlog is 'dear'; give a finite number"):
         make_scenario("ieee33", weights={"backlog": "dear"})
@@ -205,7 +204,7 @@ def test_clock_laws_by_name():
     )
     assert make_scenario("ieee33", datacenters={"clock_law": "linear"}).datacenters.clock_law == LinearDvfs()
     assert make_scenario("ieee33", datacenters={"clock_law": {"law": "linear"}}).datacenters.clock_law == LinearDvfs()
-    assert to_plain(LinearDvfs()) == "linear"
+    assert to_data(LinearDvfs()) == "linear"
     with pytest.raises(
         ScenarioError, match=r"datacenters.clock_law is \{'law': 'fast'\}; give 'linear', 'prefill-decode'"
     ):
@@ -220,11 +219,14 @@ def test_faults_as_mappings():
     one = make_scenario("ieee33", faults={"among": ["dc_1"], "begin_s": [1, 2]})
     assert one.faults == (Fault(("dc_1",), (1, 2)),)
     for fault, message in (
-        ({"among": ["dc_1"]}, r"faults\[0\]: 'begin_s' is missing"),
-        ({"among": ["dc_1"], "begin": [1, 2]}, r"faults\[0\]: 'begin' is no key; give among, begin_s, duration_s"),
-        ({"among": ["dc_1"], "begin_s": 3}, r"faults\[0\]: fault: begin_s is 3; give a pair of numbers"),
-        ({"among": ["dc_1"], "begin_s": [2, 1]}, r"faults\[0\]: fault: begin_s is \(2, 1\)"),
-        ({"among": "dc_1", "begin_s": [1, 2]}, r"faults\[0\]: fault: among is 'dc_1'"),
+        ({"among": ["dc_1"]}, r"faults\[0\].begin_s is missing; give it"),
+        (
+            {"among": ["dc_1"], "begin": [1, 2]},
+            r"faults\[0\].begin is no field; did you mean begin_s\? its fields are among, beg",
+        ),
+        ({"among": ["dc_1"], "begin_s": -3}, r"faults\[0\].begin_s is -3; give a number from 0 to"),
+        ({"among": ["dc_1"], "begin_s": [2, 1]}, r"faults\[0\].begin_s is \[2, 1\]; give the lowest first"),
+        ({"among": "dc_1", "begin_s": [1, 2]}, r"faults\[0\].among is 'dc_1'; give a tuple of"),
     ):
         with pytest.raises(ScenarioError, match=message):
             make_scenario("ieee33", faults=[fault])
@@ -297,7 +299,7 @@ def test_an_hour_that_there_is_not():
         ({"sensing.delay_steps": 10**20}, "sensing.delay_steps is .*; give a whole number of at least 0 and at most"),
         ({"datacenters.p_rated_kw": 10**400}, "datacenters.p_rated_kw is 1000.*; give one positive number of at most"),
         ({"datacenters.f_max_mhz": 10**400}, "datacenters.f_max_mhz is 1000.*; give a finite number"),
-        ({"inverters.buses": [[1]]}, r"inverters.buses has \[1\], no number or text"),
+        ({"inverters.buses": [[1]]}, r"inverters.buses has \(1,\), no number or text"),
         ({"inverters.buses": [7.0, 14]}, r"inverters.buses has 7\.0, no number or text"),
         ({"datacenters.clock_law": {"law": ["x"]}}, "datacenters.clock_law is .*; give 'linear'"),
         ({"datacenters.clock_law": PrefillDecodeDvfs}, "datacenters.clock_law is .*; give 'linear'"),
@@ -316,4 +318,4 @@ def test_arrays_without_dimension_and_durations_of_null_are_taken():
     fault = Fault(("dc_0",), (0, 1))
     given = {"among": ["dc_0"], "begin_s": np.array([0, 1]), "duration_s": None}
     assert make_scenario("ieee33-weak", faults=[given]).faults == (fault,)
-    assert to_plain(fault) == {"among": ["dc_0"], "begin_s": [0, 1]}
+    assert to_data(fault) == {"among": ["dc_0"], "begin_s": [0, 1]}

@@ -1,13 +1,15 @@
-"""What the kilowatts of a recording become at the sites: scaled to their ratings, or as they were recorded."""
+"""Recordings that the sites of a scenario follow: their scale at the sites, and whether they run on its clock."""
 
 from __future__ import annotations
 
+from datetime import date
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dcgrid_env.core.checked import refuse
 from dcgrid_env.traces import PowerTrace
+from dcgrid_env.traces.recording_clock import clock_of
 
 
 class ScaledRecording(NamedTuple):
@@ -22,24 +24,28 @@ class ScaledRecording(NamedTuple):
     """Factor at each site; 1 for power as recorded."""
 
 
+def recordings_of(scenario: Any) -> tuple[PowerTrace, ...]:
+    """Return the recordings that a scenario's sites follow; none for generated load."""
+    trace = scenario.workload.trace
+    return () if isinstance(trace, str) else trace
+
+
 def scaled_recordings(scenario: Any) -> tuple[ScaledRecording, ...]:
-    """The recordings that a scenario's sites follow and their factors; empty for generated load."""
-    if isinstance(scenario.workload.trace, str):
-        return ()
-    found = []
-    for trace in scenario.workload.trace:
-        unrated, full_kw = trace.rated_kw is None, _full_kw(trace)
+    """Return the recordings that a scenario's sites follow and their factors; empty for generated load."""
+    recordings = []
+    for trace in recordings_of(scenario):
+        is_rating = trace.rated_kw is not None
+        full_kw = float(trace.power_kw.max() if trace.rated_kw is None else trace.rated_kw)
         factors = np.ones(scenario.n_sites)
-        if (
-            scenario.workload.trace_scale == "rated"
-        ):  # an unknown rating: the highest power is the highest draw of a site
-            factors = scenario.site_rated_kw * (scenario.largest_boost if unrated else 1.0) / full_kw
-        found.append(ScaledRecording(trace.name, full_kw, not unrated, tuple(factors.tolist())))
-    return tuple(found)
+        if scenario.workload.trace_scale == "rated":
+            # Without a rating, the highest power becomes the highest draw of a site.
+            factors = scenario.site_rated_kw * (1.0 if is_rating else scenario.largest_boost) / full_kw
+        recordings.append(ScaledRecording(trace.name, full_kw, is_rating, tuple(factors.tolist())))
+    return tuple(recordings)
 
 
 def scaling_lines(scenario: Any) -> list[str]:
-    """What is done to the power of each recording, a line each; none where no site follows a recording."""
+    """Return a line on the scale of each recording; none where no site follows one."""
     lines = []
     for name, full_kw, is_rating, factors in scaled_recordings(scenario):
         if not factors:
@@ -59,7 +65,7 @@ def scaling_lines(scenario: Any) -> list[str]:
 
 
 def as_shares_of(scenario: Any) -> tuple[tuple[PowerTrace, ...], np.ndarray]:
-    """The recordings with the rating that their power is taken as a share of, and what 1 is at each site, kW."""
+    """Return the recordings as shares of a rating, and what 1 is at each site, kW."""
     if scenario.workload.trace_scale == "rated":
         return scenario.workload.trace, scenario.site_rated_kw
     reference_kw = float(scenario.site_rated_kw.max(initial=1.0))
@@ -85,5 +91,22 @@ def check_trace_scale(scenario: Any) -> None:
             raise refuse(scenario.workload, "trace_scale", f"{remedy}raise datacenters.p_rated_kw, or give 'rated'")
 
 
-def _full_kw(trace: PowerTrace) -> float:
-    return float(trace.power_kw.max()) if trace.rated_kw is None else float(trace.rated_kw)
+def runs_on_clock(scenario: Any) -> bool:
+    """Return whether episodes begin in a recording at their date or time of day where possible.
+
+    They do in a scenario that follows the day, in a recording with dates, unless ``workload.window`` is ``start``.
+    """
+    if not scenario.follows_day or scenario.workload.window == "start":
+        return False
+    return any(clock_of(trace) is not None for trace in recordings_of(scenario))
+
+
+def midnight_s(scenario: Any) -> float | None:
+    """Return the midnight before the first sample of the load profiles, s since 1970 on their own clock.
+
+    None if the scenario has no load profiles, or these have no dates.
+    """
+    table = scenario.load_profiles.file
+    if table is None or not table.first_day:
+        return None
+    return 86400.0 * (date.fromisoformat(table.first_day) - date(1970, 1, 1)).days

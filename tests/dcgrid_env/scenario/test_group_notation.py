@@ -3,7 +3,7 @@
 import pytest
 
 from dcgrid_env import ScenarioError
-from dcgrid_env.scenario.device_words import DATA_CENTRES, INVERTERS, Part, read_group
+from dcgrid_env.scenario.group_notation import DATA_CENTRES, INVERTERS, Part, read_group
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_words_are_read(kind, text, parts):
         (
             DATA_CENTRES,
             "1 MW + 2 x 1 MW at ends",
-            "has drawn devices beside others at fixed places; give",
+            "has drawn devices and others at fixed places; give",
         ),
         (DATA_CENTRES, "9999 x 1 MW + 2 x 1 MW", "asks for 10001 devices; give at most 10000"),
     ],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import FEEDERS, Feeder, load_feeder
-from dcgrid_env.scenario.feeder_ends import branch_impedance, feeder_ends
+from dcgrid_env.scenario.placement import branch_impedance, feeder_ends
 
 
 def everywhere(feeder):
