@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import FeederRequest, scenario_on_feeder
 from dcgrid_env.core.commands.names import split_names
 from dcgrid_env.core.commands.progress import progress_bar
 from dcgrid_env.core.commands.settings import Overrides, check_folder
@@ -213,7 +213,9 @@ def _scenario(cfg: Capacity) -> Scenario:
     chosen: dict[str, Any] = {} if cfg.trace is None else {"trace": cfg.trace}
     feeder, scenario = cfg.feeder, cfg.scenario
     if feeder is not None:
-        return engineering_scenario(lambda split: scenario_on_feeder(Asked(feeder, scenario), cfg.set, split, chosen))
+        return engineering_scenario(
+            lambda split: scenario_on_feeder(FeederRequest(feeder, scenario), cfg.set, split, chosen)
+        )
     if scenario is None:
         raise ValueError("feeder: must be given, or --scenario; pass --feeder with a feeder's name or folder")
     return engineering_scenario(lambda split: ScenarioSpec(scenario, cfg.set).make(split, **chosen))

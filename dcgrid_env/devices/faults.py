@@ -38,10 +38,10 @@ class Fault:
             raise ValueError(f"fault: among is {self.among!r}; give a tuple of {kinds} or agent ids")
         object.__setattr__(self, "among", tuple(self.among))
         for name in ("begin_s", "duration_s"):
-            given = getattr(self, name)
-            if not isinstance(given, tuple | list) or len(given) != 2 or not all(map(_is_number, given)):
-                raise ValueError(f"fault: {name} is {given!r}; give a pair of numbers, a shortest and a longest in s")
-            low, high = given
+            value = getattr(self, name)
+            if not isinstance(value, tuple | list) or len(value) != 2 or not all(map(_is_number, value)):
+                raise ValueError(f"fault: {name} is {value!r}; give a pair of numbers, a shortest and a longest in s")
+            low, high = value
             object.__setattr__(self, name, (low, high))
             if not 0.0 <= low <= high or (name == "begin_s" and math.isinf(high)):
                 raise ValueError(f"fault: {name} is {(low, high)!r}; give a shortest and a longest of at least 0 s")

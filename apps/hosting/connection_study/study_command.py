@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import FeederRequest, scenario_on_feeder
 from dcgrid_env.core.commands.progress import progress_bar
 from dcgrid_env.core.commands.settings import check_folder
 from dcgrid_env.core.commands.terminal import plain_console, say
@@ -149,7 +149,7 @@ def _scenario(request: StudyRequest, path: Path) -> Scenario:
         return engineering_scenario(ScenarioSpec(str(request.scenario), overrides).make)
     folder, is_name = path.parent / request.feeder, request.feeder in FEEDER_REGISTRY
     feeder = folder_text(folder) if folder.is_dir() and not is_name else request.feeder
-    asked = Asked(feeder, request.scenario, None, None)
+    asked = FeederRequest(feeder, request.scenario, None, None)
     return engineering_scenario(lambda split: scenario_on_feeder(asked, overrides, split, {}))
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from dcgrid_env.apps.importers.import_report import Report
 from dcgrid_env.grid.topology import FeederError
 from dcgrid_env.traces import ProfileTable, TraceError
-from dcgrid_env.traces.profile_file import REACTIVE, seconds_of_dates
+from dcgrid_env.traces.profile_file import REACTIVE, date_seconds
 from dcgrid_env.traces.profile_table import checked_table
 
 STEP_S = 900.0
@@ -104,7 +104,7 @@ class NetProfiles:
         try:
             times_s, day = STEP_S * np.arange(len(values)), ""
             if self._times is not None:
-                times_s, day = seconds_of_dates(file, self._times)
+                times_s, day = date_seconds(file, self._times)
             return checked_table(
                 file, times_s, [*columns], values, lambda i: f"row {i}", lambda i, j: values[i, j], day
             )

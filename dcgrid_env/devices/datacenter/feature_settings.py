@@ -52,10 +52,10 @@ _REQUIRED = {"ride_through": "curve=..", "storage": "p_rated_kw=.., energy_kwh=.
 """Required fields of each."""
 
 
-def with_path(field: str, function: Callable[..., Any], *given: Any) -> Any:
+def with_path(field: str, function: Callable[..., Any], *arguments: Any) -> Any:
     """What a function returns; a FieldError of settings names the field of the sites that holds them too."""
     try:
-        return function(*given)
+        return function(*arguments)
     except FieldError as error:
         raise error.within("DataCenters", field) from None
 
@@ -70,17 +70,17 @@ CONVERSIONS: dict[str, Callable[[Any], Any]] = {
 def check_settings(sites: Any) -> None:
     """Raise FieldError for settings of another class, or that cannot be of these sites."""
     for name, kind in SETTINGS.items():
-        given = getattr(sites, name)
-        if given is None:
+        settings = getattr(sites, name)
+        if settings is None:
             continue
-        if not isinstance(given, kind):
+        if not isinstance(settings, kind):
             raise refuse(
                 sites, name, f"give {kind.__name__}({_REQUIRED.get(name, '..')}), a mapping of its fields, or None"
             )
-        if hasattr(given, "check_sites"):
-            with_path(name, given.check_sites, sites.count, sites.idle_share)
-        if hasattr(given, "check_slots"):
-            with_path(name, given.check_slots, sites.count)
+        if hasattr(settings, "check_sites"):
+            with_path(name, settings.check_sites, sites.count, sites.idle_share)
+        if hasattr(settings, "check_slots"):
+            with_path(name, settings.check_slots, sites.count)
     if sites.storage is not None and sites.ride_through is not None:
         raise refuse(sites, "storage", "leave it out beside ride_through, or give Storages, agents of their own")
 
@@ -88,9 +88,9 @@ def check_settings(sites: Any) -> None:
 def check_step(sites: Any, dt_s: float) -> None:
     """Raise FieldError for settings that cannot be in steps of this length."""
     for name in SETTINGS:
-        given = getattr(sites, name)
-        if hasattr(given, "check_step"):
-            given.check_step(dt_s)
+        settings = getattr(sites, name)
+        if hasattr(settings, "check_step"):
+            settings.check_step(dt_s)
 
 
 def features_of(sites: Any) -> tuple[SiteFeature, ...]:

@@ -84,8 +84,8 @@ class RideThrough(PickledByFields):
     def check_slots(self, slots: int) -> None:
         """Raise FieldError if there are several curves, but not one for each slot."""
         if isinstance(self.curve, tuple) and len(self.curve) != slots:
-            given = f"has {len(self.curve)} curves"
-            raise FieldError(type(self).__name__, "curve", ..., f"{given}; give one, or one for each of {slots}")
+            problem = f"has {len(self.curve)} curves"
+            raise FieldError(type(self).__name__, "curve", ..., f"{problem}; give one, or one for each of {slots}")
 
     @cached_on_owner
     def elements(self, slots: int) -> Elements:
@@ -186,5 +186,5 @@ def rule_of(kind: type[Any], value: object) -> Any:
 def plain_rule(rule: RideThrough) -> dict[str, Any]:
     """Return the plain form of a rule: a mapping of its fields without those at their default."""
     curve = rule.curve
-    plain = {"curve": list(map(plain_curve, curve)) if isinstance(curve, tuple) else plain_curve(curve)}
-    return changed_fields(rule) | plain
+    curve_field = {"curve": list(map(plain_curve, curve)) if isinstance(curve, tuple) else plain_curve(curve)}
+    return changed_fields(rule) | curve_field

@@ -36,13 +36,13 @@ class Sag:
             raise FieldError("Sag", "since", self.since, "choose one of episode, previous")
 
 
-def _range(name: str, given: Any, highest: float) -> tuple[float, float]:
-    pair = (given, given) if finite(given) else given
+def _range(name: str, value: Any, highest: float) -> tuple[float, float]:
+    pair = (value, value) if finite(value) else value
     if not isinstance(pair, list | tuple) or len(pair) != 2 or not all(finite(v, 0.0, highest) for v in pair):
-        raise FieldError("Sag", name, given, f"give a pair of numbers from 0 to {highest:g}, a lowest and a highest")
+        raise FieldError("Sag", name, value, f"give a pair of numbers from 0 to {highest:g}, a lowest and a highest")
     low, high = pair
     if low > high:
-        raise FieldError("Sag", name, given, "give the lowest first")
+        raise FieldError("Sag", name, value, "give the lowest first")
     return float(low), float(high)
 
 
