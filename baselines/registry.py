@@ -232,12 +232,12 @@ def own_controllers(specs: Iterable[str]) -> dict[str, bytes]:
 
     Invalid ones are loaded on the worker, and the error is reported there.
     """
-    found: dict[str, bytes] = {}
+    controllers: dict[str, bytes] = {}
     for _, inner in map(split_prefix, specs):
         if parse(inner) is not None or controller_file(inner) is not None:
             with contextlib.suppress(ValueError):
-                found[inner] = packed(_own_controller(inner))
-    return found
+                controllers[inner] = packed(_own_controller(inner))
+    return controllers
 
 
 def split_prefix(spec: str) -> tuple[str, str]:

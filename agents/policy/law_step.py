@@ -19,7 +19,7 @@ from array_api_compat import array_namespace
 
 from dcgrid_env import Scenario, field_names
 from dcgrid_env.baselines.model_aided.average import Average
-from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
+from dcgrid_env.baselines.model_aided.decision import DecisionInputs, decide, own_error
 from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
 from dcgrid_env.core.arrays import Array
@@ -92,12 +92,12 @@ class LawStep:
         s = site.scenario
         self.site, self.scenario, self._array = site, s, array
         self._known = known
-        self._price = VoltagePrice.of(s)
+        self._price = VoltagePrice.from_scenario(s)
         self.known = Commissioned(*map(array, known))
         self.by_q = array(known.by_own * site.q_scale_kvar[:, None])
         """What each agent's whole reactive power does to every voltage once the others have answered it, p.u.,
         (placement, n_agent, node)."""
-        self._scale, self._effort = array(site.share_of_kvar), array(site.effort)
+        self._scale, self._effort = array(site.kvar_share), array(site.effort)
         self._dc = {
             name: array(np.asarray(getattr(s.datacenters.parameters, name))) for name in ("p_idle_kw", "p_dynamic_kw")
         }
@@ -124,7 +124,7 @@ class LawStep:
         v_host, kvar, p_host = _host(now.v_pu), _host(now.q_kvar), _host(p_kw)
         slowest = self.scenario.datacenters.f_min_mhz / self.scenario.datacenters.f_max_mhz
         span_kw = _host(all_kw) - np.minimum(_host(ceiling_kw) * slowest, _host(all_kw))
-        best = decide(site, self._known, Seen(v_host, then[0], then[1], kvar, p_host, span_kw, rest_kvar))
+        best = decide(site, self._known, DecisionInputs(v_host, then[0], then[1], kvar, p_host, span_kw, rest_kvar))
         base, own_base, gain, inverse, by_all = self._at_level(v_host, *then)
         e_own = now.v_pu - known.own_by_q * (then_kvar - known.origin_kvar)
         surprise = e_own + known.own_by_draw * (then_kw - known.mean_kw) - own_base

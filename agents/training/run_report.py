@@ -141,7 +141,9 @@ def _by_law(runs: Sequence[_Run]) -> Table:
 def _on_scenario(runs: Sequence[_Run], one: _OnScenario) -> Table:
     n, delay = len(one.droop.seeds), METRICS["delay_mean_s"]
     hindsight = published(one.scenario, FOLDER)
-    best = None if n < 2 or hindsight is None or hindsight.missing(one.droop.seeds) else hindsight.of(one.droop.seeds)
+    best = (
+        None if n < 2 or hindsight is None or hindsight.missing(one.droop.seeds) else hindsight.select(one.droop.seeds)
+    )
     rows, scores = [], []
     for run, evaluation in zip(runs, one.policies, strict=True):
         saving = f"{saved_pct(evaluation.J, one.droop.J):.2f}"

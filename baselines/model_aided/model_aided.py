@@ -31,7 +31,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.baselines.controller import Local, LocalController
 from dcgrid_env.baselines.model_aided.average import Average
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
-from dcgrid_env.baselines.model_aided.decision import Seen, decide, own_error
+from dcgrid_env.baselines.model_aided.decision import DecisionInputs, decide, own_error
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun, resting
 from dcgrid_env.devices import site_work
 
@@ -112,8 +112,8 @@ class ModelAided(Law, LocalController):
         if s.sensing.noise_pu:
             e_own = own_error(known, v_pu, then_kw, then_kvar)
             v_pu = v_pu + self._average(known, e_own) - e_own
-        seen = Seen(v_pu, then_kw, then_kvar, kvar, p_kw, work.all_kw - work.least_kw, rest_kvar)
-        best = decide(site, known, seen)
+        inputs = DecisionInputs(v_pu, then_kw, then_kvar, kvar, p_kw, work.all_kw - work.least_kw, rest_kvar)
+        best = decide(site, known, inputs)
         # Where all work is to be served the clock may as well be at its top.
         f_mhz = (
             np.where(best.cut_kw > 0.0, (work.all_kw - best.cut_kw) / work.ceiling_kw, 1.0) * s.datacenters.f_max_mhz
