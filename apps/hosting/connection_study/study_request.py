@@ -69,7 +69,7 @@ class SeveralSites:
     """``equal`` shares as far as possible, or the largest ``sum``."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=lambda given: [*map(_bus, given)] if isinstance(given, list | tuple) else given)
+        settle(self, buses=lambda value: [*map(_bus, value)] if isinstance(value, list | tuple) else value)
         if not (isinstance(self.buses, tuple) and self.buses and all(isinstance(bus, str) for bus in self.buses)):
             raise refuse(self, "buses", "give a list of at least one bus, as texts")
         if self.rule not in get_args(Rule):
@@ -140,7 +140,7 @@ def _bus(value: object) -> object:
 
 
 def _part(kind: type[Any], name: str) -> Any:
-    def made(value: object) -> Any:
+    def converted(value: object) -> Any:
         try:
             part = from_mapping(kind, value)
         except FieldError as error:
@@ -149,4 +149,4 @@ def _part(kind: type[Any], name: str) -> Any:
             raise FieldError("StudyRequest", name, value, "give a table of its fields")
         return part
 
-    return made
+    return converted
