@@ -55,7 +55,7 @@ class RatingCoverage(NamedTuple):
     """Number of a feeder's branches with a known rating, and the names of those without."""
 
     known: int
-    total: int
+    of: int
     not_checked: tuple[str, ...]
     """Names of the branches without a rating, as in ``"line 650-632"``."""
     basis: str = ""
@@ -64,7 +64,7 @@ class RatingCoverage(NamedTuple):
     """Names of the elements without a rating of that season and kind, which another of their ratings limits."""
 
     def __str__(self) -> str:
-        said = f"ratings known for {self.known} of {self.total} elements{f' ({self.basis})' if self.basis else ''}"
+        said = f"ratings known for {self.known} of {self.of} elements{f' ({self.basis})' if self.basis else ''}"
         for label, names in (("limited by another rating", self.otherwise), ("not checked", self.not_checked)):
             more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
             said += f"; {label}: {', '.join(names[:_SHOWN])}{more}" if names else ""

@@ -160,7 +160,7 @@ def confidence(job: Job, capacities: Capacities | None) -> str:
         )
     others = "; the others were not checked" if coverage.not_checked else ""
     return (
-        f"{sizes}Ratings are known for {coverage.known} of {coverage.total} elements{others}. Faults, protection, "
+        f"{sizes}Ratings are known for {coverage.known} of {coverage.of} elements{others}. Faults, protection, "
         "harmonics, stability and the transmission grid need other studies."
     )
 
@@ -252,7 +252,7 @@ def _not_checked(job: Job, capacities: Capacities | None) -> Section:
         texts.append(f"Sections left out on request: {', '.join(job.request.leave_out)}.")
     if not job.outages:
         texts.append("No outages were asked for (outages in the study's file).")
-    missing = f"{len(coverage.not_checked)} of {coverage.total} elements have no known rating, and the"
+    missing = f"{len(coverage.not_checked)} of {coverage.of} elements have no known rating, and the"
     answer = f"{missing if coverage.not_checked else 'The'} studies in the table must be done by other means."
     return Section("not-checked", "What was not checked", answer, tuple(texts), (other_means(coverage),))
 

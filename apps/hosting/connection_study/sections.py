@@ -63,7 +63,7 @@ def base_case(job: Job) -> Section:
         loaded = ", and no rating is known"
     coverage = study.coverage
     basis = f" ({coverage.basis})" if coverage.basis else ""
-    rows.append(("ratings", f"known for {coverage.known} of {coverage.total} elements{basis}", ""))
+    rows.append(("ratings", f"known for {coverage.known} of {coverage.of} elements{basis}", ""))
     tables = [Table("Base case", ("quantity", "value", "where"), tuple(rows))]
     if not isinstance(feeder, Feeder) and feeder.n_regulator:
         taps = start.state.three_phase.equipment.regulators.tap[0]
