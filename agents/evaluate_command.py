@@ -108,7 +108,7 @@ class Evaluate(OverWorkers):
         console.print(table(evaluations, scores, f"{scenario.name}, {self.split} split, {about}").rich(console.width))
         said = [*([why] if why else []), *left_out, *remarks(self.policy, evaluations)]
         if scores and (costs := published(scenario, FOLDER)):
-            said += headroom_lines(costs.of(seeds), evaluations[REFERENCE].J)
+            said += headroom_lines(costs.select(seeds), evaluations[REFERENCE].J)
         for line in [*said, *tuned_from(list(controllers), scenario, self.tuned)]:
             console.print(line)
         shown = {name: controllers[name] for name in (self.policy, REFERENCE) if name in controllers}

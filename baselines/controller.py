@@ -122,7 +122,7 @@ def require_known_devices(who: str, scenario: Scenario, further: tuple[str, ...]
         )
 
 
-def require_draws_of_work(who: str, scenario: Scenario) -> None:
+def require_work_draws(who: str, scenario: Scenario) -> None:
     """Raise ValueError, naming the field, if the draw of sites is not the power of the work served."""
     for field in ("smoothing", "cooling"):
         if any(getattr(device, field, None) is not None for device in scenario.devices):
@@ -166,7 +166,7 @@ class LocalController:
         starts = np.cumsum([0, *(len(names[agent]) for agent in env_info.agents)])[:-1][order]
         first = names[env_info.agents[order[0]]]
         # The fields that all agents have are at the same position in each, and so are those of the data centres.
-        self._at = {
+        self._columns = {
             name: starts[: None if name in _OF_ALL else env_info.datacenters.count] + first.index(name)
             for name in (*_OF_ALL, *_OF_SITES)
             if name in first
@@ -176,7 +176,7 @@ class LocalController:
         if len(self._storages):
             group = next(device for device in env_info.devices if device.kind == "storage")
             self._energy_kwh = group.parameters.energy_kwh
-            self._at[_STORED] = starts[self._storages] + names["sto_0"].index(_STORED)
+            self._columns[_STORED] = starts[self._storages] + names["sto_0"].index(_STORED)
         devices = env_info.devices
         self._p_scale = np.concatenate([device.p_scale_kw for device in devices])[order]
         self._rated_kva = np.concatenate([device.converter_kva for device in devices])[order]
@@ -214,7 +214,7 @@ class LocalController:
         wide = joint.astype(np.float64)
         empty = np.zeros((*wide.shape[:-1], 0))
         band = self.scenario.cost.band_pu or 1.0
-        fields = {name: wide[..., columns] for name, columns in self._at.items()}
+        fields = {name: wide[..., columns] for name, columns in self._columns.items()}
         return Local(
             v_pu=1.0 + band * fields["v_deviation"],
             p_kw=fields["p"] * self._p_scale,

@@ -47,8 +47,8 @@ class EquipmentAgents:
         self.is_other = np.array([agent in among for agent in scenario.agents])
         """Mask of the agents other than equipment, bool, (n_agent,)."""
         names, self._layout = field_names(scenario), action_layout(scenario)
-        seen = np.array([agent in among for agent in scenario.agents for _ in names[agent]])
-        self._seen = None if seen.all() else np.flatnonzero(seen)
+        is_observed = np.array([agent in among for agent in scenario.agents for _ in names[agent]])
+        self._observed = None if is_observed.all() else np.flatnonzero(is_observed)
         self._others_at = np.array([agent in among for agent, _ in self._layout.names])
         self._rest = _with_set_points(scenario, set_points or {})
         driven = moves_taps and any(device.kind == "tap_changer" for device in scenario.devices)
@@ -65,9 +65,9 @@ class EquipmentAgents:
         return self._joint(np.asarray(observations), of_others)
 
     def _joint(self, joint: np.ndarray, of_others: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        if self._seen is None:
+        if self._observed is None:
             return of_others(joint)
-        of_policy = of_others(joint[..., self._seen])
+        of_policy = of_others(joint[..., self._observed])
         actions = np.empty((*of_policy.shape[:-1], self._rest.shape[-1]), of_policy.dtype)
         actions[...] = self._rest
         actions[..., self._others_at] = of_policy
@@ -86,7 +86,7 @@ class _Regulators:
         (self._channel,) = next(device for device in scenario.devices if device.kind == "tap_changer").channels
         self._control, self._band = BankControl(relays, scenario.dt_s, integrating), scenario.cost.band_pu or 1.0
         self._farthest = np.maximum(np.maximum(np.abs(self._channel.lowest), np.abs(self._channel.highest)), 1.0)
-        names = [name for names_of_agent in field_names(scenario).values() for name in names_of_agent]
+        names = [name for agent_names in field_names(scenario).values() for name in agent_names]
         self._tap_at, self._relay_at = (
             [i for i, name in enumerate(names) if name == wanted] for wanted in (_TAP, "relay")
         )
@@ -96,9 +96,9 @@ class _Regulators:
         """Return the regulators' entries of the action, (..., n), from the joint observation."""
         tap = np.rint(joint[..., self._tap_at] * self._farthest)
         relay_v = self._control.target_v * (1.0 + self._band * joint[..., self._relay_at])
-        asked = self._control.taps(*(values.reshape(-1, tap.shape[-1]) for values in (tap, relay_v)))
+        taps = self._control.taps(*(values.reshape(-1, tap.shape[-1]) for values in (tap, relay_v)))
         low, high = self._channel.lowest, self._channel.highest
-        shares = 2.0 * (asked - low) / np.where(high > low, high - low, 1.0) - 1.0
+        shares = 2.0 * (taps - low) / np.where(high > low, high - low, 1.0) - 1.0
         return shares.reshape(tap.shape)
 
 

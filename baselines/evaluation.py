@@ -67,7 +67,7 @@ def hindsight_costs(scenario: Scenario, seeds: Sequence[int], hindsight: Publish
     if missing := hindsight.missing(seeds):
         n = len(hindsight.seeds)
         raise ValueError(f"no score: hindsight is published for {n} episodes, not for seed {missing[0]}")
-    bundled = hindsight.of(seeds)
+    bundled = hindsight.select(seeds)
     if bundled.episode_hashes not in _checked.get(scenario, ()):
         bundled.check_episodes(scenario, len(seeds))
         _checked.setdefault(scenario, set()).add(bundled.episode_hashes)

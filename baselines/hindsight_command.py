@@ -170,8 +170,8 @@ def kept_episodes(folder: Path, scenario: Scenario, best_known: bool = False) ->
     if content is None:
         return {}
     if is_without_bounds(content) != best_known:
-        what = "hindsight costs" if best_known else "best known costs"
-        raise ValueError(f"out: {hindsight_file(folder, scenario.name)} contains {what}; choose another --out")
+        contents = "hindsight costs" if best_known else "best known costs"
+        raise ValueError(f"out: {hindsight_file(folder, scenario.name)} contains {contents}; choose another --out")
     if content["scenario_hash"] != scenario_hash(scenario):
         raise ValueError(
             f"out: {hindsight_file(folder, scenario.name)} belongs to a different scenario named {scenario.name}; move "

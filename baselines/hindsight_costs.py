@@ -52,7 +52,7 @@ class Published(NamedTuple):
         solved_seeds = set(self.seeds.tolist())
         return [seed for seed in seeds if seed not in solved_seeds]
 
-    def of(self, seeds: Sequence[int]) -> Published:
+    def select(self, seeds: Sequence[int]) -> Published:
         """Return the episodes of the given seeds, in that order; all must have been solved."""
         position = {int(seed): i for i, seed in enumerate(self.seeds)}
         index = [position[seed] for seed in seeds]

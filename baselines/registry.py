@@ -231,12 +231,12 @@ def own_controllers(specs: Iterable[str]) -> dict[str, bytes]:
 
     Invalid ones are loaded on the worker, and the error is reported there.
     """
-    found: dict[str, Controller] = {}
+    controllers: dict[str, Controller] = {}
     for _, inner in map(split_prefix, specs):
         if parse(inner) is not None or controller_file(inner) is not None:
             with contextlib.suppress(ValueError):
-                found[inner] = _own_controller(inner)
-    return dict(zip(found, packed(found.values()), strict=True))
+                controllers[inner] = _own_controller(inner)
+    return dict(zip(controllers, packed(controllers.values()), strict=True))
 
 
 def split_prefix(spec: str) -> tuple[str, str]:

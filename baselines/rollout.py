@@ -40,10 +40,10 @@ class ControllerError(OwnCodeError):
     """
 
     def __init__(self, name: str, during: str, cause: BaseException, refuses: str | None = None):
-        plain = isinstance(cause, ActionError) or refuses is not None  # clear without the exception's type
+        is_clear = isinstance(cause, ActionError) or refuses is not None  # clear without the exception's type
         location = place(cause)
-        self.refuses, self.reason = refuses, one_line(cause) if plain else described(cause)
-        self.where, self.traced = f"{during}{location}", not plain
+        self.refuses, self.reason = refuses, one_line(cause) if is_clear else described(cause)
+        self.where, self.traced = f"{during}{location}", not is_clear
         doing = f"fails in {self.where}" if refuses is None else f"cannot drive {refuses}{location}"
         super().__init__(f"controller {name!r} {doing}: {self.reason}")
 
@@ -126,8 +126,8 @@ def streaming_rollout(
     """
     scenario = as_driven(scenario.member(seeds), controller)
 
-    def recorder(scenario: Scenario, begun: Any) -> StreamingRecorder:
-        return StreamingRecorder(scenario, begun, sinks)
+    def recorder(scenario: Scenario, initial: Any) -> StreamingRecorder:
+        return StreamingRecorder(scenario, initial, sinks)
 
     return _driven(scenario, controller, seeds, recorder, on_step, name)
 
@@ -188,18 +188,18 @@ def transitions(
     called = name or type(controller).__name__
     env = DcgridVectorEnv(len(seeds), scenario, info="none")
     observations, _ = env.reset(seed=list(seeds), options=dict(options or {}))
-    _asked(called, "reset", controller.reset, scenario, refuses=scenario.name)
+    _call(called, "reset", controller.reset, scenario, refuses=scenario.name)
     if isinstance(controller, NeedsPlacement):
         index = scenario.feeder.index
         buses = np.array([[index(bus) for bus in bus_ids] for bus_ids in env.buses()])
-        _asked(called, "place", controller.place, buses)
+        _call(called, "place", controller.place, buses)
     try:
         yield env.transition
         while True:
             phases = env.transition.state.three_phase
             if isinstance(controller, NeedsRegulators) and phases is not None:
-                _asked(called, "measure", controller.measure, phases.equipment.regulators)
-            action = _asked(called, "act", action_of, controller, observations)
+                _call(called, "measure", controller.measure, phases.equipment.regulators)
+            action = _call(called, "act", action_of, controller, observations)
             try:
                 observations, *_ = env.step(action)
             except ActionError as error:
@@ -209,10 +209,10 @@ def transitions(
         env.close()
 
 
-def _asked(called: str, during: str, method: Callable[..., Any], *given: Any, refuses: str | None = None) -> Any:
+def _call(called: str, during: str, method: Callable[..., Any], *arguments: Any, refuses: str | None = None) -> Any:
     """Call a controller's method; convert every exception except a keyboard interrupt to a ControllerError."""
     try:
-        return method(*given)
+        return method(*arguments)
     except (Exception, SystemExit) as error:
         refused = refuses if isinstance(error, ValueError) else None
         raise ControllerError(called, during, error, refused) from error

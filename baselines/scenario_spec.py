@@ -140,13 +140,13 @@ def own_scenarios(wheres: Iterable[str]) -> dict[str, Scenario]:
 
     Invalid ones are loaded again where units run, and the error is reported there.
     """
-    found: dict[str, Scenario] = {}
+    scenarios: dict[str, Scenario] = {}
     for name in (name.strip() for where in wheres for name in ([where] if parse(where) else where.split(","))):
         with contextlib.suppress(ValueError):
             base = _base(name)
             if isinstance(base, Scenario):
-                found[name] = base
-    return found
+                scenarios[name] = base
+    return scenarios
 
 
 def _base(where: str) -> str | Scenario:
@@ -225,5 +225,5 @@ def varied(base: str | Scenario, texts: tuple[str, ...], split: str, chosen: Map
 
 def voltage_line(scenario: Scenario, overrides: tuple[str, ...], name: str | None) -> str:
     """Return a line with the source voltage and where it comes from; ``name`` is the scenario that the user named."""
-    asked = read_overrides(overrides).get("source_voltage_pu")
-    return source_line(scenario, source_origin(scenario, asked, name))
+    requested = read_overrides(overrides).get("source_voltage_pu")
+    return source_line(scenario, source_origin(scenario, requested, name))

@@ -77,14 +77,14 @@ def default_voltage(scenario: Scenario) -> Scenario:
     return scenario.replace(source_voltage_pu=centred_voltage(scenario).v_pu)
 
 
-def source_origin(scenario: Scenario, asked: object = None, name: str | None = None, place: str = "--set") -> str:
+def source_origin(scenario: Scenario, requested: object = None, name: str | None = None, place: str = "--set") -> str:
     """Return where a scenario's source voltage comes from, in words.
 
     Parameters
     ----------
     scenario
         The scenario.
-    asked
+    requested
         The user's value of ``source_voltage_pu``, or ``CENTRED``; None for none.
     name
         Scenario that the user named; None if the devices were chosen for the feeder.
@@ -93,18 +93,18 @@ def source_origin(scenario: Scenario, asked: object = None, name: str | None = N
     """
     feeder: Any = scenario.feeder
     if isinstance(feeder, RandomFeeders):
-        return f"set by {place}" if asked is not None else f"from scenario {name}"
+        return f"set by {place}" if requested is not None else f"from scenario {name}"
     bundled = is_bundled(feeder)
     file = f"the bundled feeder {feeder.name}" if bundled else f"the file of feeder {feeder.name}"
     if feeder.folder is not None and not bundled:
         file = f"{feeder.folder.name}/feeder.toml"
     has = f"{file} has {feeder.v0_pu:.6g} p.u."
-    if asked == CENTRED and acting_relays(scenario) is not None:
+    if requested == CENTRED and acting_relays(scenario) is not None:
         kept = source_origin(scenario, None, name, place)
         return f"{kept}, not {CENTRED} as {place} asks, because regulators act"
-    if asked == CENTRED:
+    if requested == CENTRED:
         return f"{CENTRED} as {place} asks; {has}"
-    if asked is not None:
+    if requested is not None:
         return f"set by {place}; {has}"
     if scenario.source_voltage_pu == feeder.v0_pu:
         return f"from {file}"

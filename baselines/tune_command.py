@@ -85,12 +85,14 @@ class Tune(OverWorkers):
             raise ValueError(f"laws: must name at least one law, got {self.laws!r}; {there}")
         place = self.place
         groups = [tuple(specs)] if self.together else [(name,) for name in specs]
-        asked = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
+        searches = [Search(law, group, tuple(specs[name] for name in group)) for group in groups for law in laws]
         if self.laws.strip() == "all":  # laws that apply; a named law that does not apply raises an error
-            asked = [search for search in asked if all(TUNABLE[search.law].fits(s.make(SPLIT)) for s in search.specs)]
+            searches = [
+                search for search in searches if all(TUNABLE[search.law].fits(s.make(SPLIT)) for s in search.specs)
+            ]
         _kept(self.out)  # raise ValueError for another kind of file before a folder is created
         with alone_in(self.out.parent, "dcgrid tune"):
-            _search(self, asked, place)
+            _search(self, searches, place)
 
 
 class Search(NamedTuple):
@@ -106,21 +108,21 @@ class Search(NamedTuple):
         return ",".join(self.names)
 
 
-def _search(cfg: Tune, asked: Sequence[Search], place: Place) -> None:
+def _search(cfg: Tune, searches: Sequence[Search], place: Place) -> None:
     """Run the remaining searches, and write the file after each."""
     from dcgrid_env.baselines.carried import carried
     from dcgrid_env.core.work.unit import Unit
 
     kept = _kept(cfg.out)
-    due = [search for search in asked if cfg.again or not _stands(kept, search, cfg.episodes)]
+    due = [search for search in searches if cfg.again or not _is_tuned(kept, search, cfg.episodes)]
     console = plain_console()
-    if len(due) < len(asked):
-        done = len(asked) - len(due)
+    if len(due) < len(searches):
+        done = len(searches) - len(due)
         console.print(
-            f"kept {done} of {len(asked)} results that are already in {cfg.out}; --again repeats the searches"
+            f"kept {done} of {len(searches)} results that are already in {cfg.out}; --again repeats the searches"
         )
     with progress_bar(console) as progress:
-        bar = progress.add_task("laws tuned", total=len(asked), completed=len(asked) - len(due))
+        bar = progress.add_task("laws tuned", total=len(searches), completed=len(searches) - len(due))
         units = [Unit(f"{search.law} of {search.key}", partial(_tuned, cfg.episodes), search) for search in due]
         shared = carried(place, [spec.where for search in due for spec in search.specs])
         for unit, entry in place.results(units, shared):
@@ -175,7 +177,7 @@ def _command(search: Search, episodes: int) -> str:
     return shlex.join([*words, "--episodes", str(episodes), *(["--together"] if len(search.names) > 1 else [])])
 
 
-def _stands(kept: Laws, search: Search, episodes: int) -> bool:
+def _is_tuned(kept: Laws, search: Search, episodes: int) -> bool:
     """Return whether the file has the result of this exact search."""
     entry = kept.get(search.law, {}).get(search.key, {})
     wanted = {"command": _command(search, episodes), **_identity(search)}

@@ -84,14 +84,14 @@ def _literal(node: ast.expr) -> Any:
         raise ValueError(f"{ast.unparse(node)!r} is no literal") from None
 
 
-def load(reference: CodeReference, what: str) -> object:
+def load(reference: CodeReference, subject: str) -> object:
     """Import the module of a reference and return the named object.
 
     Parameters
     ----------
     reference
         Reference to the object.
-    what
+    subject
         Beginning of error messages, for example ``controller 'own.py:Law'``.
 
     Raises
@@ -102,25 +102,25 @@ def load(reference: CodeReference, what: str) -> object:
         If the import fails.
     """
     if reference.path and not is_file(reference.path, ValueError):
-        raise ValueError(f"{what}: there is no file {reference.where}; give the path of one")
+        raise ValueError(f"{subject}: there is no file {reference.where}; give the path of one")
     try:
         module = _from_file(reference.path) if reference.path else _from_module(reference.where)
     except (Exception, SystemExit) as error:
-        raise OwnCodeError(f"{what}: importing {reference.where} fails{place(error)}: {described(error)}") from error
+        raise OwnCodeError(f"{subject}: importing {reference.where} fails{place(error)}: {described(error)}") from error
     if not hasattr(module, reference.name):
         defined_names = [
             name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
         ]
         raise ValueError(
-            f"{what}: {module.__file__} has no {reference.name!r}; it has {', '.join(defined_names) or 'nothing'}"
+            f"{subject}: {module.__file__} has no {reference.name!r}; it has {', '.join(defined_names) or 'nothing'}"
         )
     return getattr(module, reference.name)
 
 
 def _from_module(dotted: str) -> ModuleType:
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
+    folder = str(Path.cwd())
+    if folder not in sys.path:
+        sys.path.append(folder)
     return importlib.import_module(dotted)
 
 

@@ -67,7 +67,7 @@ class RowsOnDemand:
     @property
     def requests(self) -> dict[int, RequestTimes]:
         """The requests behind the rows made so far, by row; empty where the source is not made of requests."""
-        return {row: found for row, found in self._requests.items() if found is not None}
+        return {row: times for row, times in self._requests.items() if times is not None}
 
     @property
     def provenance(self) -> tuple[Provenance, ...]:

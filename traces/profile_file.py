@@ -123,12 +123,13 @@ def read_classes(path: str | Path) -> dict[str, str]:
     if not is_file(path, TraceError):
         raise TraceError(f"{path}: there is no such file; give a CSV file with the class of each load")
     raw = _csv(path)
-    of, to = (("load", "bus", "node", "id"), ("class", "profile"))
-    key = next((name for name in of if name in raw.header), None)
-    value = next((name for name in to if name in raw.header), None)
+    id_columns, class_columns = (("load", "bus", "node", "id"), ("class", "profile"))
+    key = next((name for name in id_columns if name in raw.header), None)
+    value = next((name for name in class_columns if name in raw.header), None)
     if key is None or value is None:
         raise TraceError(
-            f"{path}: the columns are {', '.join(raw.header)}; give one of {', '.join(of)} and one of {', '.join(to)}"
+            f"{path}: the columns are {', '.join(raw.header)}; give one of {', '.join(id_columns)} "
+            f"and one of {', '.join(class_columns)}"
         )
     classes: dict[str, str] = {}
     keys, values = (raw.columns[raw.header.index(name)] for name in (key, value))
@@ -196,7 +197,7 @@ def _times(name: str, raw: _Raw) -> tuple[FloatArray, str]:
     return times * scale, ""
 
 
-def seconds_of_dates(name: str, cells: Sequence[Any]) -> tuple[FloatArray, str]:
+def date_seconds(name: str, cells: Sequence[Any]) -> tuple[FloatArray, str]:
     """Return the times of dates, s since the midnight before the first one, (row,), and the date of the first one.
 
     Parameters
@@ -221,7 +222,7 @@ def seconds_of_dates(name: str, cells: Sequence[Any]) -> tuple[FloatArray, str]:
 def _seconds(
     cells: Sequence[Any], refuse: Callable[[int, str], TraceError], names: Sequence[Any] | None = None
 ) -> tuple[FloatArray, str]:
-    """Return times and the first date as ``seconds_of_dates`` does; ``names`` has the series of each row."""
+    """Return times and the first date as ``date_seconds`` does; ``names`` has the series of each row."""
     dates: list[datetime] = []
     for i, cell in enumerate(cells):
         try:
@@ -313,16 +314,16 @@ def _long(name: str, raw: _Raw, times_s: FloatArray, day: str) -> ProfileTable:
         )
     kinds = [str(cell) for cell in raw.columns[1]]
     names = list(dict.fromkeys(kinds))
-    times, time_of_row = np.unique(times_s, return_inverse=True)
+    times, row_time = np.unique(times_s, return_inverse=True)
     position = {kind: i for i, kind in enumerate(names)}
-    kind_of_row = np.array([position[kind] for kind in kinds], np.int64)
+    row_kind = np.array([position[kind] for kind in kinds], np.int64)
     line_of = np.full((len(times), len(names)), -1, np.int64)
     last = np.full(len(names), -np.inf)
 
     def place(i: int) -> str:
         return f"{name}, {raw.unit} {raw.lines[i]}"
 
-    for i, (t, k) in enumerate(zip(time_of_row.tolist(), kind_of_row.tolist(), strict=True)):
+    for i, (t, k) in enumerate(zip(row_time.tolist(), row_kind.tolist(), strict=True)):
         if times_s[i] <= last[k]:
             how = "a second sample" if line_of[t, k] >= 0 else "a sample after a later one"
             raise TraceError(

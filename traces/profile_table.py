@@ -106,10 +106,10 @@ class ProfileTable:
 
     def clock_h(self, hour: FloatArray) -> FloatArray:
         """Return what the file's clock shows at times, h since the midnight before the first sample."""
-        at, ahead_h = zip((-np.inf, 0.0), *self.clock_changes, strict=True)
-        return hour + np.array(ahead_h)[np.searchsorted(at, hour + 1e-9, side="right") - 1]
+        changes_h, ahead_h = zip((-np.inf, 0.0), *self.clock_changes, strict=True)
+        return hour + np.array(ahead_h)[np.searchsorted(changes_h, hour + 1e-9, side="right") - 1]
 
-    def at(self, hour: FloatArray, *, linear: bool, repeat: bool) -> FloatArray:
+    def values_at(self, hour: FloatArray, *, linear: bool, repeat: bool) -> FloatArray:
         """Return the values at times, (row, column).
 
         Parameters
@@ -126,14 +126,14 @@ class ProfileTable:
         first = np.floor(position + _ROUNDING)
         index = first.astype(np.int64)
         if repeat:
-            here, coming = index % n, (index + 1) % n
+            index_now, index_next = index % n, (index + 1) % n
         else:
-            here, coming = np.clip(index, 0, n - 1), np.clip(index + 1, 0, n - 1)
-        found = self.values[here]
+            index_now, index_next = np.clip(index, 0, n - 1), np.clip(index + 1, 0, n - 1)
+        values = self.values[index_now]
         if linear:
             part = np.maximum(position - first, 0.0)[:, None]
-            found = found + part * (self.values[coming] - found)
-        return found
+            values = values + part * (self.values[index_next] - values)
+        return values
 
 
 def checked_table(

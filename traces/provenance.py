@@ -39,9 +39,9 @@ class Provenance:
 
 def generated(generator: str, seed: int, duration_s: float, **params: object) -> Provenance:
     """Provenance of a generated trace; dataclasses among `params` are taken apart."""
-    parameters = {"duration_s": float(duration_s)} | {name: _plain(value) for name, value in params.items()}
+    parameters = {"duration_s": float(duration_s)} | {name: _to_plain(value) for name, value in params.items()}
     return Provenance(f"generator {generator}", seed=int(seed), parameters=parameters)
 
 
-def _plain(value: object) -> Plain:
+def _to_plain(value: object) -> Plain:
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value

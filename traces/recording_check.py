@@ -112,12 +112,12 @@ class RecordingReport:
 
     def lines(self) -> list[str]:
         """Return the findings as text, a line each."""
-        what = "peak, as the rating is unknown" if self.rated_kw is None else "rating"
+        reference = "peak, as the rating is unknown" if self.rated_kw is None else "rating"
         gaps = "none"
         if self.gaps:
             gaps = f"{self.gaps}, the longest {self.longest_gap_s:g} s, {self.gap_share:.2%} of the time"
             gaps += f" ({self.gap_meter})" if self.gap_meter else ""
-        found = ", ".join(
+        stretches = ", ".join(
             f"{self._level(s.level_kw)} for {s.duration_s:g} s from {s.begin_s:g} s" for s in self.constant
         )
         ramps = ", ".join(
@@ -131,9 +131,9 @@ class RecordingReport:
             f"duration: {self.duration_s:g} s, {self.samples} samples",
             f"sampling: every {self.interval_s:.4g} s{each}, jitter {self.jitter_s:.3f} s (95 %)",
             f"gaps of more than {GAP_INTERVALS:g} intervals: {gaps}; a sample holds until the next",
-            f"constant: {found or 'no long stretch'}; no power for {self.zero_share:.1%} of the time",
+            f"constant: {stretches or 'no long stretch'}; no power for {self.zero_share:.1%} of the time",
             f"rating: {'power is in shares of it' if self.is_share else rating}",
-            f"power: {', '.join(f'{name} {self._level(kw)}' for name, kw in levels)}; shares of the {what}",
+            f"power: {', '.join(f'{name} {self._level(kw)}' for name, kw in levels)}; shares of the {reference}",
             f"ramps over {self.dt_s:g} s: {ramps}",
             f"independent windows of {self.needed_s:g} s: "
             + ", ".join(f"{split} {count}" for split, count in self.windows.items()),
@@ -146,51 +146,51 @@ class RecordingReport:
 
     def warnings(self) -> list[str]:
         """Return findings that a user should act on, a line each."""
-        found = []
+        texts = []
         if short := [split for split, count in self.windows.items() if count == 0]:
-            found.append(
+            texts.append(
                 f"the splits {', '.join(short)} are too short for an episode of {self.needed_s:g} s; record at least "
                 f"{self.needed_s / 0.2:.0f} s, or shorten the episode (--horizon); run, check, capacity and study use "
                 "all of a recording and repeat a short one"
             )
         elif few := [split for split, count in self.windows.items() if count < 5]:
-            found.append(
+            texts.append(
                 f"few independent windows in {', '.join(few)}; results there depend on a few stretches of time"
             )
         if self.interval_s > self.dt_s * SLOWER:
-            found.append(
+            texts.append(
                 f"samples are {self.interval_s:g} s apart, the environment's step is {self.dt_s:g} s; ramps faster "
                 "than the sampling are missing, and each change falls into one step"
             )
         if self.gap_share > 0.01:
-            found.append(f"{self.gap_share:.1%} of the time is in gaps, in which the power is constant")
+            texts.append(f"{self.gap_share:.1%} of the time is in gaps, in which the power is constant")
         if self.is_share:
-            found.append("the power is in shares of a rating; pass --rated-kw to have it in kW")
+            texts.append("the power is in shares of a rating; pass --rated-kw to have it in kW")
         elif self.rated_kw is None:
-            found.append("the rating is unknown, so the peak stands for it; pass --rated-kw if the site can draw more")
+            texts.append("the rating is unknown, so the peak stands for it; pass --rated-kw if the site can draw more")
             if self.peak_kw > PEAK_TIMES * self.usual_peak_kw:
-                found.append(
+                texts.append(
                     f"the peak of {self.peak_kw:.4g} kW stands for the rating, but the power exceeds "
                     f"{self.usual_peak_kw:.4g} kW for {1 - USUAL_QUANTILE:.1%} of the time only; check that it is no "
                     "error of the meter, or pass --rated-kw"
                 )
         elif self.peak_kw > self.rated_kw * (1 + 1e-9):
-            found.append(
+            texts.append(
                 f"the peak of {self.peak_kw:g} kW exceeds the rating of {self.rated_kw:g} kW; correct --rated-kw"
             )
         if self.never_falls:
-            found.append(
+            texts.append(
                 "the power rises all the time and never falls, as a counter of energy does; check that the file "
                 "contains power"
             )
         if self.below_idle_share > 0.01:
-            found.append(
+            texts.append(
                 f"{self.below_idle_share:.1%} of the time is below the site's idle power, which no clock reduces; see "
                 "datacenters.idle_share"
             )
         if self.zero_share > 0:
-            found.append("the power is 0 at times; check for an outage of the meter, or cut the file there")
-        return found
+            texts.append("the power is 0 at times; check for an outage of the meter, or cut the file there")
+        return texts
 
 
 def check_recording(trace: PowerTrace, dt_s: float, needed_s: float, site_idle_share: float) -> RecordingReport:

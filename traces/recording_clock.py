@@ -55,7 +55,7 @@ def clock_of(trace: PowerTrace) -> Clock | None:
 def _utc_s(text: object) -> float:
     """Seconds since 1970 of a date and time, which counts as UTC without an offset; 0 for anything else."""
     try:
-        at = datetime.fromisoformat(str(text))
+        moment = datetime.fromisoformat(str(text))
     except ValueError:
         return 0.0
-    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

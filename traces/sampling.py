@@ -37,15 +37,15 @@ def sampling_of(times_s: Mapping[str, FloatArray]) -> Sampling:
     ----------
     times_s : times of the samples of each meter by name, (n,) float64 each, s; at least one meter has two samples.
     """
-    found = {meter: _of_one(times) for meter, times in times_s.items() if len(times) > 1}
-    worst = max(found, key=lambda meter: found[meter].gap_s)
+    samplings = {meter: _of_one(times) for meter, times in times_s.items() if len(times) > 1}
+    worst = max(samplings, key=lambda meter: samplings[meter].gap_s)
     return Sampling(
-        interval_s=float(np.median([sampling.interval_s for sampling in found.values()])),
-        jitter_s=float(np.median([sampling.jitter_s for sampling in found.values()])),
-        gaps=found[worst].gaps,
-        longest_gap_s=found[worst].longest_gap_s,
-        gap_s=found[worst].gap_s,
-        meter=worst if len(times_s) > 1 and found[worst].gaps else "",
+        interval_s=float(np.median([sampling.interval_s for sampling in samplings.values()])),
+        jitter_s=float(np.median([sampling.jitter_s for sampling in samplings.values()])),
+        gaps=samplings[worst].gaps,
+        longest_gap_s=samplings[worst].longest_gap_s,
+        gap_s=samplings[worst].gap_s,
+        meter=worst if len(times_s) > 1 and samplings[worst].gaps else "",
         meters=len(times_s),
     )
 

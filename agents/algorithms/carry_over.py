@@ -125,7 +125,7 @@ class LawGradient(LawStep):
 
     def _slopes(self, v: torch.Tensor, inverse: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Slope of the expected cost by each expected voltage, and its slope; see ``VoltagePrice``."""
-        price = VoltagePrice.of(self.scenario)
+        price = VoltagePrice.from_scenario(self.scenario)
         x, b, phi = (v - 1.0) * inverse, price.band_pu * inverse, torch.special.ndtr
         slope = price.voltage * (2.0 * phi(x) - 1.0) + price.violation * (phi(x - b) - phi(-x - b))
         density = [torch.exp(-0.5 * z.detach() ** 2) / (2.0 * np.pi) ** 0.5 for z in (x, x - b, x + b)]

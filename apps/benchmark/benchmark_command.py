@@ -116,7 +116,7 @@ def _beforehand(
     return said
 
 
-def _controllers(asked: str, case: Case) -> list[str]:
+def _controllers(names_text: str, case: Case) -> list[str]:
     """Return the controllers in table order: the reference, static rules, then the order of the option."""
     from dcgrid_env.agents.controllers import TRAINED
     from dcgrid_env.baselines import CONTROLLERS, TUNED
@@ -125,11 +125,12 @@ def _controllers(asked: str, case: Case) -> list[str]:
     by_hand = [*CONTROLLERS, *TUNED]
     groups = {"all": by_hand, "policies": [*TRAINED]}
     names: list[str] = []
-    for name in split_names(asked):
+    for name in split_names(names_text):
         names += filter(_is_local, by_hand) if name == "local" else groups.get(name, [name])
     if not names:
         raise ValueError(
-            f"controllers: must name at least one, got {asked!r}; choose names (dcgrid list), local, all or policies"
+            f"controllers: must name at least one, got {names_text!r}; choose names (dcgrid list), local, all "
+            "or policies"
         )
     for name in names:
         if name not in by_hand and name not in TRAINED:
@@ -174,11 +175,11 @@ def _run(
         before = sum(unit.episodes for unit in done)
         total = before + sum(task.unit.episodes for task in tasks)
         bar = progress.add_task("episodes", total=total, completed=before)
-        for of, record in place.run(units, shared):
-            unit = of.item.unit
+        for finished, record in place.run(units, shared):
+            unit = finished.item.unit
             if isinstance(record, work.Lost):
                 failed[unit] = f"failed: {record.reason}"
-                lost[of.key] = record
+                lost[finished.key] = record
             elif "failure" in record:
                 failed[unit] = record["failure"]
             else:

@@ -138,7 +138,7 @@ def _scores(ax: Axes, rows: Mapping[str, Summary], names: Sequence[str]) -> None
             ax.plot(score.value, y, marker="o", color=colour, markersize=4.5)
     ax.set_yticks(range(len(names)), [short(name) for name in names], fontsize=8)
     ax.tick_params(axis="x", labelsize=8)
-    _plain(ax)
+    _without_spines(ax)
 
 
 def scenario_figure(summary: ScenarioSummary, voltages: Mapping[str, np.ndarray], band_pu: float) -> Figure:
@@ -175,7 +175,7 @@ def _pareto(ax: Axes, rows: Sequence[Summary], line: float) -> None:
     ax.set_xlabel("mean delay of work (s)")
     ax.set_ylabel("mean |V - 1| (p.u.)")
     ax.set_title("voltage against delay (blue: Pareto front; lower left is better)", fontsize=9)
-    _plain(ax)
+    _without_spines(ax)
 
 
 def _names_at_the_side(
@@ -240,10 +240,10 @@ def _violins(ax: Axes, names: Sequence[str], voltages: Mapping[str, np.ndarray],
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set_xlabel("voltage of all buses and steps (p.u.)")
     ax.set_title("voltages (tick: median, thick: 25 to 75 %, thin: 1 to 99 %, dots: extremes)", fontsize=9, loc="right")
-    _plain(ax)
+    _without_spines(ax)
 
 
-def _plain(ax: Axes) -> None:
+def _without_spines(ax: Axes) -> None:
     ax.grid(alpha=0.25, linewidth=0.6)
     ax.set_axisbelow(True)
     ax.spines[["top", "right"]].set_visible(False)

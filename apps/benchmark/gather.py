@@ -76,7 +76,7 @@ def gather(
             voltages[unit.controller][first : first + len(counts)] += counts
         hindsight, doubt = published(case.scenario()), no_hindsight(case, episodes, published)
         if hindsight is not None and doubt is None:
-            hindsight = hindsight.of(range(episodes))
+            hindsight = hindsight.select(range(episodes))
             try:
                 hindsight.check_episodes(case.scenario(), episodes)
             except ValueError as error:

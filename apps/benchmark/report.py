@@ -58,8 +58,8 @@ def _replayed(name: str, worst: Replay, drawn: tuple[bytes, ...] | str) -> list[
         return [f"<p class=note>{html.escape(drawn)}</p>"]
     parts = []
     for seed, png in zip(worst.seeds, drawn, strict=True):
-        whose = html.escape(" and of ".join(law for law, costliest in worst.costliest.items() if costliest == seed))
-        parts.append(f"<p>The worst episode of {whose} (seed {seed}, where J is highest), replayed:</p>")
+        laws = html.escape(" and of ".join(law for law, costliest in worst.costliest.items() if costliest == seed))
+        parts.append(f"<p>The worst episode of {laws} (seed {seed}, where J is highest), replayed:</p>")
         parts.append(f"<p>{image(png, f'Seed {seed} of {name}')}</p>")
     return parts
 

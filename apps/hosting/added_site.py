@@ -44,7 +44,7 @@ class AddedSite:
         first = self.scenario(0)
         self.agent = first.agents.index(f"dc_{self.slot}")
         """Position of the site among the agents."""
-        self._buses = self._buses_of_samples(first)
+        self._buses = self._sample_buses(first)
 
     def mw(self, size: int) -> float:
         """Convert a size to MW."""
@@ -60,7 +60,7 @@ class AddedSite:
         fields = self.study.window_fields | ({"background.load_sigma": 0.0} if still else {})
         return with_sites(self.study, free_bus(self.study), (self.mw(size),), **fields)
 
-    def _buses_of_samples(self, scenario: Scenario) -> np.ndarray:
+    def _sample_buses(self, scenario: Scenario) -> np.ndarray:
         """Position of each agent's bus in each sample, (sample, n_agent): as fixed in the study's scenario or drawn."""
         n = len(self.windows)
         drawn = any(device.buses is None and device.count for device in scenario.devices)

@@ -106,7 +106,7 @@ class BusSearch:
         if before is not None and request.size == before[0].size:  # the others of its samples
             samples = np.concatenate((before[0].samples, request.samples))
             order = np.argsort(samples)
-            request, trial = Request(request.size, samples[order]), Trial.joined([before[1], trial]).of(order)
+            request, trial = Request(request.size, samples[order]), Trial.joined([before[1], trial]).select(order)
         fails, whole = int(trial.outside.sum()) > self._allowed, len(request.samples) == len(self._every)
         self._guess, self._tries = None, self._tries + 1
         margins = trial.margins.min(axis=0)

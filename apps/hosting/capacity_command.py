@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import FeederRequest, scenario_on_feeder
 from dcgrid_env.core.commands.names import split_names
 from dcgrid_env.core.commands.progress import progress_bar
 from dcgrid_env.core.commands.settings import Overrides, check_folder
@@ -137,10 +137,12 @@ class Capacity(OverWorkers):
             total = len(study.candidates()) * (1 + len(outages))
             tasks = {name: progress.add_task(name, total=total) for name in names}
 
-            def capacities(of: Study) -> Capacities:
-                return hosting_capacity(of, names, place, self.tuned, lambda name, n: progress.advance(tasks[name], n))
+            def capacities(variant: Study) -> Capacities:
+                return hosting_capacity(
+                    variant, names, place, self.tuned, lambda name, n: progress.advance(tasks[name], n)
+                )
 
-            found = capacities(study)
+            result = capacities(study)
             by_outage = {name: capacities(study.with_outage(changed)) for name, changed in outages.items()}
             at_once = []
             if self.together is not None:
@@ -152,23 +154,23 @@ class Capacity(OverWorkers):
                     )
         source = voltage_line(study.scenario, self.set, self.scenario)
         say(console, source)
-        tables = [capacity_table(found)]
-        tables += [outages_table(found, by_outage)] if by_outage else []
+        tables = [capacity_table(result)]
+        tables += [outages_table(result, by_outage)] if by_outage else []
         tables += [together_table(at_once)] if at_once else []
         for table in tables:
             console.print(table.rich(console.width))
             for note in table.notes:
                 console.print(note)
-        for line in file_lines(AddedSite(study, found.windows).scenario(0)):
+        for line in file_lines(AddedSite(study, result.windows).scenario(0)):
             console.print(line)
-        figure = capacity_maps(found)  # before anything is written
-        write_text(self.out / "capacity.csv", capacity_csv(found))
+        figure = capacity_maps(result)  # before anything is written
+        write_text(self.out / "capacity.csv", capacity_csv(result))
         written = ["capacity.csv", "results.json", "capacity.png"]
         if by_outage:
             write_text(self.out / "outages.csv", outages_csv(by_outage))
             written.insert(1, "outages.csv")
         more = {"together": [asdict(one) for one in at_once]} if at_once else {}
-        write_json(self.out / "results.json", {"meta": meta(), "source_voltage": source, **record(found), **more})
+        write_json(self.out / "results.json", {"meta": meta(), "source_voltage": source, **record(result), **more})
         write_figure(self.out / "capacity.png", figure, dpi=130)
         paths = [str(self.out / name) for name in written]
         say(console, f"wrote {', '.join(paths[:-1])} and {paths[-1]}")
@@ -213,7 +215,9 @@ def _scenario(cfg: Capacity) -> Scenario:
     chosen: dict[str, Any] = {} if cfg.trace is None else {"trace": cfg.trace}
     feeder, scenario = cfg.feeder, cfg.scenario
     if feeder is not None:
-        return engineering_scenario(lambda split: scenario_on_feeder(Asked(feeder, scenario), cfg.set, split, chosen))
+        return engineering_scenario(
+            lambda split: scenario_on_feeder(FeederRequest(feeder, scenario), cfg.set, split, chosen)
+        )
     if scenario is None:
         raise ValueError("feeder: must be given, or --scenario; pass --feeder with a feeder's name or folder")
     return engineering_scenario(lambda split: ScenarioSpec(scenario, cfg.set).make(split, **chosen))

@@ -9,13 +9,13 @@ from dcgrid_env.apps.hosting.hosting import Capacities
 from dcgrid_env.rendering import capacity_figure
 
 
-def capacity_maps(found: Capacities) -> Figure:
+def capacity_maps(capacities: Capacities) -> Figure:
     """Draw one map per controller, all with the same colour scale."""
-    feeder = found.study.scenario.feeder
+    feeder = capacities.study.scenario.feeder
     maps = {}
-    for name in found.controllers:
+    for name in capacities.controllers:
         mw = np.full(feeder.n_bus, np.nan)
-        mw[[feeder.index(bus) for bus in found.buses]] = [c.capacity_mw for c in found.by_controller[name]]
+        mw[[feeder.index(bus) for bus in capacities.buses]] = [c.capacity_mw for c in capacities.by_controller[name]]
         maps[name] = mw
-    limits = f"{found.study.v_min_pu:g} to {found.study.v_max_pu:g} p.u."
+    limits = f"{capacities.study.v_min_pu:g} to {capacities.study.v_max_pu:g} p.u."
     return capacity_figure(feeder, maps, f"{feeder.name}: largest data centre at a bus within {limits}")

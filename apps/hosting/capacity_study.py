@@ -130,7 +130,7 @@ class Study:
         self._require("loading_max_pct", _finite(self.loading_max_pct) and self.loading_max_pct > 0.0, "give > 0 %")
         allowed = _finite(self.allowed_pct) and 0.0 <= self.allowed_pct < 100.0
         self._require("allowed_pct", allowed, "give a share from 0 to less than 100 %")
-        for name, what in (
+        for name, meaning in (
             ("tolerance_mw", "a size > 0 MW"),
             ("max_mw", "a size > 0 MW"),
             ("voltage_step_max_pct", "a change > 0 %"),
@@ -138,7 +138,7 @@ class Study:
             ("loss_max_kw", "a loss > 0 kW"),
         ):
             value = getattr(self, name)
-            self._require(name, value is None or (_finite(value) and value > 0.0), f"give {what}, or None")
+            self._require(name, value is None or (_finite(value) and value > 0.0), f"give {meaning}, or None")
         regulators = getattr(self.scenario.feeder, "n_regulator", 0)
         taps_fit = self.taps_max_per_hour is None or regulators > 0
         self._require("taps_max_per_hour", taps_fit, "the feeder has no regulators; give None")
@@ -262,10 +262,12 @@ class Study:
         feeder = self.scenario.feeder
         if not buses:
             raise ValueError("buses is empty; name at least one, or leave it out for the load buses")
-        found = [feeder.index(bus) for bus in buses]
-        if 0 in found:
-            raise ValueError(f"buses has the substation {buses[found.index(0)]!r}, where the source is; choose another")
-        return np.array(list(dict.fromkeys(found)), dtype=np.int64)
+        positions = [feeder.index(bus) for bus in buses]
+        if 0 in positions:
+            raise ValueError(
+                f"buses has the substation {buses[positions.index(0)]!r}, where the source is; choose another"
+            )
+        return np.array(list(dict.fromkeys(positions)), dtype=np.int64)
 
 
 def _finite(value: object) -> bool:

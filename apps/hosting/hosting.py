@@ -82,7 +82,7 @@ class Capacities:
     """Notes on the controllers."""
 
 
-class _Asked(NamedTuple):
+class _BusRequest(NamedTuple):
     """A bus, and the size and the windows to try first there."""
 
     bus: int
@@ -95,7 +95,7 @@ class _Asked(NamedTuple):
 class _Task:
     controller: str
     tuned: Path | None
-    asked: tuple[_Asked, ...]
+    requests: tuple[_BusRequest, ...]
 
 
 def hosting_capacity(
@@ -151,31 +151,31 @@ def hosting_capacity(
     shot = {unit.key: result for unit, result in place.results(shots, values, how_to_go_on="")}
     snapshot, worst = zip(*(result for unit in shots for result in shot[unit.key]), strict=True)
     windows = with_worst_hours(study, reasons([str(bus_ids[bus]) for bus in buses], worst))
-    guesses = [max(1, round(found.capacity_mw / study.step_mw)) for found in snapshot]
+    guesses = [max(1, round(capacity.capacity_mw / study.step_mw)) for capacity in snapshot]
     site = AddedSite(study, windows)
     site.exempt = overloaded_nodes(site)
     critical = critical_samples(site, buses, guesses)
     tasks = [
-        _Task(name, tuned, tuple(_Asked(int(buses[i]), guesses[i], critical[i], snapshot[i]) for i in part))
+        _Task(name, tuned, tuple(_BusRequest(int(buses[i]), guesses[i], critical[i], snapshot[i]) for i in part))
         for name in sorted(names, key=lambda name: not name.startswith(_SLOW))
         for part in parts
     ]
-    found: dict[tuple[str, str], BusCapacity] = {}
+    capacities: dict[tuple[str, str], BusCapacity] = {}
     units = [
-        Unit(f"{task.controller} at buses {_span(bus_ids, [asked.bus for asked in task.asked])}", _work, task)
+        Unit(f"{task.controller} at buses {_span(bus_ids, [request.bus for request in task.requests])}", _work, task)
         for task in tasks
     ]
     values = {_STUDY: study, _WINDOWS: windows, _EXEMPT: site.exempt} | carried(place, (), names, tuned)
     for unit, result in place.results(units, values, how_to_go_on=""):
         task = unit.item
-        found |= {(task.controller, capacity.bus): capacity for capacity in result}
+        capacities |= {(task.controller, capacity.bus): capacity for capacity in result}
         if on_buses is not None:
             on_buses(task.controller, len(result))
     ids = tuple(bus_ids[bus] for bus in buses)
-    by_controller = {name: tuple(found[name, bus] for bus in ids) for name in names}
+    by_controller = {name: tuple(capacities[name, bus] for bus in ids) for name in names}
     feeder = study.scenario.feeder
-    fed = np.unique(np.asarray(feeder.node_bus)[site.exempt[: feeder.n_node]])
-    overloaded = tuple(feeder.branch_names[bus - 1] for bus in fed)
+    overloaded_buses = np.unique(np.asarray(feeder.node_bus)[site.exempt[: feeder.n_node]])
+    overloaded = tuple(feeder.branch_names[bus - 1] for bus in overloaded_buses)
     return Capacities(study, ids, names, by_controller, tuple(snapshot), windows, overloaded, notes)
 
 
@@ -187,12 +187,12 @@ def critical_samples(site: AddedSite, buses: np.ndarray, sizes: Sequence[int]) -
     by_size = dict[int, list[int]]()
     for i, size in enumerate(sizes):
         by_size.setdefault(size, []).append(i)
-    found: list[tuple[int, ...]] = [()] * len(buses)
+    critical: list[tuple[int, ...]] = [()] * len(buses)
     for size, bus_positions in by_size.items():
-        asked = [(int(buses[i]), np.arange(len(site.windows))) for i in bus_positions]
-        for i, trial in zip(bus_positions, trials(site, NoControl(), size, asked, SNAPSHOT), strict=True):
-            found[i] = tuple(worst_samples(trial).tolist())
-    return found
+        bus_samples = [(int(buses[i]), np.arange(len(site.windows))) for i in bus_positions]
+        for i, trial in zip(bus_positions, trials(site, NoControl(), size, bus_samples, SNAPSHOT), strict=True):
+            critical[i] = tuple(worst_samples(trial).tolist())
+    return critical
 
 
 def _shared_out(n: int, parts: int) -> list[np.ndarray]:
@@ -210,7 +210,7 @@ def _snapshots(buses: np.ndarray) -> list[tuple[BusCapacity, list[float]]]:
 def _work(task: _Task) -> list[BusCapacity]:
     study = shared(_STUDY)
     controller, _ = study_controller(task.controller, study.scenario, task.tuned)
-    buses, guesses, critical, snapshot = zip(*task.asked, strict=True)
+    buses, guesses, critical, snapshot = zip(*task.requests, strict=True)
     # Nothing but control can make more room than a power flow of the worst hour shows.
     bounded = task.controller == UNCONTROLLED and not study.allowed_pct
     return search_buses(

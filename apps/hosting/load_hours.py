@@ -118,7 +118,7 @@ def load_hours(study: Study) -> LoadHours:
     settled. The result is kept on the study, also where that is sent to another process.
     """
     if _CACHE not in study.__dict__:
-        study.__dict__[_CACHE] = _found(study)
+        study.__dict__[_CACHE] = _find_hours(study)
     return study.__dict__[_CACHE]
 
 
@@ -158,8 +158,8 @@ def with_worst_hours(study: Study, limiting: Mapping[float, str]) -> Windows:
     limiting
         Reasons for further hours by their time, h, such as those that limit the site at a bus.
     """
-    sampled, found = sampled_windows(study), load_hours(study)
-    reasons = {float(found.hours[i]): found.reasons[i] for i in found.named()}
+    sampled, extremes = sampled_windows(study), load_hours(study)
+    reasons = {float(extremes.hours[i]): extremes.reasons[i] for i in extremes.named()}
     for hour, reason in limiting.items():
         reasons.setdefault(hour, reason)
     every = (*sampled.reasons, *reasons.values())
@@ -167,7 +167,7 @@ def with_worst_hours(study: Study, limiting: Mapping[float, str]) -> Windows:
         return Windows(None, None, every, 0)
     hours = np.array(list(reasons))
     begin_h = np.concatenate((sampled.begin_h, window_begins(study, hours)))
-    return Windows(begin_h, np.concatenate((sampled.hours, hours)), every, len(found.every))
+    return Windows(begin_h, np.concatenate((sampled.hours, hours)), every, len(extremes.every))
 
 
 def window_begins(study: Study, hours: np.ndarray) -> np.ndarray:
@@ -187,7 +187,7 @@ def _window_scenario(study: Study) -> Scenario:
     return with_sites(study, free_bus(study), (0.0,), **study.window_fields)
 
 
-def _found(study: Study) -> LoadHours:
+def _find_hours(study: Study) -> LoadHours:
     if study.load == "peak":
         return LoadHours(np.zeros(1), ("nominal load",), np.zeros(1), np.empty(0))
     fields = study.window_fields | {"workload.full_load_s": None, "horizon": 2} | still_fields(study)
@@ -199,28 +199,28 @@ def _found(study: Study) -> LoadHours:
     at_once = max(1, _VALUES // (scenario.feeder.n_node * 8))
     driven = as_driven(scenario, NoControl())
     for first in range(0, len(hours), at_once):
-        at = np.arange(first, min(first + at_once, len(hours)))
-        begin_h = hours[at]
+        rows = np.arange(first, min(first + at_once, len(hours)))
+        begin_h = hours[rows]
         if scenario.load_profiles.file is None:
-            load_kw[at] = load_share(begin_h)
+            load_kw[rows] = load_share(begin_h)
         else:
-            load_kw[at] = profile_loads(scenario, begin_h)[0].sum(axis=1)
-        steps = transitions(driven, NoControl(), [0] * len(at), None, {"begin_h": begin_h})
+            load_kw[rows] = profile_loads(scenario, begin_h)[0].sum(axis=1)
+        steps = transitions(driven, NoControl(), [0] * len(rows), None, {"begin_h": begin_h})
         now = next(steps)
         steps.close()
         solved = np.asarray(now.converged)
-        unsolved[at] = ~solved
+        unsolved[rows] = ~solved
         v_pu = now.state.v_pu[solved][:, scenario.feeder.load_slice]
-        lowest.add(v_pu, at[solved])
-        highest.add(v_pu, at[solved])
+        lowest.add(v_pu, rows[solved])
+        highest.add(v_pu, rows[solved])
         if rated:
-            loaded.add(now.state.loading[solved], at[solved])
+            loaded.add(now.state.loading[solved], rows[solved])
     named: dict[int, list[str]] = {int(load_kw.argmax()): ["highest load"]}
     if unsolved.any():
         named.setdefault(int(unsolved.argmax()), []).append("no power-flow solution")
-    for what, extremes in (("lowest voltage", lowest), ("highest voltage", highest), ("highest loading", loaded)):
+    for reason, extremes in (("lowest voltage", lowest), ("highest voltage", highest), ("highest loading", loaded)):
         if (hour := extremes.first()) is not None:
-            named.setdefault(hour, []).append(what)
+            named.setdefault(hour, []).append(reason)
     order = list(dict.fromkeys([*named, *lowest.in_order(), *loaded.in_order()]))
     kept = order[:MOST_HOURS]
     reasons = tuple(", ".join(named.get(i, ())) for i in kept)
@@ -242,17 +242,17 @@ class _Extremes:
 
     def __init__(self, ranks: int, sign: float):
         self._ranks, self._sign = ranks, sign
-        self._values, self._at = np.empty((0, 0)), np.empty((0, 0), np.int64)
+        self._values, self._hours = np.empty((0, 0)), np.empty((0, 0), np.int64)
 
-    def add(self, values: np.ndarray, at: np.ndarray) -> None:
+    def add(self, values: np.ndarray, hours: np.ndarray) -> None:
         """Take the values of some hours, (hour, node)."""
         if not len(values):
             return
-        values, at = np.round(self._sign * values, _DIGITS), np.broadcast_to(at[:, None], values.shape)
+        values, hours = np.round(self._sign * values, _DIGITS), np.broadcast_to(hours[:, None], values.shape)
         if len(self._values):
-            values, at = np.concatenate((self._values, values)), np.concatenate((self._at, at))
+            values, hours = np.concatenate((self._values, values)), np.concatenate((self._hours, hours))
         best = np.argsort(-values, axis=0, kind="stable")[: self._ranks]
-        self._values, self._at = np.take_along_axis(values, best, 0), np.take_along_axis(at, best, 0)
+        self._values, self._hours = np.take_along_axis(values, best, 0), np.take_along_axis(hours, best, 0)
 
     def largest(self) -> np.ndarray:
         """Return the most extreme value of each, times the sign; empty without any."""
@@ -260,11 +260,11 @@ class _Extremes:
 
     def first(self) -> int | None:
         """Return the hour of the most extreme value of all; None without any."""
-        return int(self._at[0, self._values[0].argmax()]) if self._values.size else None
+        return int(self._hours[0, self._values[0].argmax()]) if self._values.size else None
 
     def in_order(self) -> list[int]:
         """Return the hours by rank, and within a rank by value."""
-        found: list[int] = []
-        for values, at in zip(self._values, self._at, strict=True):
-            found += at[np.argsort(-values, kind="stable")].tolist()
-        return found
+        order: list[int] = []
+        for values, hours in zip(self._values, self._hours, strict=True):
+            order += hours[np.argsort(-values, kind="stable")].tolist()
+        return order

@@ -59,17 +59,17 @@ def with_outage(scenario: Scenario, outage: str) -> Scenario:
         raise ValueError(f"outages: {outage!r} leaves a feeder that cannot be solved: {error}") from None
 
 
-def outages_asked(scenario: Scenario, asked: Sequence[str]) -> dict[str, Scenario]:
+def outages_asked(scenario: Scenario, listed: Sequence[str]) -> dict[str, Scenario]:
     """The scenarios with the outages of a list, ``all`` for each of ``outage_names``; ValueError as above."""
-    names = list(_named(scenario, asked))
-    if asked and not names:
+    names = list(_named(scenario, listed))
+    if listed and not names:
         name = scenario.feeder.name
         raise ValueError(f"outages: feeder {name!r} has no capacitor bank in service and no regulators; remove {ALL!r}")
     return {name: with_outage(scenario, name) for name in dict.fromkeys(names)}
 
 
-def _named(scenario: Scenario, asked: Sequence[str]) -> Iterator[str]:
-    for name in asked:
+def _named(scenario: Scenario, listed: Sequence[str]) -> Iterator[str]:
+    for name in listed:
         if name == ALL:
             yield from outage_names(scenario)
         else:
@@ -100,5 +100,5 @@ def _put(network: Any, kind: str, key: str, name: str, outage: str, **columns: A
         values = value if isinstance(value, tuple) else (value,) * len(there)
         before = getattr(table, column) or (0,) * len(there)
         pairs = zip(there, before, values, strict=True)
-        changed[column] = tuple(new if of == name else old for of, old, new in pairs)
+        changed[column] = tuple(new if row_name == name else old for row_name, old, new in pairs)
     return dataclasses.replace(network, **{kind: dataclasses.replace(table, **changed)})

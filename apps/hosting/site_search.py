@@ -119,7 +119,7 @@ def searched(
     scan = tuple(sorted({study.top >> i for i in range(study.top.bit_length())}))
     tops = [study.top] * len(buses)
     if snapshot is not None:
-        tops = [round(found.capacity_mw / study.step_mw) for found in snapshot]
+        tops = [round(capacity.capacity_mw / study.step_mw) for capacity in snapshot]
     searches = [
         BusSearch(empty, site_limit, int(guess), top, allowed, scan)
         for guess, site_limit, top in zip(guesses, critical, tops, strict=True)
@@ -133,11 +133,11 @@ def searched(
                 del left[i]
             else:
                 by_size.setdefault(request.size, []).append((i, request))
-        for size, asked in by_size.items():
-            of_buses = [(int(buses[i]), request.samples) for i, request in asked]
-            for (i, request), trial in zip(asked, trials(site, controller, size, of_buses, name), strict=True):
+        for size, requests in by_size.items():
+            of_buses = [(int(buses[i]), request.samples) for i, request in requests]
+            for (i, request), trial in zip(requests, trials(site, controller, size, of_buses, name), strict=True):
                 searches[i].take(request, trial)
-    found = []
+    results = []
     for i, (bus, search) in enumerate(zip(buses, searches, strict=True)):
         beyond, limit = search.beyond, "" if snapshot is None else snapshot[i].limit
         if fails:
@@ -147,8 +147,8 @@ def searched(
         if beyond is not None and (fails or not before[i]):
             limit = limit_of(study.scenario, beyond)
         limiting = int(empty.margins.min(axis=1).argmin()) if fails else search.limiting
-        found.append((_capacity(site, name, bus, search, limit, empty), limiting))
-    return found
+        results.append((_capacity(site, name, bus, search, limit, empty), limiting))
+    return results
 
 
 def overloaded_before(feeder: AnyFeeder, bus: int, overloaded: np.ndarray) -> str:
@@ -176,7 +176,7 @@ def _capacity(site: AddedSite, name: str, bus: int, search: BusSearch, limit: st
     feeder = study.scenario.feeder
     outside_pct = 100.0 * float(trial.outside.sum()) / (len(trial.outside) * (study.horizon - study.settled))
     sampled = ~site.windows.still if site.windows.sampled else slice(None)
-    trial, empty = trial.of(sampled), empty.of(sampled)
+    trial, empty = trial.select(sampled), empty.select(sampled)
     delays = fcfs_delays(trial.arrived_kw.T, trial.served_kw.T, study.scenario.dt_s)
     sited = search.size > 0
     of_windows = _window_capacities_mw(site, empty, search.size, trial)

@@ -88,16 +88,18 @@ def sites_together(
     if study.buses is None or len(set(study.buses)) < 2:
         raise ValueError("together: needs at least two buses; name them with buses")
     ids, buses = study.scenario.feeder.bus_ids, study.candidates()
-    alone = reasons([str(ids[bus]) for bus in buses], [worst for _, worst in snapshots(study, buses, exempt(study))])
-    limiting = dict(alone)
+    worst_alone = reasons(
+        [str(ids[bus]) for bus in buses], [worst for _, worst in snapshots(study, buses, exempt(study))]
+    )
+    limiting = dict(worst_alone)
     while True:  # until the worst hours with all sites are among those of the windows
-        found, worst = _found(study, limiting, controller, name, rule, on_trial)
+        result, worst = _search(study, limiting, controller, name, rule, on_trial)
         if worst <= limiting.keys():
-            return found
+            return result
         limiting |= dict.fromkeys(worst - limiting.keys(), "worst with all sites")
 
 
-def _found(
+def _search(
     study: Study,
     limiting: dict[float, str],
     controller: Controller,
@@ -114,10 +116,10 @@ def _found(
 
     def trial(sizes: tuple[int, ...]) -> Trial:
         rows = np.arange(len(windows))
-        found = run_trial(sites, controller, sizes, np.zeros_like(rows), rows, name)  # pyright: ignore
+        result = run_trial(sites, controller, sizes, np.zeros_like(rows), rows, name)  # pyright: ignore
         if on_trial is not None:
             on_trial()
-        return found
+        return result
 
     trial = lru_cache(maxsize=None)(trial)
     bounded = name == UNCONTROLLED and not study.allowed_pct
@@ -157,13 +159,13 @@ def _equal(fits: Callable[[Sequence[int]], bool], n: int, top: int) -> tuple[int
 
 
 def _most(fits: Callable[[Sequence[int]], bool], n: int, top: int) -> tuple[int, ...]:
-    alone = [_largest(lambda size, i=i: fits(_raised((0,) * n, {i}, size)), 0, top) for i in range(n)]
-    orders = permutations(range(n)) if n <= MOST_ORDERS else [tuple(sorted(range(n), key=lambda i: -alone[i]))]
+    largest = [_largest(lambda size, i=i: fits(_raised((0,) * n, {i}, size)), 0, top) for i in range(n)]
+    orders = permutations(range(n)) if n <= MOST_ORDERS else [tuple(sorted(range(n), key=lambda i: -largest[i]))]
     best: tuple[int, ...] = (0,) * n
     for order in orders:
         sizes: list[int] = [0] * n
         for i in order:
-            size = _largest(lambda size, base=tuple(sizes), i=i: fits(_raised(base, {i}, size)), 0, alone[i])
+            size = _largest(lambda size, base=tuple(sizes), i=i: fits(_raised(base, {i}, size)), 0, largest[i])
             sizes = _raised(sizes, {i}, size)
         best = max(best, tuple(sizes), key=sum)
     return best

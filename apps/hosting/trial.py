@@ -52,7 +52,7 @@ class Trial(NamedTuple):
         """Least margin of any environment to any limit."""
         return float(self.margins.min())
 
-    def of(self, env_indices: np.ndarray | slice) -> Trial:
+    def select(self, env_indices: np.ndarray | slice) -> Trial:
         """Select some of the environments."""
         return Trial(*(part[env_indices] for part in self))
 
@@ -74,18 +74,18 @@ def run_trial(
     still = site.windows.still[samples]
     rows = [np.flatnonzero(still == quiet) for quiet in (False, True)]
     parts = [part[a : a + at_once] for part in rows for a in range(0, len(part), at_once)]
-    found = Trial.joined([_run(site, controller, size, buses[part], samples[part], name) for part in parts])
-    return found.of(np.argsort(np.concatenate(parts), kind="stable"))
+    joined = Trial.joined([_run(site, controller, size, buses[part], samples[part], name) for part in parts])
+    return joined.select(np.argsort(np.concatenate(parts), kind="stable"))
 
 
 def trials(
-    site: AddedSite, controller: Controller, size: int, asked: Sequence[tuple[int, np.ndarray]], name: str
+    site: AddedSite, controller: Controller, size: int, bus_samples: Sequence[tuple[int, np.ndarray]], name: str
 ) -> list[Trial]:
     """Run a size at several buses as one batch, with separate samples for each bus."""
-    buses = np.concatenate([np.full(len(samples), bus) for bus, samples in asked])
-    trial = run_trial(site, controller, size, buses, np.concatenate([samples for _, samples in asked]), name)
-    ends = np.cumsum([0, *(len(samples) for _, samples in asked)])
-    return [trial.of(slice(a, b)) for a, b in pairwise(ends)]
+    buses = np.concatenate([np.full(len(samples), bus) for bus, samples in bus_samples])
+    trial = run_trial(site, controller, size, buses, np.concatenate([samples for _, samples in bus_samples]), name)
+    ends = np.cumsum([0, *(len(samples) for _, samples in bus_samples)])
+    return [trial.select(slice(a, b)) for a, b in pairwise(ends)]
 
 
 def overloaded_nodes(site: AddedSite) -> np.ndarray:
@@ -133,7 +133,7 @@ def hour_margins(site: AddedSite, size: Any, bus: int) -> np.ndarray:
     The data centres draw what they do at the begin, and nothing is controlled except equipment of the feeder, which has
     settled. Changes from step to step and taps do not count.
     """
-    study, found = site.study, []
+    study, parts = site.study, []
     at_once = max(1, _VALUES // (study.scenario.feeder.n_node * 8))
     scenario = as_driven(site.scenario(size, True), NoControl())
     for first in range(0, len(site.windows), at_once):
@@ -146,8 +146,8 @@ def hour_margins(site: AddedSite, size: Any, bus: int) -> np.ndarray:
         if study.loss_max_kw is not None:
             margins[:, LOSS] = 1.0 - now.loss_kw / study.loss_max_kw
         margins[~np.asarray(now.converged)] = COLLAPSED
-        found.append(margins)
-    return np.concatenate(found)
+        parts.append(margins)
+    return np.concatenate(parts)
 
 
 def _run(
@@ -166,13 +166,13 @@ def _run(
         now = next(steps)
         arrived[:, k], served[:, k] = now.state.arrived_kw[:, site.slot], now.state.served_kw[:, site.slot]
         if k >= study.settled:
-            here, where = _distances(site, now, before)
+            now_margins, where = _distances(site, now, before)
             loss_kw = loss_kw + now.loss_kw
             if study.taps_max_per_hour is not None:
                 taps = taps + now.state.three_phase.equipment.regulators.moved
-            outside += (here < -ROUNDING).any(axis=1)
-            nearer = here < margins
-            margins, nodes = np.where(nearer, here, margins), np.where(nearer, where, nodes)
+            outside += (now_margins < -ROUNDING).any(axis=1)
+            nearer = now_margins < margins
+            margins, nodes = np.where(nearer, now_margins, margins), np.where(nearer, where, nodes)
         before = now.state.v_pu
         lost = goes_on & ~np.asarray(now.converged)
         if lost.any():
@@ -207,11 +207,11 @@ def _distances(site: AddedSite, now: Any, before: np.ndarray | None) -> tuple[np
         loading = np.where(site.exempt, 0.0, now.state.loading)
         branch = loading.argmax(axis=1)
         loaded = 1.0 - loading[row, branch] / (study.loading_max_pct / 100.0)
-    none, nowhere = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
-    stepped, at_step = none, nowhere
+    unlimited, nowhere = np.full(len(v), UNLIMITED), np.zeros(len(v), np.int64)
+    stepped, at_step = unlimited, nowhere
     if study.voltage_step_max_pct is not None and before is not None:
         change = np.abs(v - before[:, nodes])
         at_step = change.argmax(axis=1)
         stepped, at_step = 1.0 - change[row, at_step] / (study.voltage_step_max_pct / 100.0), at_step + first
     where = (lowest + first, highest + first, branch, at_step, nowhere, nowhere)
-    return np.stack((below, above, loaded, stepped, none, none), axis=1), np.stack(where, axis=1)
+    return np.stack((below, above, loaded, stepped, unlimited, unlimited), axis=1), np.stack(where, axis=1)

@@ -58,17 +58,17 @@ def exempt(study: Study) -> np.ndarray:
 
 def snapshots(study: Study, buses: np.ndarray, exempt: np.ndarray) -> list[tuple[BusCapacity, list[float]]]:
     """Return the results of ``snapshot_capacity``, each with the hours that are worst with a site of that size, h."""
-    found, moment = load_hours(study), moment_of(study)
+    extremes, moment = load_hours(study), moment_of(study)
     results: dict[int, tuple[BusCapacity, list[float]]] = {}
-    every = AddedSite(moment, moments(moment, found.every), exempt)
-    searches = [(np.arange(len(buses)), found.hours.tolist())]
+    every = AddedSite(moment, moments(moment, extremes.every), exempt)
+    searches = [(np.arange(len(buses)), extremes.hours.tolist())]
     while searches:
-        asked, hours = searches.pop()
+        positions, hours = searches.pop()
         site = AddedSite(moment, moments(moment, np.array(hours)), exempt)
-        first = np.r_[: max(1, len(found.named())), len(found.hours) : len(hours)]
-        guesses = np.full(len(asked), max(1, math.isqrt(study.top)))
-        capacities = searched(site, NoControl(), SNAPSHOT, buses[asked], guesses, [first] * len(asked))
-        for i, (capacity, limiting) in zip(asked.tolist(), capacities, strict=True):
+        first = np.r_[: max(1, len(extremes.named())), len(extremes.hours) : len(hours)]
+        guesses = np.full(len(positions), max(1, math.isqrt(study.top)))
+        capacities = searched(site, NoControl(), SNAPSHOT, buses[positions], guesses, [first] * len(positions))
+        for i, (capacity, limiting) in zip(positions.tolist(), capacities, strict=True):
             size = round(capacity.capacity_mw / study.step_mw)
             worst, broken = worst_hours(every, size, int(buses[i])) if size else ([], [])
             if limiting is not None and hours[limiting] not in worst:
@@ -93,7 +93,7 @@ def worst_hours(every: Any, size: Any, bus: int) -> tuple[list[float], list[floa
     margins = hour_margins(every, size, bus)
     rounded = np.round(margins, _DIGITS)
     limits = [rounded.min(axis=1), *(rounded[:, kind] for kind in (UNDERVOLTAGE, OVERLOAD))]
-    nearest = dict.fromkeys(int(of.argmin()) for of in limits if of.min() < UNLIMITED)
+    nearest = dict.fromkeys(int(distances.argmin()) for distances in limits if distances.min() < UNLIMITED)
     return [float(hours[i]) for i in nearest], [float(hours[i]) for i in nearest if margins[i].min() < -ROUNDING]
 
 
@@ -113,13 +113,13 @@ def moments(moment: Study, hours: np.ndarray) -> Windows:
 
 def reasons(buses: Sequence[str], worst: Sequence[Sequence[float]]) -> dict[float, str]:
     """Return the reasons of the hours that are worst with a site at each of some buses, by hour."""
-    at: dict[float, list[str]] = {}
+    buses_by_hour: dict[float, list[str]] = {}
     for bus, hours in zip(buses, worst, strict=True):
         for hour in hours:
-            at.setdefault(hour, []).append(bus)
+            buses_by_hour.setdefault(hour, []).append(bus)
     return {
         hour: f"worst with the site at {f'bus {ids[0]}' if len(ids) == 1 else f'{len(ids)} buses, such as {ids[0]}'}"
-        for hour, ids in at.items()
+        for hour, ids in buses_by_hour.items()
     }
 
 

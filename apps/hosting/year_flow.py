@@ -80,13 +80,13 @@ class YearFlow:
         """Return the sample of the lowest and highest voltage, highest loading and highest loss, by quantity."""
         if not self.solved.any():
             return {}
-        found = {
+        samples = {
             "lowest voltage": int(np.nanargmin(self.v_min_pu)),
             "highest voltage": int(np.nanargmax(self.v_max_pu)),
         }
         if np.nanmax(self.loading) > 0.0:
-            found["highest loading"] = int(np.nanargmax(self.loading))
-        return found | {"highest loss": int(np.nanargmax(self.loss_kw))}
+            samples["highest loading"] = int(np.nanargmax(self.loading))
+        return samples | {"highest loss": int(np.nanargmax(self.loss_kw))}
 
     def value(self, quantity: str, sample: int) -> str:
         """Return the value of a quantity of :meth:`worst` at a sample, with its location, as text."""
@@ -153,20 +153,20 @@ def year_flow(scenario: Scenario, on_step: Callable[[int, int], None] | None = N
 
 
 def _note(
-    scenario: Scenario, now: Any, at: np.ndarray, rows: np.ndarray, out: dict[str, Any], where: dict[str, Any]
+    scenario: Scenario, now: Any, samples: np.ndarray, rows: np.ndarray, out: dict[str, Any], where: dict[str, Any]
 ) -> None:
     """Note the voltages, loadings and losses of some rows at their samples."""
     nodes = scenario.feeder.load_slice
-    v, row = now.state.v_pu[rows][:, nodes], np.arange(len(at))
+    v, row = now.state.v_pu[rows][:, nodes], np.arange(len(samples))
     lowest, highest, first = v.argmin(axis=1), v.argmax(axis=1), nodes.start or 0
-    out["v_min_pu"][at], out["v_max_pu"][at] = v[row, lowest], v[row, highest]
-    where["lowest"][at], where["highest"][at] = lowest + first, highest + first
-    out["loss_kw"][at] = now.loss_kw[rows]
-    out["loading"][at] = 0.0
+    out["v_min_pu"][samples], out["v_max_pu"][samples] = v[row, lowest], v[row, highest]
+    where["lowest"][samples], where["highest"][samples] = lowest + first, highest + first
+    out["loss_kw"][samples] = now.loss_kw[rows]
+    out["loading"][samples] = 0.0
     if now.state.loading is not None:
         loading = now.state.loading[rows]
-        where["loaded"][at] = loading.argmax(axis=1)
-        out["loading"][at] = loading.max(axis=1)
+        where["loaded"][samples] = loading.argmax(axis=1)
+        out["loading"][samples] = loading.max(axis=1)
 
 
 def _daily_scenario(scenario: Scenario, per_day: int) -> Scenario:

@@ -70,13 +70,13 @@ class _Import(Command):
     def _record(self, imported: ImportedFeeder, feeder: Feeder) -> ImportRecord:
         from dcgrid_env.core.files import sha256_of
 
-        path, made = Path(self.origin), reproduction()
+        path, run_facts = Path(self.origin), reproduction()
         return ImportRecord(
             feeder=imported.network.name,
             source=imported.network.source_of_facts or self.origin,
             files=((path.name, sha256_of(path)),) if path.is_file() else (),
-            command=made["command"],
-            versions=made["versions"],
+            command=run_facts["command"],
+            versions=run_facts["versions"],
             counts={"buses": feeder.n_bus, "branches": feeder.n_branch},
             load_kw=float(feeder.p_load_kw.sum()),
             base_kv=feeder.base_kv,
@@ -217,13 +217,13 @@ def comparison(imported: ImportedFeeder, feeder: Feeder) -> Comparison:
 
 def _arguments(words: tuple[str, ...]) -> dict[str, Any]:
     """Return arguments by name; a value is parsed as JSON, or else kept as text."""
-    made = {}
+    arguments = {}
     for word in words:
         name, sign, text = word.partition("=")
         if not sign or not name.isidentifier():
             raise ValueError(f"arguments: must be NAME=VALUE, such as with_der=all, got {word!r}")
-        made[name] = _value(text)
-    return made
+        arguments[name] = _value(text)
+    return arguments
 
 
 def _value(text: str) -> Any:

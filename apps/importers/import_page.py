@@ -30,7 +30,7 @@ def write_report(record: ImportRecord, folder: Path) -> None:
 
 def page(record: ImportRecord) -> str:
     """The whole file; all names are escaped."""
-    parts = [_result(record), _elements(record), *_losses(record), _ratings(record), _made(record)]
+    parts = [_result(record), _elements(record), *_losses(record), _ratings(record), _reproduction(record)]
     about = f"<p>{html.escape(record.source)}. {html.escape(record.size)}.</p>"
     return html_page(f"Import of {record.feeder}", "\n".join([about, *parts]), _STYLE)
 
@@ -96,7 +96,7 @@ def _ratings(record: ImportRecord) -> str:
     return "\n".join([*parts, _table(("kind", "known", "of", "not known"), rows, numbers=(1, 2))])
 
 
-def _made(record: ImportRecord) -> str:
+def _reproduction(record: ImportRecord) -> str:
     parts = ["<h2>How to reproduce</h2>", f"<pre>{html.escape(record.command)}</pre>"]
     if record.files:
         parts.append(_table(("file", "SHA-256"), [(_text(name), digest) for name, digest in record.files]))

@@ -125,7 +125,7 @@ class ImportRecord:
     @property
     def size(self) -> str:
         """Size of the feeder in words."""
-        parts = ", ".join(f"{number} {what}" for what, number in self.counts.items())
+        parts = ", ".join(f"{number} {kind}" for kind, number in self.counts.items())
         return f"{parts}, {self.load_kw:.1f} kW at {self.base_kv:g} kV"
 
     @property
@@ -170,18 +170,18 @@ class ImportRecord:
     def as_json(self) -> dict[str, Any]:
         """The record as plain values; a figure that is not known is None."""
         files = [{"name": name, "sha256": digest} for name, digest in self.files]
-        return _plain({"format": _FORMAT} | asdict(self) | {"files": files, "unverified": self.unverified})
+        return _to_plain({"format": _FORMAT} | asdict(self) | {"files": files, "unverified": self.unverified})
 
 
 def effect_text(effect: LossEffect) -> str:
     """What lost elements change, in one line."""
-    what = f"omitted {', '.join(effect.kinds)} ({effect.number})"
+    subject = f"omitted {', '.join(effect.kinds)} ({effect.number})"
     if not effect.node:
-        return f"{what}: the change is not known, OpenDSS finds no solution without"
+        return f"{subject}: the change is not known, OpenDSS finds no solution without"
     v, pu, kw, kvar = effect_figures(effect)
     if {v, kw, kvar} == {"0"}:
-        return f"{what}: no change of voltages and source power with controls off"
-    return f"{what}: largest voltage change {v} V ({pu} p.u.) at {effect.node}; source power {kw} kW, {kvar} kvar"
+        return f"{subject}: no change of voltages and source power with controls off"
+    return f"{subject}: largest voltage change {v} V ({pu} p.u.) at {effect.node}; source power {kw} kW, {kvar} kvar"
 
 
 def effect_figures(effect: LossEffect) -> tuple[str, str, str, str]:
@@ -204,7 +204,7 @@ def compared(
 ) -> Comparison:
     """Compare the voltages in p.u. of nodes that both have; None or no voltages are a power flow without solution."""
     if ours is None or not theirs:
-        without = [name for name, found in ((solver, bool(theirs)), ("dcgrid", ours is not None)) if not found]
+        without = [name for name, is_solved in ((solver, bool(theirs)), ("dcgrid", ours is not None)) if not is_solved]
         return Comparison(circuit, solver, (), tuple(without))
     apart = {node: float(abs(v - theirs[node])) for node, v in ours.items() if node in theirs}
     worst = sorted(apart, key=lambda node: -apart[node])[:_SHOWN]
@@ -221,11 +221,11 @@ def ratings_by_kind(feeder: Feeder | ThreePhaseFeeder) -> tuple[RatedKind, ...]:
     names: dict[str, list[str]] = {}
     for full in feeder.branch_names:
         names.setdefault(full.partition(" ")[0], []).append(full)
-    found = []
+    kinds = []
     for kind, full_names in names.items():
         without = tuple(full.partition(" ")[2] for full in full_names if full in unknown)
-        found.append(RatedKind(kind, len(full_names) - len(without), len(full_names), without))
-    return tuple(found)
+        kinds.append(RatedKind(kind, len(full_names) - len(without), len(full_names), without))
+    return tuple(kinds)
 
 
 def reproduction() -> dict[str, Any]:
@@ -245,9 +245,9 @@ def findings_table(findings: Iterable[Finding]) -> Table:
     return table
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _to_plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_to_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

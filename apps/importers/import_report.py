@@ -53,32 +53,32 @@ def shown_names(names: Sequence[str]) -> str:
 class Report:
     """Findings as they are made; those of one kind, fate and text become one."""
 
-    what: str = "circuit"
+    subject: str = "circuit"
     """What the source calls a grid."""
-    _found: dict[tuple[str, Fate, str], list[str]] = field(default_factory=dict)
+    _names: dict[tuple[str, Fate, str], list[str]] = field(default_factory=dict)
 
     def add(self, fate: Fate, kind: str, name: str, text: str) -> None:
         """Note what becomes of an element."""
-        self._found.setdefault((kind, fate, text), []).append(name)
+        self._names.setdefault((kind, fate, text), []).append(name)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """All that was noted, what matters most last."""
         order: tuple[Fate, ...] = ("taken", "nothing lost", "lost", "refused")
-        rows = [Finding(kind, tuple(names), fate, text) for (kind, fate, text), names in self._found.items() if names]
+        rows = [Finding(kind, tuple(names), fate, text) for (kind, fate, text), names in self._names.items() if names]
         return tuple(sorted(rows, key=lambda row: order.index(row.fate)))
 
     def add_all(self, fate: Fate, kind: str, names: Iterable[str], text: str) -> None:
         """Note what becomes of several elements; none leave no trace."""
         names = list(names)
         if names:
-            self._found.setdefault((kind, fate, text), []).extend(names)
+            self._names.setdefault((kind, fate, text), []).extend(names)
 
     def withdraw(self, kind: str, names: Iterable[str]) -> None:
         """Forget that elements were taken, because they turn out to be left out."""
-        for (row_kind, fate, _), found in self._found.items():
+        for (row_kind, fate, _), noted in self._names.items():
             if (row_kind, fate) == (kind, "taken"):
-                found[:] = [name for name in found if name not in names]
+                noted[:] = [name for name in noted if name not in names]
 
     def refuse_unless(self, name: str, allow: Iterable[str]) -> None:
         """FeederError where something cannot be represented, or is lost and not of an allowed kind."""
@@ -87,9 +87,9 @@ class Report:
         lost = [row for row in self.findings if row.fate == "lost" and row.kind not in allowed]
         texts = [f"{row.kind} {row.shown}: {row.text}" for row in refused or lost]
         if refused:
-            raise FeederError(f"{self.what} {name!r} cannot be represented: {'; '.join(texts)}")
+            raise FeederError(f"{self.subject} {name!r} cannot be represented: {'; '.join(texts)}")
         if lost:
             kinds = ",".join(dict.fromkeys([*sorted(allowed), *(row.kind for row in lost)]))
             raise FeederError(
-                f"{self.what} {name!r} has what would be lost: {'; '.join(texts)}; --allow {kinds} accepts that"
+                f"{self.subject} {name!r} has what would be lost: {'; '.join(texts)}; --allow {kinds} accepts that"
             )

@@ -114,13 +114,13 @@ def recorded(imported: Imported, feeder: ThreePhaseFeeder) -> ImportRecord:
     if any(row.fate == "lost" for row in imported.findings):
         solved.append(("controls off, without the omitted elements", imported.v_pu_without))
     counts = {"buses": feeder.n_bus, "nodes": feeder.n_node, "regulators": feeder.n_regulator}
-    made = reproduction()
+    run_facts = reproduction()
     return ImportRecord(
         feeder=imported.network.name,
         source=imported.network.source_of_facts,
         files=imported.files,
-        command=made["command"],
-        versions=made["versions"] | {"OpenDSS": imported.engine},
+        command=run_facts["command"],
+        versions=run_facts["versions"] | {"OpenDSS": imported.engine},
         counts=counts,
         load_kw=float(feeder.p_load_kw.sum()),
         base_kv=float(feeder.network.source.base_kv[0]),

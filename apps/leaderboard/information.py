@@ -73,9 +73,9 @@ class _Trial:
     def reset(self, env_info: Scenario) -> None:
         """Begin the episode."""
         self._copies = {
-            word: (self._make(), seen, driven)
-            for word, (seen, driven) in _masks(env_info).items()
-            if not seen.all() or (word == REGULATORS and isinstance(self.controller, NeedsRegulators))
+            word: (self._make(), observed, driven)
+            for word, (observed, driven) in _masks(env_info).items()
+            if not observed.all() or (word == REGULATORS and isinstance(self.controller, NeedsRegulators))
         }
         for controller in (self.controller, *(copy for copy, *_ in self._copies.values())):
             controller.reset(env_info)
@@ -89,10 +89,10 @@ class _Trial:
     def act(self, observations: np.ndarray) -> Any:
         """Return the actions on everything, and compare those of the copies."""
         action = np.asarray(self.controller.act(observations))
-        for word, (copy, seen, driven) in list(self._copies.items()):
+        for word, (copy, observed, driven) in list(self._copies.items()):
             try:
                 with np.errstate(all="ignore"):
-                    other = np.asarray(copy.act(np.where(seen, observations, np.float32(np.nan))))
+                    other = np.asarray(copy.act(np.where(observed, observations, np.float32(np.nan))))
                 equal = np.allclose(other[driven], np.broadcast_to(action, other.shape)[driven], rtol=0.0, atol=EQUAL)
             except Exception:  # it cannot act on NaN
                 equal = False
@@ -103,7 +103,7 @@ class _Trial:
 
     def _with_rows(self, without: str = "") -> list[tuple[Controller, int]]:
         """The controller and its copies, and the number of rows that each acts on."""
-        copies = [(copy, len(seen)) for word, (copy, seen, _) in self._copies.items() if word != without]
+        copies = [(copy, len(observed)) for word, (copy, observed, _) in self._copies.items() if word != without]
         return [(self.controller, 1), *copies]
 
 
@@ -130,7 +130,7 @@ def _masks(scenario: Scenario) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     masks |= {
         word: ([[n not in fields for _, n in names]], [[True] * len(channels)]) for word, fields in hidden.items()
     }
-    return {word: (np.array(seen), np.array(driven)) for word, (seen, driven) in masks.items()}
+    return {word: (np.array(observed), np.array(driven)) for word, (observed, driven) in masks.items()}
 
 
 def total_fields(scenario: Scenario) -> set[str]:

@@ -136,14 +136,14 @@ def verify(
     with on_purpose():
         controller = controller_of(spec, scenario)
         information = measured_information(lambda: controller_of(spec, scenario), scenario, submission.name)
-        found = evaluate(controller, scenario, seeds, submission.name)
+        evaluation = evaluate(controller, scenario, seeds, submission.name)
     droop = droop_on(scenario, seeds)
-    costs, droop_costs = _rounded(found.J), _rounded(droop.J)
+    costs, droop_costs = _rounded(evaluation.J), _rounded(droop.J)
     report = Report(
         format=FORMAT, submission=sha256_of(folder / SUBMISSION), policy=policy_sha256(controller),
         scenario_hash=submission.scenario_hash, reference=reference(scenario), information=information,
         round_seed=round_seed, J=costs, J_droop=droop_costs, saved_pct=saved(costs, droop_costs),
-        delay_mean_s=found.means["delay_mean_s"], droop_delay_mean_s=droop.means["delay_mean_s"],
+        delay_mean_s=evaluation.means["delay_mean_s"], droop_delay_mean_s=droop.means["delay_mean_s"],
         versions=installed(), machine=f"{platform.system()} {platform.machine()}",
     )  # fmt: skip
     lines = (f' "{name}": {json.dumps(value, allow_nan=False)}' for name, value in asdict(report).items())
@@ -180,8 +180,11 @@ def verify_again(folder: Path, episodes: int | None = None, *, trust: bool = Fal
     n = episodes or len(report.J)
     seeds = round_seeds(report.round_seed, n)
     with on_purpose():
-        found = evaluate(controller_of(spec, scenario), scenario, seeds, submission.name)
-    for name, expected, costs in (("J", report.J, found.J), ("J_droop", report.J_droop, droop_on(scenario, seeds).J)):
+        evaluation = evaluate(controller_of(spec, scenario), scenario, seeds, submission.name)
+    for name, expected, costs in (
+        ("J", report.J, evaluation.J),
+        ("J_droop", report.J_droop, droop_on(scenario, seeds).J),
+    ):
         before, again = float(np.mean(expected[:n])), float(np.mean(costs))
         if abs(before - again) > TOLERANCE * abs(again):
             raise SubmissionError(

@@ -71,19 +71,19 @@ class Submit(Command):
         out = self.out or Path("results/submissions") / file_name("-".join(filter(None, (self.scenario, self.name))))
         console = plain_console()
         with working(console, f"{self.episodes} episodes"):
-            entry, found = submit(
+            entry, evaluation = submit(
                 self.policy, self.name, out, paper=self.paper, scenario=self.scenario, episodes=self.episodes,
                 learned_on=self.learned_on,
             )  # fmt: skip
-            scored = found.score(droop_on(found.scenario, found.seeds))
-            rules = _static_evaluations(found.scenario, found.seeds)
+            scored = evaluation.score(droop_on(evaluation.scenario, evaluation.seeds))
+            rules = _static_evaluations(evaluation.scenario, evaluation.seeds)
         value, low, high = scored.score
         say(
             console,
-            f"{entry.name} on {entry.scenario}: J {found.means['J']:.4f}, score {value:.3f} ({low:.3f} .. {high:.3f}) "
-            f"on {self.episodes} published episodes",
+            f"{entry.name} on {entry.scenario}: J {evaluation.means['J']:.4f}, score {value:.3f} "
+            f"({low:.3f} .. {high:.3f}) on {self.episodes} published episodes",
         )
-        if line := below_static(entry.name, found.means, rules):
+        if line := below_static(entry.name, evaluation.means, rules):
             say(console, line)
         say(console, f"wrote {out}; next: dcgrid verify {out} --round-seed 1")
 
@@ -134,8 +134,8 @@ def submit(
         raise SubmissionError(f"out is {str(out)!r}, which is there and not empty; choose another folder")
     test = scenario_of(scenario or _trained_preset(policy))
     with on_purpose():
-        found = evaluate(controller_of(policy, test), test, range(episodes), name)
-    found.score(droop_on(test, found.seeds))
+        evaluation = evaluate(controller_of(policy, test), test, range(episodes), name)
+    evaluation.score(droop_on(test, evaluation.seeds))
     submission = Submission(
         format=FORMAT, name=name, paper=paper, policy=text,
         files={target: sha256_of(path) for target, path in files.items()}, scenario=test.name,
@@ -145,7 +145,7 @@ def submit(
         for target, path in files.items():
             write_bytes(folder / target, path.read_bytes())
         write_json(folder / SUBMISSION, asdict(submission))
-    return submission, found
+    return submission, evaluation
 
 
 def _in_folder(policy: str) -> tuple[str, dict[str, Path]]:

@@ -24,7 +24,7 @@ def bus_thirteen(runs: Runs) -> dict[str, Any]:
 
     Figures that are not results of the runs are means over the bus's phases.
     """
-    five, alone = runs.setting.published(5), runs.setting.pinned((BUS,))
+    five, one_site = runs.setting.published(5), runs.setting.pinned((BUS,))
     low = runs.setting.with_head_at_1pu(5)
     own_load, others = {BUS: OWN_KW}, dict.fromkeys(runs.setting.sites[1:5], OWN_KW)
     nodes = nodes_of(five, BUS)
@@ -40,7 +40,7 @@ def bus_thirteen(runs: Runs) -> dict[str, Any]:
         "drop_neighbours_pu": with_own - with_all,
         "leaves_band_kw": _leaves_band_kw(five, lambda kw: {BUS: kw} | others),
         "leaves_band_alone_kw": _leaves_band_kw(five, lambda kw: {BUS: kw}),
-        **_run(runs, alone, "alone"),
+        **_run(runs, one_site, "alone"),
         **_run(runs, five, "five"),
         **_run(runs, low, "five_at_1pu"),
         "base_at_1pu": base_at_1pu,
@@ -49,7 +49,7 @@ def bus_thirteen(runs: Runs) -> dict[str, Any]:
 
 
 def _run(runs: Runs, scenario: Scenario, name: str) -> dict[str, float]:
-    run = runs.of(scenario, INVERTERS)
+    run = runs.run(scenario, INVERTERS)
     return {
         f"{name}_min_pu": float(run.each("first_site_min_pu").min()),
         f"{name}_outside_pct": run.mean("first_site_outside_pct"),

@@ -32,6 +32,6 @@ _CLAIMS: dict[Callable[[Records], Row], set[str]] = {
     lever_claims.bus_outside: {"bus_thirteen"},
     lever_claims.bus_why: {"bus_thirteen"},
     lever_claims.interval: {"intervals"},
-    lever_claims.change_of_load: {"step"},
+    lever_claims.load_change: {"step"},
 }
 """Each claim and the parts of the study that it is made of."""

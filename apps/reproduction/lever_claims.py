@@ -107,18 +107,18 @@ def interval(records: Records) -> Row:
     )
 
 
-def change_of_load(records: Records) -> Row:
+def load_change(records: Records) -> Row:
     """The change of Fig. 3."""
     rows = {(r["change"], r["law"]): r for r in records["step"]["runs"]}
-    goes, comes = rows["goes", "none"], rows["comes", "none"]
+    drop, rise = rows["goes", "none"], rows["comes", "none"]
     head, injected = records["step"]["substation_pu"], records["step"]["site_pu"]
-    rises = goes["after_pu"] > goes["before_pu"]
-    verdict = decide(rises and goes["after_pu"] > head, rises)
+    rises = drop["after_pu"] > drop["before_pu"]
+    verdict = decide(rises and drop["after_pu"] > head, rises)
     return row(
         "Fig. 3: without regulation the voltage can float high after a change in compute load",
         "can float high",
-        f"load drops: {goes['before_pu']:.4f} to {goes['after_pu']:.4f} p.u.; load rises: "
-        f"{comes['before_pu']:.4f} to {comes['after_pu']:.4f} p.u.; at the end with both axes "
+        f"load drops: {drop['before_pu']:.4f} to {drop['after_pu']:.4f} p.u.; load rises: "
+        f"{rise['before_pu']:.4f} to {rise['after_pu']:.4f} p.u.; at the end with both axes "
         f"{rows['goes', 'both']['end_pu']:.4f} and {rows['comes', 'both']['end_pu']:.4f} p.u.",
         verdict,
         {

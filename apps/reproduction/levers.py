@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env import Feeder, Scenario, make_scenario, sensitivity, solver_for
-from dcgrid_env.apps.reproduction.study_runs import INVERTERS, NONE, Law, Runs, nodes_of
+from dcgrid_env.apps.reproduction.study_runs import INVERTERS, NO_CONTROL, Law, Runs, nodes_of
 from dcgrid_env.apps.reproduction.table1 import unserved_pct
 
 STEP_S = 0.1
@@ -53,11 +53,11 @@ def inverters(runs: Runs) -> list[dict[str, Any]]:
             rise = settled(scenario, full, {bus: 1000.0}) - before
             record |= {f"{name}_bus": int(bus), f"{name}_x_pu_per_mvar": float(x[nodes_of(scenario, bus)].mean())}
             record[f"{name}_rise_pu_per_mvar"] = float(rise[nodes_of(scenario, site)].mean())
-        alone = runs.setting.pinned((site,), inverters={"buses": (ends["near"],), "s_rated_kva": 350.0})
-        record["none_site_deviation_pu"] = runs.of(alone, NONE).mean("first_site_deviation_pu")
+        one_site = runs.setting.pinned((site,), inverters={"buses": (ends["near"],), "s_rated_kva": 350.0})
+        record["none_site_deviation_pu"] = runs.run(one_site, NO_CONTROL).mean("first_site_deviation_pu")
         for name, bus in ends.items():
             one = runs.setting.pinned((site,), inverters={"buses": (bus,), "s_rated_kva": 350.0})
-            record[f"{name}_site_deviation_pu"] = runs.of(one, INVERTERS).mean("first_site_deviation_pu")
+            record[f"{name}_site_deviation_pu"] = runs.run(one, INVERTERS).mean("first_site_deviation_pu")
         records.append(record)
     return records
 
@@ -73,7 +73,7 @@ def intervals(runs: Runs) -> list[dict[str, Any]]:
     records = []
     for k_p in (1.0, 10.0):
         for interval_s in INTERVALS_S:
-            run = runs.of(fine, Law(k_p_mw_per_pu=k_p, hold_steps=round(interval_s / STEP_S)))
+            run = runs.run(fine, Law(k_p_mw_per_pu=k_p, hold_steps=round(interval_s / STEP_S)))
             records.append(
                 {
                     "k_p_mw_per_pu": k_p,

@@ -6,10 +6,10 @@ from typing import Any
 
 from dcgrid_env import Scenario, Series, make_scenario
 from dcgrid_env.apps.reproduction.levers import settled
-from dcgrid_env.apps.reproduction.study_runs import INVERTERS, NONE, Law, Runs
+from dcgrid_env.apps.reproduction.study_runs import INVERTERS, NO_CONTROL, Law, Runs
 from dcgrid_env.traces.trace import PowerTrace
 
-STEP_LAWS = {"none": NONE, "inverters": INVERTERS, "both": Law(k_p_mw_per_pu=10.0)}
+STEP_LAWS = {"none": NO_CONTROL, "inverters": INVERTERS, "both": Law(k_p_mw_per_pu=10.0)}
 """k_p = 10 MW/p.u., so that the active axis shows."""
 CHANGES = ("comes", "goes")
 SITE = 4

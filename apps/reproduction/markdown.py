@@ -46,13 +46,13 @@ def head(records: Records) -> str:
     )
     gain = next(row for row in records["claims"] if row["claim"].startswith("average gain"))
     failed = [row["claim"] for row in records["claims"] if row["verdict"] == DOES_NOT]
-    found = [
+    summary_lines = [
         f"Of the paper's {len(verdicts)} claims, {holds} hold, {partly} hold in part and {does_not} do not.",
         *(f"*{claim}* does not hold." for claim in failed),
         f"The gain over inverters only is {gain['ours']} (paper {gain['paper']}). {gain['reason']}.",
         "Table I cannot be reproduced to the digit, because the paper does not state all of its settings.",
     ]
-    summary = "\n".join(wrapped(f"- {line}", "  ") for line in found)
+    summary = "\n".join(wrapped(f"- {line}", "  ") for line in summary_lines)
     setting = (
         f"Scenario `ieee123`: {s['episodes']} episodes of 120 s for each cell, data centres {site_placement(s)}. "
         f"Load: **{s['load']}**, {s['load_description']}.{load_note(s)} Figures are means over episodes unless stated "

@@ -28,7 +28,7 @@ PARTS: Mapping[str, Part] = {
 _RUNS = "runs of the paper's study"
 
 
-class _Asked(NamedTuple):
+class _PartRequest(NamedTuple):
     """A part of the study on one of several settings."""
 
     case: str
@@ -85,27 +85,27 @@ def studies(
         Where the parts are run.
     """
     units = [
-        Unit(": ".join(filter(None, (case, part.replace("_", " ")))), _run_part, _Asked(case, part, make))
+        Unit(": ".join(filter(None, (case, part.replace("_", " ")))), _run_part, _PartRequest(case, part, make))
         for case in runs
         for part, make in parts.items()
     ]
-    found: dict[str, dict[str, Any]] = {case: {} for case in runs}
+    records: dict[str, dict[str, Any]] = {case: {} for case in runs}
     for unit, (record, done) in place.results(units, {_RUNS: runs}, how_to_go_on=""):
         case, part, _ = unit.item
-        found[case][part] = record
+        records[case][part] = record
         runs[case].done.update(done)
         on_part(case, part)
     return {
-        case: _with_claims(case_runs.setting, {part: found[case][part] for part in parts})
+        case: _with_claims(case_runs.setting, {part: records[case][part] for part in parts})
         for case, case_runs in runs.items()
     }
 
 
-def _run_part(asked: _Asked) -> tuple[Any, Mapping[Any, Run]]:
+def _run_part(request: _PartRequest) -> tuple[Any, Mapping[Any, Run]]:
     """The records of a part and the runs behind it; a worker keeps these for the parts that it runs next."""
-    runs: Runs = shared(_RUNS)[asked.case]
+    runs: Runs = shared(_RUNS)[request.case]
     before = set(runs.done)
-    record = asked.make(runs)
+    record = request.make(runs)
     return record, {key: run for key, run in runs.done.items() if key not in before}
 
 

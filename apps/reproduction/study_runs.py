@@ -46,7 +46,7 @@ class Law(NamedTuple):
         return Droop(**gains, datacenters=self.acts == "all")
 
 
-NONE = Law("nobody")
+NO_CONTROL = Law("nobody")
 INVERTERS = Law("inverters")
 REACTIVE = Law(k_p_mw_per_pu=0.0)
 BOTH = Law()
@@ -131,7 +131,7 @@ class Runs:
         self.done: dict[tuple[str, Law], Run] = {}
         """Computed runs by the scenario's hash, which is the same in every process, and the law."""
 
-    def of(self, scenario: Scenario, law: Law) -> Run:
+    def run(self, scenario: Scenario, law: Law) -> Run:
         """The episodes of a scenario under a law."""
         key = (_hash_of(scenario), law)
         if key not in self.done:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from dcgrid_env.apps.reproduction.paper import K_P_MW_PER_PU
-from dcgrid_env.apps.reproduction.study_runs import BOTH, INVERTERS, NONE, REACTIVE, Law, Run, Runs
+from dcgrid_env.apps.reproduction.study_runs import BOTH, INVERTERS, NO_CONTROL, REACTIVE, Law, Run, Runs
 
 LAWS = {
-    "none": NONE,
+    "none": NO_CONTROL,
     "inverters": INVERTERS,
     "reactive": REACTIVE,
     "both": BOTH,
@@ -45,7 +45,7 @@ def table_one(runs: Runs) -> list[dict[str, Any]]:
     """Table I: each number of data centres and k_p, in both forms of the backlog."""
     return [
         {"n_datacenters": n, "k_p_mw_per_pu": k_p, "memory": memory}
-        | figures(runs.of(runs.setting.scenario(n), Law(k_p_mw_per_pu=k_p, memory=memory)))
+        | figures(runs.run(runs.setting.scenario(n), Law(k_p_mw_per_pu=k_p, memory=memory)))
         for n in runs.setting.counts
         for k_p in K_P_MW_PER_PU
         for memory in ("cumulative", "one_step")
@@ -55,7 +55,7 @@ def table_one(runs: Runs) -> list[dict[str, Any]]:
 def comparison(runs: Runs) -> list[dict[str, Any]]:
     """Fig. 5: from no control to the whole law, against the number of data centres."""
     return [
-        {"n_datacenters": n, "law": name} | figures(runs.of(runs.setting.scenario(n), law))
+        {"n_datacenters": n, "law": name} | figures(runs.run(runs.setting.scenario(n), law))
         for n in runs.setting.counts
         for name, law in LAWS.items()
     ]
@@ -66,8 +66,8 @@ def grids(runs: Runs) -> list[dict[str, Any]]:
     records = []
     for n in runs.setting.counts:
         for name in ("none", "inverters", "both"):
-            exact = runs.of(runs.setting.scenario(n), LAWS[name]).deviation_pu
-            linear = runs.of(runs.setting.scenario(n, power_flow="lindistflow"), LAWS[name]).deviation_pu
+            exact = runs.run(runs.setting.scenario(n), LAWS[name]).deviation_pu
+            linear = runs.run(runs.setting.scenario(n, power_flow="lindistflow"), LAWS[name]).deviation_pu
             records.append({"n_datacenters": n, "law": name, "distflow_pu": exact, "lindistflow_pu": linear})
     return records
 
@@ -81,11 +81,11 @@ def gains(runs: Runs) -> list[dict[str, Any]]:
     records = []
     for n in runs.setting.counts:
         scenario = runs.setting.scenario(n)
-        inverters, reactive = runs.of(scenario, INVERTERS), runs.of(scenario, REACTIVE)
+        inverters, reactive = runs.run(scenario, INVERTERS), runs.run(scenario, REACTIVE)
         base = inverters.deviation_pu
         for k_p in K_P_MW_PER_PU:
             whole, printed = (
-                runs.of(scenario, Law(k_p_mw_per_pu=k_p, memory=memory)) for memory in ("cumulative", "one_step")
+                runs.run(scenario, Law(k_p_mw_per_pu=k_p, memory=memory)) for memory in ("cumulative", "one_step")
             )
             paired = inverters.each("voltage_deviation_mean_pu") - whole.each("voltage_deviation_mean_pu")
             spread = float(paired.std(ddof=1) / np.sqrt(len(paired)))

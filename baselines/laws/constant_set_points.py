@@ -55,24 +55,26 @@ def open_set_points(scenario: Scenario) -> list[SetPoint]:
     The offsets of controlled regulators are open if none follows a schedule.
     """
     groups: list[Any] = [device for device in scenario.devices if device.kind in (_REGULATORS, _CAPACITORS)]
-    found = []
+    points = []
     for parameter, channel_name in CHANNELS.items():
         for group in groups:
             for channel in group.channels:
                 if channel.name == channel_name:
                     limits = zip(group.names, channel.lowest, channel.highest, channel.rest, strict=True)
-                    found += [SetPoint(parameter, bank, *map(float, values), by_agent=True) for bank, *values in limits]
+                    points += [
+                        SetPoint(parameter, bank, *map(float, values), by_agent=True) for bank, *values in limits
+                    ]
     settings, relays = scenario.grid_control.regulator_settings, acting_relays(scenario)
     if relays is None or settings.has_schedules:
-        return found
+        return points
     of_agents = {bank for group in groups if group.kind == _REGULATORS for bank in group.names}
     feeder: Any = scenario.feeder
     offsets = list(_offsets_v(scenario).items())
     for row in relays.rows.tolist():
         if feeder.network.regulator.bank[row] not in of_agents:
             name, volts = offsets[row]
-            found.append(SetPoint("offset_v", name, -FARTHEST_V, FARTHEST_V, volts, by_agent=False))
-    return found
+            points.append(SetPoint("offset_v", name, -FARTHEST_V, FARTHEST_V, volts, by_agent=False))
+    return points
 
 
 def has_set_points(scenario: Scenario) -> bool:
@@ -149,7 +151,7 @@ class ConstantSetPoints(ConstantQ):
         for parameter in CHANNELS:
             for name, value in getattr(self, parameter).items():
                 if (parameter, name) not in known:
-                    names = ", ".join(other for of, other in known if of == parameter) or "none"
+                    names = ", ".join(bank for other, bank in known if other == parameter) or "none"
                     raise ValueError(
                         f"{self.name}: {parameter} has {name!r}, which scenario {scenario.name!r} does not leave open; "
                         f"choose from {names}"

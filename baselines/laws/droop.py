@@ -76,7 +76,7 @@ class Droop(LocalController):
         ):
             raise ValueError("droop with the one-step memory needs p_ref; make the scenario with sensing.preview")
         super().reset(env_info)
-        self._asked_kw: np.ndarray | None = None
+        self._requested_kw: np.ndarray | None = None
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`LocalController`."""
@@ -105,7 +105,7 @@ class Droop(LocalController):
 
     def _last_shortfall(self, local: Local) -> np.ndarray:
         """(p_ref - P) dt of the last step, kW s; none before the first."""
-        asked, self._asked_kw = self._asked_kw, local.p_ref_next_kw
-        if asked is None:
+        requested_kw, self._requested_kw = self._requested_kw, local.p_ref_next_kw
+        if requested_kw is None:
             return np.zeros_like(local.p_ref_next_kw)
-        return (asked - local.p_kw[..., : self.scenario.datacenters.count]) * self.scenario.dt_s
+        return (requested_kw - local.p_kw[..., : self.scenario.datacenters.count]) * self.scenario.dt_s

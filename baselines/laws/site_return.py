@@ -40,8 +40,8 @@ class ReturnByHand(Droop):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = {name: value for name, value in self._times().items() if value is not None}
-        require_non_negative("return rules", pace=self.pace, **given)
+        times = {name: value for name, value in self._times().items() if value is not None}
+        require_non_negative("return rules", pace=self.pace, **times)
         if not 0.0 < self.pace <= 1.0:
             raise ValueError(f"return rules: pace is {self.pace}; give more than 0, at most 1")
 
@@ -67,7 +67,7 @@ class ReturnByHand(Droop):
                 "by_hand_s"
             )
         self._return_at = np.flatnonzero(action_layout(self.scenario).is_channel("return"))
-        names = [name for names_of_agent in field_names(self.scenario).values() for name in names_of_agent]
+        names = [name for agent_names in field_names(self.scenario).values() for name in agent_names]
         of_sites = ("ups_share", "ups_locked", "ups_wait")
         self._seen_at = [[i for i, name in enumerate(names) if name == field] for field in of_sites]
 
@@ -83,8 +83,8 @@ class ReturnByHand(Droop):
         actions = super()._act(joint)
         share, locked, wait = (joint[..., columns] for columns in self._seen_at)
         due_s = np.where(locked > 0.5, self._release_s, self._delay_s)
-        goes = (share > 0.0) | (wait * self._longest_s >= due_s - 1e-3)
-        actions[..., self._return_at] = np.where(goes, self.pace, -1.0)
+        returns = (share > 0.0) | (wait * self._longest_s >= due_s - 1e-3)
+        actions[..., self._return_at] = np.where(returns, self.pace, -1.0)
         return actions
 
 

@@ -83,12 +83,14 @@ def spectral_radius(
     )
     if len(buses) != scenario.n_agents:
         raise ValueError(f"stability: {len(buses)} buses; {scenario.name} has {scenario.n_agents} agents")
-    r, x = _at(scenario, [buses], datacenters)
+    r, x = _impedances(scenario, [buses], datacenters)
     gains = (k_p_mw_per_pu, k_q_mvar_per_pu_s, alpha_per_s)
     return float(_radii(r, x, scenario.datacenters.count if datacenters else 0, scenario.dt_s, *gains).max())
 
 
-def _at(scenario: Scenario, where: Sequence[Sequence[int | str]], datacenters: bool) -> tuple[np.ndarray, np.ndarray]:
+def _impedances(
+    scenario: Scenario, where: Sequence[Sequence[int | str]], datacenters: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """R and X between the agents that act, for each placement, (placement, n, n)."""
     index = scenario.feeder.index
     acting = np.flatnonzero(action_layout(scenario).reactive >= 0)  # equipment of the feeder gives no reactive power
@@ -138,7 +140,7 @@ class ClosedLoops:
 
     def __init__(self, scenarios: Sequence[Scenario], n: int = PLACEMENTS):
         members = [member for scenario in scenarios for member, _ in scenario.members(range(n))]
-        self._loops = [(member, *_at(member, placements(member, n), True)) for member in members]
+        self._loops = [(member, *_impedances(member, placements(member, n), True)) for member in members]
 
     def largest_radius(self, droop: Droop) -> float:
         """Largest spectral radius of a droop's gains over scenarios and placements."""
@@ -183,9 +185,9 @@ def largest_stable(
     """
     if (k_p_mw_per_pu is None) == (k_q_mvar_per_pu_s is None):
         raise ValueError("stability: give one of k_p_mw_per_pu and k_q_mvar_per_pu_s; the other is looked for")
-    given = {"k_p_mw_per_pu": k_p_mw_per_pu, "k_q_mvar_per_pu_s": k_q_mvar_per_pu_s, "alpha_per_s": alpha_per_s}
-    require_non_negative("stability", **{name: value for name, value in given.items() if value is not None})
-    r, x = _at(scenario, placements(scenario, n), datacenters)
+    gains = {"k_p_mw_per_pu": k_p_mw_per_pu, "k_q_mvar_per_pu_s": k_q_mvar_per_pu_s, "alpha_per_s": alpha_per_s}
+    require_non_negative("stability", **{name: value for name, value in gains.items() if value is not None})
+    r, x = _impedances(scenario, placements(scenario, n), datacenters)
     n_dc = scenario.datacenters.count if datacenters else 0
 
     def stable(gain: float) -> bool:

@@ -23,7 +23,7 @@ from dcgrid_env.core.arrays import Array
 _LEAST = 0.1
 
 
-def weight_of_newest(noise_pu: float, change_pu: np.ndarray) -> np.ndarray:
+def newest_weight(noise_pu: float, change_pu: np.ndarray) -> np.ndarray:
     """K of each agent, (n,), from the noise's standard deviation, p.u., and changes of E in a step, p.u., (m, n)."""
     q = (change_pu**2).mean(axis=0) / noise_pu**2
     return np.maximum(0.5 * (np.sqrt(q * q + 4.0 * q) - q), _LEAST)

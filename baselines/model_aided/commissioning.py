@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env import Scenario, sensitivity_to_agents
-from dcgrid_env.baselines.controller import require_draws_of_work, require_known_devices
+from dcgrid_env.baselines.controller import require_known_devices, require_work_draws
 from dcgrid_env.baselines.model_aided.answers import answered, slopes
-from dcgrid_env.baselines.model_aided.average import weight_of_newest
+from dcgrid_env.baselines.model_aided.average import newest_weight
 from dcgrid_env.baselines.model_aided.damping import settled
-from dcgrid_env.baselines.model_aided.decision import Seen, decide
+from dcgrid_env.baselines.model_aided.decision import DecisionInputs, decide
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Law, Site, by_sun
 from dcgrid_env.baselines.model_aided.moment_flow import MomentFlow
 from dcgrid_env.baselines.model_aided.operating_points import OperatingPoints, operating_points
@@ -26,10 +26,10 @@ from dcgrid_env.baselines.model_aided.static_optimum import static_optimum
 MOMENTS = 240
 """Moments of the operation that statistics are over; twice as many where levels of the sun divide them."""
 SUN_LEVELS = 6
-_MOMENTS_OF_OPTIMUM = 12
+_OPTIMUM_MOMENTS = 12
 _CAUTIOUS_ROUNDS = 3  # the first, of which each goes only a part of the way
 _PART = 0.6
-_MOMENTS_OF_DAMPING = 4  # one of so many
+_DAMPING_MOMENTS = 4  # one of so many
 _ON_THE_WAY = 0.1  # share of the moments at which all stand between nothing and their response
 _MISSING = 0.05  # share of the moments at which an agent is without reactive power, as one that is lost
 # What is put off is served later, and relieves as much less then: that pays where the relief now is so many times what
@@ -58,7 +58,7 @@ def site_of(scenario: Scenario, law: Law | None = None, points: OperatingPoints 
         For devices, or sites that draw otherwise, than the law is made for.
     """
     require_known_devices("model-aided", scenario)
-    require_draws_of_work("model-aided", scenario)
+    require_work_draws("model-aided", scenario)
     if points is None:
         points = operating_points(scenario, MOMENTS * (1 if scenario.schedule is None else 2))
     else:
@@ -79,16 +79,16 @@ def commission(site: Site, buses: np.ndarray) -> Commissioned:
 def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     """Compute the agents' data for one placement, (n_agent,), with a leading 1."""
     s, points, law = site.scenario, site.points, site.law
-    n_dc, scale, draw = s.datacenters.count, site.share_of_kvar, points.p_agent_kw
+    n_dc, scale, draw = s.datacenters.count, site.kvar_share, points.p_agent_kw
     by_p, by_q = (slope[0][:, s.feeder.load_slice] / 1000.0 for slope in sensitivity_to_agents(s, buses[None]))
     levels, limit = _levels(site), site.limit_kvar(draw)
     flow = MomentFlow(site, buses)
     rng = np.random.default_rng(1)
     rest = []
     for rows in levels:
-        drawn = rng.choice(rows, min(_MOMENTS_OF_OPTIMUM, len(rows)), replace=False)
+        drawn = rng.choice(rows, min(_OPTIMUM_MOMENTS, len(rows)), replace=False)
         mean_limit = limit[rows].mean(axis=0)
-        rest.append(static_optimum(s, flow.of(drawn), by_q, site.q_scale_kvar, mean_limit, site.effort))
+        rest.append(static_optimum(s, flow.at_moments(drawn), by_q, site.q_scale_kvar, mean_limit, site.effort))
     rest_kvar = np.array(rest)
     rest_at = np.array([-points.sun[rows].mean() for rows in levels]) / (s.scheduled_kva.sum() or 1.0)
     order = np.argsort(rest_at, kind="stable")
@@ -100,13 +100,13 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     v_rest, v = v, v - (rest_all - origin) @ by_q  # the latter at the origin, by the model
     by_draw = by_p.copy()
     by_draw[:n_dc] += _correlated(draw[:, :n_dc]) @ by_p[:n_dc]
-    own_by_q, own_by_draw = ((slope * flow.seen).sum(axis=1) for slope in (by_q, by_draw))
+    own_by_q, own_by_draw = ((slope * flow.observed_share).sum(axis=1) for slope in (by_q, by_draw))
     newest = np.ones((1, len(buses)))
     if points.later is not None:
         v_later = MomentFlow(site._replace(points=points.later), buses).voltages(rest_all)
-        change = (v_later - v_rest) @ flow.seen.T + (points.later.p_agent_kw - draw) * own_by_draw
-        newest = weight_of_newest(s.sensing.noise_pu, change)[None]
-    start = rest_kvar @ (by_q @ flow.seen.T)
+        change = (v_later - v_rest) @ flow.observed_share.T + (points.later.p_agent_kw - draw) * own_by_draw
+        newest = newest_weight(s.sensing.noise_pu, change)[None]
+    start = rest_kvar @ (by_q @ flow.observed_share.T)
     still = (mean_kw, rest_kvar, rest_at, start, origin, by_q, by_q, by_p, by_draw, own_by_q, own_by_draw)
     # A model that is said to be wrong tells too little of the optimum and of the others' answers.
     trusted = float(s.sensing.r_model_share == s.sensing.x_model_share == 1.0)
@@ -115,34 +115,34 @@ def _commission(site: Site, buses: np.ndarray) -> Commissioned:
     fields: list[np.ndarray] = [*(field[None] for field in still), *[empty] * 6, hold, newest, alike, waiting]
     known = Commissioned(*fields)
     moved = rest_all - origin
-    held = v + moved @ by_q
-    known = regressed(site, known, held, own_v := held @ flow.seen.T, moved)
+    v_moved = v + moved @ by_q
+    known = regressed(site, known, v_moved, own_v := v_moved @ flow.observed_share.T, moved)
     there = _there(rng, *draw.shape)
     relief, rounds = np.zeros((len(draw), n_dc)), int(law.rounds)  # a float where it comes from a policy's card
     for k in range(rounds):
         span_kw = np.zeros((len(draw), n_dc if k == rounds - 1 else 0))  # relief is asked for at the end alone
         kvar = origin + moved
-        best = decide(site, known, Seen(own_v, draw, kvar, kvar, draw, span_kw, rest_all))
+        best = decide(site, known, DecisionInputs(own_v, draw, kvar, kvar, draw, span_kw, rest_all))
         relief = best.relief
         kvar = kvar + (_PART if k < _CAUTIOUS_ROUNDS else 1.0) * (best.share * scale - kvar)
         kvar = kvar + law.pull * site.scheduled * (rest_all - kvar)
         kvar = np.clip(kvar, -limit, limit)
         slope = trusted * slopes(own_v - moved * own_by_q, kvar)
-        known = known._replace(by_own=answered(by_q, by_q @ flow.seen.T, slope)[None])
+        known = known._replace(by_own=answered(by_q, by_q @ flow.observed_share.T, slope)[None])
         moved = there * kvar - origin
-        held = v + moved @ by_q
-        known = regressed(site, known, held, own_v := held @ flow.seen.T, moved)
+        v_moved = v + moved @ by_q
+        known = regressed(site, known, v_moved, own_v := v_moved @ flow.observed_share.T, moved)
     later = _TIMES * np.quantile(relief, _BEST_MOMENTS, axis=0)
 
-    some = slice(None, None, _MOMENTS_OF_DAMPING)
+    some = slice(None, None, _DAMPING_MOMENTS)
     no_clock = np.zeros((len(draw[some]), 0))
 
     def respond(damping: np.ndarray, share: np.ndarray) -> np.ndarray:
         kvar = share * scale
-        own_v = (v[some] + (kvar - origin) @ by_q) @ flow.seen.T
-        seen = Seen(own_v, draw[some], kvar, kvar, draw[some], no_clock, rest_all[some])
+        own_v = (v[some] + (kvar - origin) @ by_q) @ flow.observed_share.T
+        inputs = DecisionInputs(own_v, draw[some], kvar, kvar, draw[some], no_clock, rest_all[some])
         most = limit[some] / scale
-        return np.clip(decide(site, known._replace(alike=damping[None]), seen).share, -most, most)
+        return np.clip(decide(site, known._replace(alike=damping[None]), inputs).share, -most, most)
 
     if law.rounds:
         known = known._replace(alike=settled(known.alike[0], rest_all[some] / scale, respond)[None])

@@ -37,14 +37,14 @@ def settled(
     respond
         New setpoints under a damping, (n,), after setpoints, (m, n).
     """
-    found = begin
+    damping = begin
     for _ in range(_ADJUSTMENTS):
         iterates = [start]
         for _ in range(_STEPS):
-            iterates.append(respond(found, iterates[-1]))
+            iterates.append(respond(damping, iterates[-1]))
         steps = np.diff(iterates, axis=0)
         follows = (steps[1:] * steps[:-1]).sum(axis=(0, 1))
         rho = follows / np.maximum((steps[:-1] ** 2).sum(axis=(0, 1)), _LEAST_STEP**2 * start.shape[0])
-        found = found * np.clip(1.0 - _SHARE * rho, *_MOST_AT_ONCE)
-        found = np.clip(found, _RANGE[0] * begin, _RANGE[1] * begin)
-    return found
+        damping = damping * np.clip(1.0 - _SHARE * rho, *_MOST_AT_ONCE)
+        damping = np.clip(damping, _RANGE[0] * begin, _RANGE[1] * begin)
+    return damping

@@ -27,7 +27,7 @@ from dcgrid_env.baselines.model_aided.expected_cost import VoltagePrice
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between
 
 
-class Seen(NamedTuple):
+class DecisionInputs(NamedTuple):
     """What each agent goes by; m rows, n agents, data centres first."""
 
     v_pu: np.ndarray
@@ -61,32 +61,32 @@ class Decision(NamedTuple):
     """E_i less what is expected of it, (m, n)."""
 
 
-def decide(site: Site, known: Commissioned, seen: Seen) -> Decision:
+def decide(site: Site, known: Commissioned, inputs: DecisionInputs) -> Decision:
     """Decide for all agents of all rows; ``known`` is of one placement or has one a row."""
     # Both bring the compiler with them, so not on import.
     from dcgrid_env.baselines.model_aided import response_kernels
     from dcgrid_env.core.threads import over_rows
 
     kernel: Any = response_kernels.decide
-    price, scale = VoltagePrice.of(site.scenario), site.share_of_kvar
-    e_own = own_error(known, seen.v_pu, seen.then_kw, seen.then_kvar)
+    price, scale = VoltagePrice.from_scenario(site.scenario), site.kvar_share
+    e_own = own_error(known, inputs.v_pu, inputs.then_kw, inputs.then_kvar)
     key = np.broadcast_to(known.key, (len(e_own), *known.key.shape[1:]))
-    level, weight = between(np.where(site.scheduled, seen.then_kw, e_own), key)
+    level, weight = between(np.where(site.scheduled, inputs.then_kw, e_own), key)
     n_row, n = e_own.shape
-    n_dc = seen.span_kw.shape[1]
+    n_dc = inputs.span_kw.shape[1]
     done = Decision(*(np.zeros((n_row, wide)) for wide in (n, n_dc, n, n_dc, n)))
-    given = [
+    arguments = [
         np.ascontiguousarray(values)
         for values in (
             known.hold, known.alike, known.base_pu, known.own_base_pu, known.gain, known.inverse_spread,
             known.by_all, known.by_q, known.by_own, known.by_p, known.by_draw, known.waiting, level, weight, e_own,
-            seen.kvar - known.origin_kvar, seen.p_kw - known.mean_kw, seen.span_kw, seen.p_kw, seen.kvar / scale,
-            seen.rest_kvar / scale, site.s_rated_kva, site.q_scale_kvar, site.effort,
+            inputs.kvar - known.origin_kvar, inputs.p_kw - known.mean_kw, inputs.span_kw, inputs.p_kw,
+            inputs.kvar / scale, inputs.rest_kvar / scale, site.s_rated_kva, site.q_scale_kvar, site.effort,
         )
     ]  # fmt: skip
 
     def part(first: int, last: int) -> int:
-        return kernel(first, last, price.voltage, price.violation, price.band_pu, *given, *done)
+        return kernel(first, last, price.voltage, price.violation, price.band_pu, *arguments, *done)
 
     over_rows(part, n_row)
     return done

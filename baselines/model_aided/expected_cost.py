@@ -30,7 +30,7 @@ class VoltagePrice(NamedTuple):
     band_pu: float
 
     @classmethod
-    def of(cls, scenario: Scenario) -> VoltagePrice:
+    def from_scenario(cls, scenario: Scenario) -> VoltagePrice:
         """The prices of a scenario, the mean over its buses taken apart."""
         w, n = scenario.cost.weights, len(scenario.feeder.load_nodes)
         return cls(w.voltage / n, w.violation / n, scenario.cost.band_pu)

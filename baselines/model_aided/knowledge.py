@@ -76,7 +76,7 @@ class Site(NamedTuple):
         return np.concatenate([device.converter_kva for device in self.scenario.devices])
 
     @property
-    def share_of_kvar(self) -> np.ndarray:
+    def kvar_share(self) -> np.ndarray:
         """The reactive limit, 1 where there is none, (n,)."""
         return np.where(self.q_scale_kvar > 0.0, self.q_scale_kvar, 1.0)
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dcgrid_env.baselines.model_aided.average import Average
-from dcgrid_env.baselines.model_aided.decision import Decision, Seen, decide, own_error
+from dcgrid_env.baselines.model_aided.decision import Decision, DecisionInputs, decide, own_error
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, Site, between, by_sun, resting
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices import site_work
@@ -57,7 +57,7 @@ class Decided(NamedTuple):
     """Dynamic power that serves all work that is there, up to the top clock."""
     ceiling_kw: Array
     """Dynamic power of the top clock."""
-    seen: Seen
+    seen: DecisionInputs
     """All that the decisions go by, as NumPy arrays."""
     best: Decision
 
@@ -107,7 +107,7 @@ class LawStep:
         self.by_q = array(known.by_own * site.q_scale_kvar[:, None])
         """What each agent's whole reactive power does to every voltage once the others have answered it, p.u.,
         (placement, n_agent, node)."""
-        self._scale = array(site.share_of_kvar)
+        self._scale = array(site.kvar_share)
         self._dc = {
             name: array(np.asarray(getattr(s.datacenters.parameters, name))) for name in ("p_idle_kw", "p_dynamic_kw")
         }
@@ -131,7 +131,7 @@ class LawStep:
             e_own = own_error(known, now.v_pu, then_kw, then_kvar)
             now = now._replace(v_pu=now.v_pu + past.average(known, e_own) - e_own)
         least_kw = np.minimum(_host(ceiling_kw) * s.datacenters.f_min_mhz / s.datacenters.f_max_mhz, _host(all_kw))
-        seen = Seen(
+        seen = DecisionInputs(
             _host(now.v_pu), _host(then_kw), _host(then_kvar), _host(now.q_kvar), _host(p_kw),
             _host(all_kw) - least_kw, rest_kvar,
         )  # fmt: skip

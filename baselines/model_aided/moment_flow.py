@@ -31,9 +31,9 @@ class MomentFlow:
         self.shares = np.zeros((s.n_agents, self.feeder.n_leg))
         rows = np.arange(s.n_agents)[:, None]
         np.add.at(self.shares, (rows, self.feeder.first_device_leg + nodes), 1.0 / nodes.shape[1])
-        seen = np.zeros((s.n_agents, self.feeder.n_node))
-        np.add.at(seen, (rows, nodes), 1.0 / nodes.shape[1])
-        self.seen = seen[:, self.feeder.load_slice]
+        observed = np.zeros((s.n_agents, self.feeder.n_node))
+        np.add.at(observed, (rows, nodes), 1.0 / nodes.shape[1])
+        self.observed_share = observed[:, self.feeder.load_slice]
         """Share of each voltage in what an agent sees, (n_agent, k)."""
         is_balanced = isinstance(s.feeder, Feeder)
         self._position = s.model_position if is_balanced else np.arange(self.feeder.n_node)
@@ -48,7 +48,7 @@ class MomentFlow:
                     feeder, p_kw[k::n], self.points.q_load_kvar[k::n], s.source_voltage_pu
                 )
 
-    def of(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    def at_moments(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """Voltages of some moments as a function of constant setpoints, kvar, (n_agent,)."""
         return lambda q_kvar: self.voltages(np.broadcast_to(q_kvar, (len(rows), len(q_kvar))), rows)
 
@@ -58,11 +58,11 @@ class MomentFlow:
         p = points.p_load_kw[rows] + points.p_agent_kw[rows] @ self.shares
         q = points.q_load_kvar[rows] - q_kvar @ self.shares
         p, q = p[:, self._order], q[:, self._order]
-        of = np.arange(len(points.p_load_kw))[rows] % len(self.feeders)
+        feeder_index = np.arange(len(points.p_load_kw))[rows] % len(self.feeders)
         first_tap = self._first_tap[rows]
-        v, solved = np.empty((len(p), self.seen.shape[1])), np.empty(len(p), bool)
+        v, solved = np.empty((len(p), self.observed_share.shape[1])), np.empty(len(p), bool)
         for k, feeder in enumerate(self.feeders):
-            of_feeder = of == k
+            of_feeder = feeder_index == k
             load, control = (feeder, p[of_feeder], q[of_feeder], s.source_voltage_pu), None
             if self._relays is not None:
                 tap = first_tap[of_feeder]

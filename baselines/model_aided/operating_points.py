@@ -39,18 +39,18 @@ class OperatingPoints(NamedTuple):
         Each bus has the share of its nominal load that the bus at its place has here, or where that has no load, that
         of another one. ValueError where a feeder is not balanced or the buses are not as many.
         """
-        here, there = self.scenario.feeder, scenario.feeder
-        if not (isinstance(here, Feeder) and isinstance(there, Feeder) and here.n_bus == there.n_bus):
+        feeder, other_feeder = self.scenario.feeder, scenario.feeder
+        if not (isinstance(feeder, Feeder) and isinstance(other_feeder, Feeder) and feeder.n_bus == other_feeder.n_bus):
             raise ValueError(
-                f"moments of {here.name!r} can be carried over to balanced feeders of as many buses alone, and not to "
-                f"{there.name!r}; draw them anew"
+                f"moments of {feeder.name!r} can be carried over to balanced feeders of as many buses alone, and not "
+                f"to {other_feeder.name!r}; draw them anew"
             )
-        loaded = np.flatnonzero(here.p_load_kw > 0.0)
-        bus = loaded[np.arange(here.n_bus) % len(loaded)]
+        loaded = np.flatnonzero(feeder.p_load_kw > 0.0)
+        bus = loaded[np.arange(feeder.n_bus) % len(loaded)]
         bus[loaded] = loaded
-        share = self.p_load_kw[:, bus] / here.p_load_kw[bus]
-        fixed_kvar = there.capacitor_kvar if scenario.background.capacitors else 0.0
-        p_kw, q_kvar = share * there.p_load_kw, share * there.q_load_kvar - fixed_kvar
+        share = self.p_load_kw[:, bus] / feeder.p_load_kw[bus]
+        fixed_kvar = other_feeder.capacitor_kvar if scenario.background.capacitors else 0.0
+        p_kw, q_kvar = share * other_feeder.p_load_kw, share * other_feeder.q_load_kvar - fixed_kvar
         later = None if self.later is None else self.later.on(scenario)
         return OperatingPoints(scenario, p_kw, q_kvar, self.p_agent_kw, later)
 
@@ -74,8 +74,8 @@ def operating_points(scenario: Scenario, count: int) -> OperatingPoints:
         steps = rng.choice(scenario.horizon, min(each, scenario.horizon), replace=False)
         drawn = np.concatenate((episode.p_ref_kw, -episode.p_inverter_kw), axis=1)
         series = (episode.p_load_kw, episode.q_load_kvar, drawn)
-        for part, steps_of_part in zip(parts, (steps, np.minimum(steps + 1, scenario.horizon - 1)), strict=True):
-            part.append(tuple(values[steps_of_part] for values in series))
+        for part, part_steps in zip(parts, (steps, np.minimum(steps + 1, scenario.horizon - 1)), strict=True):
+            part.append(tuple(values[part_steps] for values in series))
     (p_kw, q_kvar, drawn_kw), later = (tuple(map(np.concatenate, zip(*part, strict=True))) for part in parts)
     after = OperatingPoints(scenario, later[0], later[1], later[2]) if scenario.sensing.noise_pu else None
     return OperatingPoints(scenario, p_kw, q_kvar, drawn_kw, after)

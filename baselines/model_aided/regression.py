@@ -77,9 +77,9 @@ def _weights(level_of: np.ndarray, n_level: int) -> np.ndarray:
     if n_level == 1:
         return np.full((1, 1, n_moment), 1.0 / n_moment)
     sizes = [len(rows) for rows in np.array_split(np.arange(n_moment), n_level)]
-    of = np.empty((n, n_moment), int)
-    np.put_along_axis(of, np.argsort(level_of.T, kind="stable"), np.repeat(np.arange(n_level), sizes)[None], axis=-1)
-    return (of[:, None] == np.arange(n_level)[:, None]) / np.array(sizes)[:, None]
+    level = np.empty((n, n_moment), int)
+    np.put_along_axis(level, np.argsort(level_of.T, kind="stable"), np.repeat(np.arange(n_level), sizes)[None], axis=-1)
+    return (level[:, None] == np.arange(n_level)[:, None]) / np.array(sizes)[:, None]
 
 
 def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:

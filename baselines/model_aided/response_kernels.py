@@ -33,7 +33,7 @@ def decide(
 ):  # fmt: skip
     """Decide for the rows from ``first`` to before ``last``, writing to ``new .. surprise``.
 
-    Arrays are those of ``Commissioned`` (one placement, or one a row) and ``Seen``, contiguous; ``level`` and
+    Arrays are those of ``Commissioned`` (one placement, or one a row) and ``DecisionInputs``, contiguous; ``level`` and
     ``weight`` say between which levels an agent is and how far. Without columns in ``span_kw`` no clock is decided.
     """
     n, n_node, top = by_q.shape[1], by_q.shape[2], base.shape[2] - 1
@@ -46,29 +46,29 @@ def decide(
     apart = rises = False
     for i in range(n):
         for m in range(first, last):
-            of = m if by_q.shape[0] > 1 else 0
+            place = m if by_q.shape[0] > 1 else 0
             below = level[m, i]
             to, part = min(below + 1, top), weight[m, i]
-            q, d = by_q[of, i], by_draw[of, i]
+            q, d = by_q[place, i], by_draw[place, i]
             if each_row or m == first:
-                spread, spread_to = inverse_spread[of, i, below], inverse_spread[of, i, to]
-                limits, limits_to = by_all[of, i, below], by_all[of, i, to]
+                spread, spread_to = inverse_spread[place, i, below], inverse_spread[place, i, to]
+                limits, limits_to = by_all[place, i, below], by_all[place, i, to]
                 least, steepest_fall = np.inf, 0.0
                 for k in range(n_node):
                     inverse[k] = (1.0 - part) * spread[k] + part * spread_to[k]
                     edge[k] = band_pu * inverse[k]
-                    together[k] = alike[of, i] * ((1.0 - part) * limits[k] + part * limits_to[k]) * inverse[k]
+                    together[k] = alike[place, i] * ((1.0 - part) * limits[k] + part * limits_to[k]) * inverse[k]
                     drawn[k] = d[k] * inverse[k]
-                    effect[k] = q_scale[i] * by_own[of, i, k]
-                    own_p[k] = by_p[of, i, k]
+                    effect[k] = q_scale[i] * by_own[place, i, k]
+                    own_p[k] = by_p[place, i, k]
                     least = min(least, edge[k])
                     steepest_fall = min(steepest_fall, together[k] * effect[k])
                 apart, rises = least >= 2.0 * _TOP, steepest_fall == 0.0
-            off, off_to = e_own[m, i] - own_base[of, i, below], e_own[m, i] - own_base[of, i, to]
+            off, off_to = e_own[m, i] - own_base[place, i, below], e_own[m, i] - own_base[place, i, to]
             surprise[m, i] = (1.0 - part) * off + part * off_to
             up, down = moved_kvar[m, i], more_kw[m, i]
-            mean, gains = base[of, i, below], gain[of, i, below]
-            mean_to, gains_to = base[of, i, to], gain[of, i, to]
+            mean, gains = base[place, i, below], gain[place, i, below]
+            mean_to, gains_to = base[place, i, to], gain[place, i, to]
             for k in range(n_node):
                 v = mean[k] + gains[k] * off
                 if part > 0.0:
@@ -76,7 +76,7 @@ def decide(
                 x[k] = (v + up * q[k] - down * d[k] - 1.0) * inverse[k]
             p_next = p_kw[m, i]
             if i < span_kw.shape[1]:
-                cut, relief[m, i] = _cut(x, edge, apart, drawn, own_p, price, span_kw[m, i], waiting[of, i])
+                cut, relief[m, i] = _cut(x, edge, apart, drawn, own_p, price, span_kw[m, i], waiting[place, i])
                 cut_kw[m, i] = cut
                 p_next -= cut
                 for k in range(n_node):
@@ -85,7 +85,18 @@ def decide(
             if q_scale[i] > 0.0:
                 limit = reactive_limit(s_rated[i], q_scale[i], p_next) / q_scale[i]
             new[m, i], slope[m, i] = respond(
-                x, edge, apart, rises, together, effect, price, share[m, i], limit, effort[i], hold[of, i], rest[m, i]
+                x,
+                edge,
+                apart,
+                rises,
+                together,
+                effect,
+                price,
+                share[m, i],
+                limit,
+                effort[i],
+                hold[place, i],
+                rest[m, i],
             )
     return 0
 
@@ -190,20 +201,20 @@ def respond(x, edge, apart, rises, together, effect, price, share, limit, effort
         sign = 1.0 if idle < 0.0 else -1.0
         begin, begin_f = -share, idle + sign * effort
     constant += sign * effort
-    end, here = sign * limit - share, now + sign * effort
+    end, middle = sign * limit - share, now + sign * effort
     if further and sign * end <= _ROUNDING * limit:
         return sign * limit, now
     between = sign * begin < 0.0 < sign * end
-    if between and rises and sign * here > 0.0:
-        end, end_f = 0.0, here
+    if between and rises and sign * middle > 0.0:
+        end, end_f = 0.0, middle
     else:
         end_f = constant + hold * end + _slope(x, edge, apart, together, end, effect, price)
         if sign * end_f <= 0.0:
             return sign * limit, now
-        if between and sign * here > 0.0:
-            end, end_f = 0.0, here
+        if between and sign * middle > 0.0:
+            end, end_f = 0.0, middle
         elif between:
-            begin, begin_f = 0.0, here
+            begin, begin_f = 0.0, middle
     low, low_f, high, high_f = begin, begin_f, end, end_f
     if sign < 0.0:
         low, low_f, high, high_f = end, end_f, begin, begin_f

@@ -217,7 +217,7 @@ class EpisodeProgram(Trajectory):
         queue = {"d": dt_s * self._in_d(0, n_dc), "b": step, **self.work_rows.moved()}
         parts = [(queue, self.arrived_kw.ravel() * dt_s), *self.work_rows.equalities()]
         parts += self.storage_rows.equalities(self._in_d(n_dc, self.n_storages))
-        rows, amounts = zip(*((self._rows(**of), amount) for of, amount in parts), strict=True)
+        rows, amounts = zip(*((self._rows(**blocks), amount) for blocks, amount in parts), strict=True)
         return sparse.vstack(rows, format="csr"), np.concatenate(amounts)
 
     def _in_d(self, first: int, count: int) -> Sparse:

@@ -112,16 +112,16 @@ class EquipmentProgram(Trajectory):
         h, limits = np.concatenate((h, h_other)), np.concatenate((bounds, k_other))
         start = np.concatenate((np.zeros((steps, n_dc)), self.q_kvar, self.position[:, :n_u]), axis=1).ravel()
         try:
-            found = minimise(c, rows, h, limits, start, constant, tolerance)
+            optimum = minimise(c, rows, h, limits, start, constant, tolerance)
         except ArithmeticError as error:
             band = "; keep_band may ask for what cannot be" if self.keep_band else ""
             raise HindsightError(f"hindsight of scenario {s.name!r} has no solution: {error}{band}") from None
-        x = found.x.reshape(steps, k)
-        self.served_kw = (quantities @ found.x).reshape(steps, k)[:, :n_dc] + self.arrived_kw
+        x = optimum.x.reshape(steps, k)
+        self.served_kw = (quantities @ optimum.x).reshape(steps, k)[:, :n_dc] + self.arrived_kw
         self.q_kvar = x[:, n_dc : n_dc + self.n]
         if n_u:
             self.position = np.clip(x[:, n_dc + self.n :], self.lowest, self.highest)
-        return found.bound, self.actions()
+        return optimum.bound, self.actions()
 
     def actions(self) -> np.ndarray:
         """(T, n_action) in [-1, 1], as ``Trajectory.actions``, and of the equipment the nearest whole positions."""

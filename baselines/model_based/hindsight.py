@@ -31,7 +31,7 @@ from dcgrid_env import (
     acting_relays,
     forecast,
 )
-from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_draws_of_work, require_known_devices
+from dcgrid_env.baselines.controller import KNOWN_DEVICES, require_known_devices, require_work_draws
 from dcgrid_env.baselines.laws.no_control import NoControl
 from dcgrid_env.baselines.model_based.episode_program import EpisodeProgram
 from dcgrid_env.baselines.model_based.equipment_program import CHANNELS, SETTERS, EquipmentProgram
@@ -168,7 +168,7 @@ def finds_best_known(scenario: Scenario) -> bool:
 
 def _over_searched_taps(program: EpisodeProgram, seed: int, rounds: int) -> Hindsight:
     """Search tap trajectories around those of the controllers of ``STARTS``; return the least cost."""
-    scenario, found = program.scenario, []
+    scenario, results = program.scenario, []
     for controller in STARTS:
         try:
             start = rollout(scenario.replace(observe="feeder"), controller(), [seed])
@@ -176,10 +176,10 @@ def _over_searched_taps(program: EpisodeProgram, seed: int, rounds: int) -> Hind
             if error.refuses is None:
                 raise
             continue
-        found.append(_searched(program, start, seed, rounds))
-    best = min(found, key=lambda one: one.J)
+        results.append(_searched(program, start, seed, rounds))
+    best = min(results, key=lambda one: one.J)
     bound = tap_bound(scenario, program.episode, best.recorder)
-    return best._replace(bound=bound, rounds=sum(one.rounds for one in found))
+    return best._replace(bound=bound, rounds=sum(one.rounds for one in results))
 
 
 def _searched(program: EpisodeProgram, start: Recorder, seed: int, rounds: int) -> Hindsight:
@@ -221,8 +221,8 @@ def _planned(program: EquipmentProgram, seed: int, rounds: int, tolerance: float
         if len(bounds) > 1 and abs(bounds[-1] - bounds[-2]) <= RELAXED * abs(bounds[-1]):
             break
     program.round()
-    found = _settled(program, seed, rounds, tolerance)
-    return found._replace(bound=bounds[-1], rounds=len(bounds) + found.rounds)
+    settled = _settled(program, seed, rounds, tolerance)
+    return settled._replace(bound=bounds[-1], rounds=len(bounds) + settled.rounds)
 
 
 def _settled(program: EpisodeProgram | EquipmentProgram, seed: int, rounds: int, tolerance: float) -> Hindsight:
@@ -309,7 +309,7 @@ def _check(scenario: Scenario) -> None:
     try:
         if not planned:
             require_known_devices("hindsight", scenario, further=("storage",))
-        require_draws_of_work("hindsight", scenario)
+        require_work_draws("hindsight", scenario)
     except ValueError as error:
         raise HindsightError(str(error)) from None
     if any(map(may_leave, scenario.devices)):
@@ -351,9 +351,9 @@ def _check(scenario: Scenario) -> None:
     if not planned and "grid_request" in priced:
         priced.remove("grid_request")
     if priced == ["switching"] and (planned or searches):
-        what = "taps of built-in controls" if searches else "moves of agents"
+        moves = "taps of built-in controls" if searches else "moves of agents"
         raise HindsightError(
-            f"hindsight prices the {what} alone; make all other equipment fixed, or set the weight of switching to 0"
+            f"hindsight prices the {moves} alone; make all other equipment fixed, or set the weight of switching to 0"
         )
     if planned and (slow := _slow_regulators(scenario)):
         raise HindsightError(
@@ -367,7 +367,7 @@ def _check(scenario: Scenario) -> None:
 def _has_controlled_regulators(scenario: Scenario) -> bool:
     """Whether the built-in control of any regulator acts under set points that no agent chooses."""
     relays = acting_relays(scenario)
-    return relays is not None and bool(set(relays.rows.tolist()) - _rows_of_setters(scenario))
+    return relays is not None and bool(set(relays.rows.tolist()) - _setter_rows(scenario))
 
 
 def _slow_regulators(scenario: Scenario) -> list[str]:
@@ -376,11 +376,11 @@ def _slow_regulators(scenario: Scenario) -> list[str]:
     if relays is None:
         return []
     rows = relays.rows[relays.steps > 1].tolist()
-    chosen = _rows_of_setters(scenario)
+    chosen = _setter_rows(scenario)
     return [feeder.network.regulator.name[row] for row in rows if row in chosen]
 
 
-def _rows_of_setters(scenario: Scenario) -> set[int]:
+def _setter_rows(scenario: Scenario) -> set[int]:
     """Rows of the regulators whose set points agents choose."""
     devices = cast(Any, scenario.devices)
     return {row for device in devices if device.kind == SETTERS[0] for rows in device.members for row in rows}

@@ -108,7 +108,7 @@ def minimise(
     ArithmeticError
         Where no optimum was found, as of a program whose constraints exclude each other.
     """
-    state, hard = _begun(rows, h, k, x), np.isinf(h)
+    state, hard = _starting_point(rows, h, k, x), np.isinf(h)
     largest = max(float(np.abs(k[hard]).max(initial=1.0)), 1.0)
     for done in range(STEPS + 1):
         above = rows.apply(state.x) - k
@@ -151,7 +151,7 @@ class _State(NamedTuple):
         return float(self.s @ self.z + self.t @ self.y) / (len(self.s) + float(self.soft.sum()))
 
 
-def _begun(rows: Rows, h: np.ndarray, k: np.ndarray, x: np.ndarray) -> _State:
+def _starting_point(rows: Rows, h: np.ndarray, k: np.ndarray, x: np.ndarray) -> _State:
     """Multipliers in the middle of their range, and distances that make all products alike where x lets them."""
     soft, off = np.isfinite(h), rows.apply(x) - k
     price = np.where(soft, h, 1.0)

@@ -35,7 +35,7 @@ from dcgrid_env import (
     sensitivity_to_agents,
     under_own_control,
 )
-from dcgrid_env.baselines.controller import Local, LocalController, require_draws_of_work, require_known_devices
+from dcgrid_env.baselines.controller import Local, LocalController, require_known_devices, require_work_draws
 
 _V_LEAST_PU = 0.5  # no slope is steeper than at this voltage
 _GAIN_LEAST = 0.05  # an error of R and X must show, however quiet the loads are
@@ -98,7 +98,7 @@ class ModelController(LocalController):
         """
         s = under_own_control(env_info)
         require_known_devices(self.name, s)
-        require_draws_of_work(self.name, s)
+        require_work_draws(self.name, s)
         if s.sensing.observe != self.observe:
             raise ValueError(
                 f"{self.name}: observe is {s.sensing.observe!r}; make the scenario with observe={self.observe!r}"

@@ -43,7 +43,7 @@ class _Regression(NamedTuple):
     """Rise of each voltage by each agent's draw (negative), p.u. per kW, (m, n, k)."""
     by_q: np.ndarray
     """Rise of each voltage by each agent's injection, p.u. per kvar, (m, n, k)."""
-    seen: np.ndarray
+    observed_share: np.ndarray
     """Share of each voltage in what an agent measures, (m, n, k)."""
     mean_pu: np.ndarray
     """Mean U of each bus, (m, k)."""
@@ -82,7 +82,7 @@ class MessageMpc(Mpc):
         known = self._regression
         assert known is not None
         agents = _product(then[0] - known.mean_kw, known.by_p) + _product(then[1], known.by_q)
-        surprise = local.v_pu - _product(known.mean_pu + agents, known.seen.swapaxes(1, 2))
+        surprise = local.v_pu - _product(known.mean_pu + agents, known.observed_share.swapaxes(1, 2))
         return known.mean_pu + _product(surprise, known.gain) + agents
 
 
@@ -106,10 +106,10 @@ def _fitted(site: Site, placement: np.ndarray) -> _Regression:
     u = v - (draw - mean_kw) @ by_p
     mean = u.mean(axis=0)
     apart = u - mean
-    of_agents = apart @ flow.seen.T
+    of_agents = apart @ flow.observed_share.T
     noise = (s.sensing.noise_pu**2 + _MODEL_ERROR_PU**2) * np.eye(len(mean_kw))
     gain = np.linalg.solve(of_agents.T @ of_agents / len(u) + noise, of_agents.T @ apart / len(u))
-    return _Regression(mean_kw, by_p, by_q, flow.seen, mean, gain)
+    return _Regression(mean_kw, by_p, by_q, flow.observed_share, mean, gain)
 
 
 def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -153,19 +153,19 @@ class Mpc(ModelController):
             deviation_pu = program.offset[:, 0] + np.matmul(served[:, None], program.slopes[:, :n_dc])[:, 0]
             relay_v = without_q_v + np.matmul(change_kw[:, None], plan.model.by_p[:, :n_dc])[:, 0]
             outlooks.append(Outlook(deviation_pu, relay_v))
-        usual, coming = outlooks
+        usual, next_step = outlooks
         of_sites = converter.limit(program.s_rated[:, 0], program.q_high[:, :n_dc], program.base[:, 0] + served)
         q_high = np.concatenate((of_sites, program.q_high[:, n_dc:]), axis=1)
         by_q = plan.model.by_q * size_kvar
         reactive = plan.limited(program._replace(slopes=program.slopes[:, n_dc:], q_high=q_high), by_q)
-        choice = plan.choose(reactive, usual, coming, self._regulators, self._steps_left)
+        choice = plan.choose(reactive, usual, next_step, self._regulators, self._steps_left)
         self._regulators, self._steps_left = None, max(self._steps_left - 1, 1)
         anything = np.full((n_row, self.horizon - 1, choice.taps.shape[-1]), np.inf)
         low, high = (side[:, None] for side in choice.demands)
         demands = Demands(np.concatenate((low, -anything), axis=1), np.concatenate((high, anything), axis=1))
         moved_pu = program.offset + (choice.taps @ plan.model.v_by_tap)[:, None]
         limited = plan.limited(program, np.concatenate((0.0 * plan.model.by_p[:, :n_dc], by_q), axis=1))
-        return limited._replace(offset=plan.offset(moved_pu, coming.relay_v[:, None], demands))
+        return limited._replace(offset=plan.offset(moved_pu, next_step.relay_v[:, None], demands))
 
     def _forecast(self, now: Estimate) -> np.ndarray:
         """p_ref of the steps ahead, kW, (row, step, n_dc)."""

@@ -50,7 +50,7 @@ def relay_set_points(
     settings, (offset, half_band) = relays.settings, device.channels
     chosen = np.empty((2, len(taps), device.count))
     for bank, rows in enumerate(map(list, device.members)):
-        at = np.searchsorted(relays.rows, rows)
+        columns = np.searchsorted(relays.rows, rows)
         offsets = np.linspace(offset.lowest[bank], offset.highest[bank], OFFSETS)
         halves = np.linspace(half_band.lowest[bank], half_band.highest[bank], HALF_BANDS)
         offset_v, half_v = (values.ravel() for values in np.meshgrid(offsets, halves))
@@ -59,7 +59,7 @@ def relay_set_points(
         low, high = target_v - half_v[:, None] - wider_v, target_v + half_v[:, None] + wider_v
         per_tap, ends = settings.volts_per_tap[rows, rows], (settings.lowest[rows], settings.highest[rows])
         tap = first_tap[rows]
-        for step, (wanted, volts) in enumerate(zip(taps[:, rows], relay_v[:, at], strict=True)):
+        for step, (wanted, volts) in enumerate(zip(taps[:, rows], relay_v[:, columns], strict=True)):
             least, most = np.ceil((low - volts) / per_tap) + wanted, np.floor((high - volts) / per_tap) + wanted
             after = np.clip(np.minimum(np.maximum(tap, least), most), *ends)
             off = np.abs(after - wanted) + PER_MOVE * np.abs(after - tap)

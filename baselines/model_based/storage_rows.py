@@ -76,13 +76,13 @@ class StorageRows:
         p, n, size = self.params, self.count, self.sizes["s"]
         one = sparse.identity(size, format="csr")
         stored = one - sparse.kron(sparse.eye(self.steps, k=-1), sparse.diags(self.kept), format="csr")
-        begun = np.zeros((self.steps, n))
-        begun[0] = self.kept * self.kept * p.initial_kwh  # it has stood by for the step that ends at t = 0
+        initial_kwh = np.zeros((self.steps, n))
+        initial_kwh[0] = self.kept * self.kept * p.initial_kwh  # it has stood by for the step that ends at t = 0
         charge, discharge = (
             np.tile(self.hours * share, self.steps) for share in (p.charge_efficiency, 1.0 / p.discharge_efficiency)
         )
         energy = {"s": stored, "c": -sparse.diags(charge, format="csr"), "x": sparse.diags(discharge, format="csr")}
-        return [({"d": in_d, "c": -one, "x": one}, np.zeros(size)), (energy, begun.ravel())]
+        return [({"d": in_d, "c": -one, "x": one}, np.zeros(size)), (energy, initial_kwh.ravel())]
 
     def limits(self, tangents: np.ndarray) -> list[Part]:
         """What is missing at the end, and the converters' capability."""

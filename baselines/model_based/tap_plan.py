@@ -51,7 +51,7 @@ _ROUNDS = 60  # of the solver in each step
 _NO_LIMIT = -1.0  # offset of a limit that does not apply
 _FIRST_ERROR_V, _FIRST_COUNT = 0.1, 5.0  # error assumed before there are measurements, and its weight
 _SAME_TIME_S = 1e-6
-_FREE, _PUSHED, _HELD = 0.0, 1.0, -1.0
+_FREE, _PUSHED, _KEPT = 0.0, 1.0, -1.0
 
 
 class Outlook(NamedTuple):
@@ -137,7 +137,7 @@ class TapPlan:
         return np.concatenate(tuple(both), axis=-1)
 
     def choose(
-        self, program: Program, usual: Outlook, coming: Outlook, regulators: RegulatorState, steps_left: int
+        self, program: Program, usual: Outlook, next_step: Outlook, regulators: RegulatorState, steps_left: int
     ) -> Choice:
         """Choose the demands on the coming step.
 
@@ -145,7 +145,7 @@ class TapPlan:
         ----------
         program
             Limited program whose unknowns are the reactive powers; its offsets do not matter.
-        usual, coming
+        usual, next_step
             A step with the usual draws of the sites, and the coming one.
         regulators
             All regulators of the feeder, as measured.
@@ -166,10 +166,10 @@ class TapPlan:
         early = self._integrating & (wanted == 0.0) & ~in_sequence & ~due
         modes = self._candidates(due, early, (wanted != 0.0) & (due | ~in_sequence))
         demands = self._demands(modes, wanted[:, None], tap[:, None])
-        offset = self.offset(coming.deviation_pu[:, None], coming.relay_v[:, None], demands)
+        offset = self.offset(next_step.deviation_pu[:, None], next_step.relay_v[:, None], demands)
         cost, self._steps = self._solved(program, offset, self._steps)
         slopes = program.slopes[..., -program.n_limits : -len(rows)] / _PER_VOLT
-        up, down = self._likelihoods(coming.relay_v[:, None] + np.matmul(self._steps.y, slopes), tap[:, None])
+        up, down = self._likelihoods(next_step.relay_v[:, None] + np.matmul(self._steps.y, slopes), tap[:, None])
         if_due = steps_left * (up * long_run.up[:, None] + down * long_run.down[:, None])
         if_not = -worth[:, None] * np.where(wanted[:, None] > 0.0, up, down) * (modes == _PUSHED)
         elapsed = 1.0 - left_s / np.maximum(np.minimum(self._delay_s, steps_left * self._dt_s), self._dt_s)
@@ -177,7 +177,7 @@ class TapPlan:
         if_not -= (value * early)[:, None] * (1.0 - up - down)
         best = (cost + np.where(due[:, None], if_due, if_not).sum(axis=-1)).argmin(axis=1)
         row = np.arange(len(tap))
-        self._mode, self._coming_v = modes[row, best], coming.relay_v
+        self._mode, self._coming_v = modes[row, best], next_step.relay_v
         chosen = Demands(demands.low[row, best], demands.high[row, best])
         return Choice(chosen, np.where(due & (self._mode == _PUSHED), wanted, 0.0))
 
@@ -200,10 +200,10 @@ class TapPlan:
         margin = MARGIN * self._error_v[:, None]
         low, high = self.model.relays.band_volts
         rest_low, rest_high = self.model.relays.rest_volts(tap)
-        held, pushed = modes == _HELD, modes == _PUSHED
+        kept, pushed = modes == _KEPT, modes == _PUSHED
         return Demands(
-            np.where(held, rest_low + margin, np.where(pushed & (wanted < 0.0), high + margin, -np.inf)),
-            np.where(held, rest_high - margin, np.where(pushed & (wanted > 0.0), low - margin, np.inf)),
+            np.where(kept, rest_low + margin, np.where(pushed & (wanted < 0.0), high + margin, -np.inf)),
+            np.where(kept, rest_high - margin, np.where(pushed & (wanted > 0.0), low - margin, np.inf)),
         )
 
     def _candidates(self, due: np.ndarray, early: np.ndarray, useful: np.ndarray) -> np.ndarray:
@@ -213,11 +213,11 @@ class TapPlan:
         """
         n = due.shape[-1]
         last = np.full(due.shape, _FREE) if self._mode is None else self._mode
-        changed = [np.where(np.eye(n, dtype=bool), mode, last[:, None]) for mode in (_FREE, _PUSHED, _HELD)]
-        alike = np.broadcast_to(np.array([_FREE, _PUSHED, _HELD])[:, None], (len(due), 3, n))
+        changed = [np.where(np.eye(n, dtype=bool), mode, last[:, None]) for mode in (_FREE, _PUSHED, _KEPT)]
+        alike = np.broadcast_to(np.array([_FREE, _PUSHED, _KEPT])[:, None], (len(due), 3, n))
         modes = np.concatenate((last[:, None], *changed, alike), axis=1)
-        modes = np.where((modes == _PUSHED) & ~useful[:, None], np.where(due, _HELD, _FREE)[:, None], modes)
-        return np.where((modes == _HELD) & ~(due | early)[:, None], _FREE, modes)
+        modes = np.where((modes == _PUSHED) & ~useful[:, None], np.where(due, _KEPT, _FREE)[:, None], modes)
+        return np.where((modes == _KEPT) & ~(due | early)[:, None], _FREE, modes)
 
     def _mean_hold_cost(self, cost: np.ndarray, can_hold: np.ndarray) -> np.ndarray:
         """Mean cost so far of holding all relays that can be held, (row, 1); ``cost`` is that of the candidates."""
@@ -229,18 +229,18 @@ class TapPlan:
     def _search(self, program: Program, usual: Outlook, tap: np.ndarray, steps_left: int) -> _LongRun:
         """Move the targets to the best of their neighbours."""
         assert self._target is not None
-        at, one, now = self._target[:, None], np.eye(tap.shape[-1]), tap[:, None]
+        target, one, now = self._target[:, None], np.eye(tap.shape[-1]), tap[:, None]
         turn = steps_left % len(one)
         pairs = np.delete(one, turn, axis=0) + one[turn]
-        taps = np.concatenate((now, at, at + one, at - one, at + pairs, at - pairs), axis=1)
+        taps = np.concatenate((now, target, target + one, target - one, target + pairs, target - pairs), axis=1)
         change = taps - now
         deviation_pu = usual.deviation_pu[:, None] + change @ self.model.v_by_tap
         relay_v = usual.relay_v[:, None] + change @ self.model.by_tap
-        demands = (self._demands(np.full_like(taps, mode), 0.0, taps) for mode in (_FREE, _HELD))
+        demands = (self._demands(np.full_like(taps, mode), 0.0, taps) for mode in (_FREE, _KEPT))
         offset = np.concatenate([self.offset(deviation_pu, relay_v, demand) for demand in demands], axis=1)
         cost, self._runs = self._solved(program, offset, self._runs, _LONG_RUN_PRICE)
-        free, held = np.split(cost, 2, axis=1)
-        cost = free + self._held_share * (held - free)
+        free, kept = np.split(cost, 2, axis=1)
+        cost = free + self._held_share * (kept - free)
         price = np.full(len(one), self._price / min(steps_left, max(LASTS_S / self._dt_s, 1.0)))
         if not self._price:
             price = TAP_PRICE * program.voltage * np.abs(self.model.v_by_tap).sum(axis=-1)
@@ -264,14 +264,14 @@ class TapPlan:
         self, program: Program, offset: np.ndarray, start: Iterate | None, demand_price: float = 0.0
     ) -> tuple[np.ndarray, Iterate]:
         """Cost of each candidate (row, k) with its offsets, and the solver's iterate."""
-        none = np.zeros((*offset.shape[:2], 0))
+        empty = np.zeros((*offset.shape[:2], 0))
         candidates = program._replace(
-            offset=offset, base=none, low=none, high=none, s_rated=none, work=none, price=none[0]
+            offset=offset, base=empty, low=empty, high=empty, s_rated=empty, work=empty, price=empty[0]
         )
-        found = solve(candidates, None if start is None else restarted(candidates, start), _ROUNDS)
-        v_pu, beyond = np.split(offset + np.matmul(found.y, program.slopes), [-program.n_limits], axis=-1)
+        solution = solve(candidates, None if start is None else restarted(candidates, start), _ROUNDS)
+        v_pu, beyond = np.split(offset + np.matmul(solution.y, program.slopes), [-program.n_limits], axis=-1)
         off = v_pu if program.target is None else v_pu - program.target
         cost = program.voltage * beyond_band(off, program.uncharged_pu).sum(axis=-1)
         cost += program.violation * beyond_band(v_pu, program.band_pu).sum(axis=-1)
-        cost += np.abs(found.y) @ program.effort
-        return cost + demand_price / _PER_VOLT * np.maximum(beyond, 0.0).sum(axis=-1), found
+        cost += np.abs(solution.y) @ program.effort
+        return cost + demand_price / _PER_VOLT * np.maximum(beyond, 0.0).sum(axis=-1), solution

@@ -70,8 +70,8 @@ class TapSearch:
         solution = p.flows()
         served = np.concatenate((p.served_kw, p.storage_kw), axis=1)
         (self._v, self._v_by_q), (self._u, self._u_by_q) = (
-            (of.at_zero + np.einsum("tnd,td->tn", of.by_d, served), of.by_q)
-            for of in (p.linear(solution.v_pu[..., s.feeder.load_slice]), p.linear(self.relays.volts(solution)))
+            (linear.at_zero + np.einsum("tnd,td->tn", linear.by_d, served), linear.by_q)
+            for linear in (p.linear(solution.v_pu[..., s.feeder.load_slice]), p.linear(self.relays.volts(solution)))
         )
         rows, highest = self.relays.rows, self.relays.settings.highest
         way = np.where(p.taps[1:] < highest, 1.0, -1.0)[None] * np.eye(len(highest))[rows][:, None]
@@ -79,8 +79,8 @@ class TapSearch:
         self._v_by_tap, self._by_tap = (
             (values[1:] - values[0]) * way.sum(axis=-1)[..., None]
             for values in (
-                of.reshape(1 + len(rows), s.horizon, -1)
-                for of in (moved.v_pu[..., s.feeder.load_slice], self.relays.volts(moved))
+                measured.reshape(1 + len(rows), s.horizon, -1)
+                for measured in (moved.v_pu[..., s.feeder.load_slice], self.relays.volts(moved))
             )
         )
         n_dc = s.datacenters.count
@@ -98,13 +98,13 @@ class TapSearch:
         cost = before = np.inf
         for _ in range(SWEEPS):
             for relay in range(len(self.relays.rows)):
-                trajectory, cost = self._best_of_one(trajectory, relay)
+                trajectory, cost = self._best_trajectory(trajectory, relay)
             if before - cost <= SETTLED * abs(cost):
                 break
             before = cost
         return trajectory, cost
 
-    def _best_of_one(self, trajectory: TapTrajectory, relay: int) -> tuple[TapTrajectory, float]:
+    def _best_trajectory(self, trajectory: TapTrajectory, relay: int) -> tuple[TapTrajectory, float]:
         """The best trajectory of one regulator among all others' trajectories, and the cost."""
         settings, row = self.relays.settings, self.relays.rows[relay]
         tap = trajectory.tap[:, relay]
@@ -115,8 +115,8 @@ class TapSearch:
         plan = _Plan(costs, delays, self._integrating, self.price)
         own_tap, side, due = plan.follow(int(tap[0] - first))
         parts = (trajectory.tap.copy(), trajectory.side.copy(), trajectory.due.copy())
-        for part, own in zip(parts, (own_tap + first, side, due), strict=True):
-            part[:, relay] = own
+        for part, best in zip(parts, (own_tap + first, side, due), strict=True):
+            part[:, relay] = best
         return TapTrajectory(*parts), plan.cost(int(tap[0] - first)) / len(side)
 
     def _costs(self, trajectory: TapTrajectory, relay: int, positions: np.ndarray) -> _Costs:
@@ -131,13 +131,13 @@ class TapSearch:
         v_pu = v_pu[:, None] + moved * self._v_by_tap[relay][:, None]
         volts = volts[:, None] + moved * self._by_tap[relay][:, None]
         others = trajectory.demands(self.relays, np.einsum("tr,rtn->tn", trajectory.moves, self._by_tap))
-        own = self._by_tap[relay][:, relay, None]
+        relay_slope = self._by_tap[relay][:, relay, None]
         all_steps = np.repeat(np.arange(steps), k)
 
-        def solved(step: np.ndarray, at: np.ndarray, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
+        def solved(step: np.ndarray, position: np.ndarray, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
             sides = others.low[step] + MARGIN_V, others.high[step] - MARGIN_V
             sides[0][:, relay], sides[1][:, relay] = low, high
-            return self._solved(step, v_pu[step, at], volts[step, at], Demands(*sides))
+            return self._solved(step, v_pu[step, position], volts[step, position], Demands(*sides))
 
         everywhere = np.full(steps * k, np.inf)
         anywhere, relay_v = solved(all_steps, np.tile(np.arange(k), steps), -everywhere, everywhere)
@@ -149,12 +149,12 @@ class TapSearch:
             """Cost with relay volts between these, (K,), at the position before a tap this way."""
             after = np.clip(np.arange(k) + way, 0, k - 1)
             possible = possible & (after == np.arange(k) + way)
-            low, high = low + MARGIN_V + way * own, high - MARGIN_V + way * own
+            low, high = low + MARGIN_V + way * relay_slope, high - MARGIN_V + way * relay_slope
             met = (relay_v[:, after] >= low) & (relay_v[:, after] <= high)
             cost = np.where(possible, anywhere[:, after], np.inf)
-            step, at = np.nonzero(possible & ~met)
+            step, position = np.nonzero(possible & ~met)
             if step.size:
-                cost[step, at] = solved(step, after[at], low[step, at], high[step, at])[0]
+                cost[step, position] = solved(step, after[position], low[step, position], high[step, position])[0]
             return cost
 
         any_v, low_v, high_v = (np.full(k, edge) for edge in (np.inf, low_v, high_v))
@@ -187,18 +187,18 @@ class TapSearch:
         offset[tuple(where)] = np.concatenate((v_pu - 1.0, limits), axis=1)
         size = self.program.s_rated_kva
         of_v, of_u = (np.moveaxis(slopes[rows], 1, 2) * size[:, None] for slopes in (self._v_by_q, self._u_by_q))
-        none = np.zeros((*offset.shape[:2], 0))
+        empty = np.zeros((*offset.shape[:2], 0))
         voltage, violation, effort = self._weights
         program = Program(
             offset=offset,
             slopes=np.concatenate((of_v, _PER_VOLT * of_u, -_PER_VOLT * of_u), axis=-1),
-            base=none,
-            low=none,
-            high=none,
-            s_rated=none,
+            base=empty,
+            low=empty,
+            high=empty,
+            s_rated=empty,
             q_high=self._q_high[rows] / size,
-            work=none,
-            price=none[0],
+            work=empty,
+            price=empty[0],
             voltage=voltage,
             violation=violation,
             effort=effort,
@@ -231,44 +231,46 @@ class _Plan:
         timer = np.arange(self.delay)
         down = np.maximum(timer - self.back, 0)
         # Cost to come, by the position of the tap and the timer, outside a sequence and within one.
-        alone, within = np.zeros((k, self.delay + 1)), np.zeros((k, self.further + 1))
-        self.alone, self.within = (np.full((steps, *of.shape), _WAIT, np.int8) for of in (alone, within))
+        outside, within = np.zeros((k, self.delay + 1)), np.zeros((k, self.further + 1))
+        self.outside, self.within = (
+            np.full((steps, *costs_to_come.shape), _WAIT, np.int8) for costs_to_come in (outside, within)
+        )
         for t in range(steps - 1, -1, -1):
             hold, out = costs.in_band[t], costs.out_of_band[t]
             after_tap = within[:, min(1, self.further)]
             up = costs.up[t] + price + np.append(after_tap[1:], np.inf)
             fall = costs.down[t] + price + np.append(np.inf, after_tap[:-1])
-            held, left = hold[:, None] + alone[:, down], out[:, None] + alone[:, timer + 1]
-            self.alone[t, :, :-1] = np.where(left < held, _OUT, _HOLD)
+            kept, left = hold[:, None] + outside[:, down], out[:, None] + outside[:, timer + 1]
+            self.outside[t, :, :-1] = np.where(left < kept, _OUT, _HOLD)
             ends = []
-            for chosen, stay in ((self.alone, max(self.delay - self.back, 0)), (self.within, 0)):
-                ways = np.stack((hold + alone[:, stay], up, fall))
+            for chosen, stay in ((self.outside, max(self.delay - self.back, 0)), (self.within, 0)):
+                ways = np.stack((hold + outside[:, stay], up, fall))
                 chosen[t, :, -1] = np.array((_HOLD, _UP, _DOWN))[ways.argmin(axis=0)]
                 ends.append(ways.min(axis=0))
             waits = costs.anywhere[t][:, None] + within[:, 1:]
-            alone = np.concatenate((np.minimum(held, left), ends[0][:, None]), axis=1)
+            outside = np.concatenate((np.minimum(kept, left), ends[0][:, None]), axis=1)
             within = np.concatenate((waits, ends[1][:, None]), axis=1)
-        self._least = alone[:, 0]
+        self._least = outside[:, 0]
 
-    def cost(self, at: int) -> float:
+    def cost(self, position: int) -> float:
         """Least cost of the episode from a position of the tap."""
-        return float(self._least[at])
+        return float(self._least[position])
 
-    def follow(self, at: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def follow(self, position: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions at t = 0 and after each step (1 + T,), sides of the band and whether the delay is over, (T,)."""
-        positions, sides, due, timer, within = [at], [], [], 0, False
-        for t in range(len(self.alone)):
-            does = (self.within if within else self.alone)[t, at, timer]
+        positions, sides, due, timer, within = [position], [], [], 0, False
+        for t in range(len(self.outside)):
+            does = (self.within if within else self.outside)[t, position, timer]
             due.append(timer == (self.further if within else self.delay))
             if does in (_UP, _DOWN):
                 sides.append(BELOW if does == _UP else ABOVE)
-                at += 1 if does == _UP else -1
+                position += 1 if does == _UP else -1
                 timer, within = min(1, self.further), True
             elif does == _HOLD:
                 sides.append(IN_BAND)
                 timer, within = 0 if within else max(timer - self.back, 0), False
             else:
-                sides.append(self.costs.side[t, at] if does == _OUT else ANY)
+                sides.append(self.costs.side[t, position] if does == _OUT else ANY)
                 timer += 1
-            positions.append(at)
+            positions.append(position)
         return np.array(positions, float), np.array(sides), np.array(due)

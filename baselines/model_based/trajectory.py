@@ -121,8 +121,8 @@ class Trajectory:
         s, n_d = self.scenario, self.scenario.datacenters.count + self.n_storages
         values = values.reshape(-1, s.horizon, values.shape[-1])
         # What a tripped data centre draws, the grid does not see.
-        seen = self.episode.available[:, : self.n][:, self.is_active]
-        drawn = np.concatenate((seen, np.ones((s.horizon, self.n))), axis=1)
+        available = self.episode.available[:, : self.n][:, self.is_active]
+        drawn = np.concatenate((available, np.ones((s.horizon, self.n))), axis=1)
         moved_by_one = values[1 : 1 + n_d + self.n]
         slopes = np.moveaxis(moved_by_one - values[0], 0, -1) / _SPAN * drawn[:, None]
         by_d, by_q = slopes[..., :n_d], slopes[..., n_d:]

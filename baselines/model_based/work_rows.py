@@ -125,5 +125,7 @@ class WorkRows:
     def route(self, net: np.ndarray) -> np.ndarray:
         """Setpoints of the channel ``route`` by which sites receive so much more than they send, kW, (T, n_dc)."""
         taken = np.divide(net, self.room_kw, out=np.zeros_like(net), where=(net > 0.0) & (self.room_kw > 0.0))
-        given = np.divide(net, self.movable_kw, out=np.zeros_like(net), where=(net < 0.0) & (self.movable_kw > 0.0))
-        return np.clip(taken + given, -1.0, 1.0)
+        sent_share = np.divide(
+            net, self.movable_kw, out=np.zeros_like(net), where=(net < 0.0) & (self.movable_kw > 0.0)
+        )
+        return np.clip(taken + sent_share, -1.0, 1.0)

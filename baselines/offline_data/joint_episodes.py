@@ -140,16 +140,16 @@ def agent_layout(scenario: Scenario) -> dict[str, dict[str, Any]]:
     """Return each agent's kind, and its slices and entry names in the joint observation and action."""
     layout, fields = action_layout(scenario), field_names(scenario)
     kinds = [device.kind for device in scenario.devices for _ in range(device.count)]
-    found: dict[str, dict[str, Any]] = {}
+    layouts: dict[str, dict[str, Any]] = {}
     begin = 0
     for agent, kind in zip(scenario.agents, kinds, strict=True):
         cut, end = layout.slices[agent], begin + len(fields[agent])
-        found[agent] = {
+        layouts[agent] = {
             "kind": kind,
             "observation": [begin, end],
             "action": [cut.start, cut.stop],
             "fields": list(fields[agent]),
-            "channels": [channel for of, channel in layout.names if of == agent],
+            "channels": [channel for owner, channel in layout.names if owner == agent],
         }
         begin = end
-    return found
+    return layouts

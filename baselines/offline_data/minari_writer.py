@@ -36,9 +36,9 @@ ROOT_VARIABLE = "MINARI_DATASETS_PATH"
 CARD = "card.json"
 AGENTS = "agents"
 """Key of Minari's metadata with each agent's place in the joint observation and action."""
-BYTES_OF_EPISODE = 2**18
+EPISODE_BYTES = 2**18
 """Bytes that HDF5 takes for the names and layout of an episode, at most."""
-_PLAIN = re.compile(r"[A-Za-z0-9_-]+")
+_SAFE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def require_minari() -> None:
@@ -60,7 +60,7 @@ def dataset_id(scenario: Scenario, name: str) -> str:
 
     ValueError for a name of other signs than letters, digits, - and _.
     """
-    if not _PLAIN.fullmatch(name) or name.startswith("-"):
+    if not _SAFE_NAME.fullmatch(name) or name.startswith("-"):
         raise ValueError(f"name is {name!r}; give letters, digits, - and _ only, and no - in front")
     return f"dcgrid/{file_name(scenario.name)}/{name}-v0"
 
@@ -74,10 +74,10 @@ def env_spec(scenario: Scenario) -> EnvSpec:
     env_id = registered.get(scenario.name) or f"dcgrid/{file_name(scenario.name)}-v0"
     env = gymnasium.make(replace(gymnasium.spec(next(iter(IDS))), id=env_id, kwargs={"scenario": scenario}))
     try:
-        made = env.spec
-        assert made is not None
-        made.to_json()
-        return made
+        spec = env.spec
+        assert spec is not None
+        spec.to_json()
+        return spec
     finally:
         env.close()
 
@@ -143,7 +143,7 @@ class DatasetWriter:
         """Append episodes, in order."""
         first = self._storage.total_episodes
         # HDF5 ends the process where it cannot write.
-        require_space(self._folder, BYTES_OF_EPISODE * len(episodes) + 2 * _bytes_of(episodes), self._size)
+        require_space(self._folder, EPISODE_BYTES * len(episodes) + 2 * _bytes_of(episodes), self._size)
         self._storage.update_episodes(map(self._as_buffer, episodes))
         for episode in episodes:
             for array in (np.int64(episode.seed), episode.observations, episode.actions, episode.rewards):

@@ -24,7 +24,7 @@ from dcgrid_env.baselines.sanity.verdicts import (
     CONSTANT,
     DROOP,
     HINDSIGHT,
-    NONE,
+    NO_CONTROL,
     PAPER,
     PINNED,
     Figures,
@@ -78,7 +78,7 @@ class ScenarioCheck:
         from dcgrid_env import metrics_in
 
         reached = self.figures.reached
-        shown = {name: reached[name] for name in (NONE, PAPER, DROOP, CONSTANT, HINDSIGHT) if name in reached}
+        shown = {name: reached[name] for name in (NO_CONTROL, PAPER, DROOP, CONSTANT, HINDSIGHT) if name in reached}
         rows = []
         for metric in metrics_in("check"):
             each = (metric.of_episodes(one.metrics[metric.name]) for one in shown.values())
@@ -138,17 +138,17 @@ def check_scenario(
         pinned = scenario.replace(datacenters={"f_min_mhz": scenario.datacenters.f_max_mhz})
         with contextlib.suppress(HindsightError):  # at full clocks there may be no solution
             reached[PINNED] = _hindsight(pinned, seeds[:_PINNED], until_s, place)
-    on_stage(NONE)
-    recorder = rollout(scenario, NoControl(), seeds, name=NONE)
-    reached[NONE], lowest_bus = Reached.of(recorder.metrics()), _lowest_bus(recorder, len(seeds))
-    reached[PAPER] = Reached.of(rollout(scenario, Droop(), seeds, name=PAPER).metrics())
+    on_stage(NO_CONTROL)
+    recorder = rollout(scenario, NoControl(), seeds, name=NO_CONTROL)
+    reached[NO_CONTROL], lowest_bus = Reached.from_metrics(recorder.metrics()), _lowest_bus(recorder, len(seeds))
+    reached[PAPER] = Reached.from_metrics(rollout(scenario, Droop(), seeds, name=PAPER).metrics())
     on_stage(DROOP)
     reached[DROOP] = _fitted("droop", scenario, seeds, began_s + _OF_DROOP * seconds)
     on_stage(CONSTANT)
     reached[CONSTANT] = _fitted("constant-q", scenario, seeds, began_s + seconds)
     if scenario.datacenters.count:
         bare = scenario.replace(datacenters={"p_rated_kw": _NEXT_TO_NOTHING_KW})
-        reached[BARE] = Reached.of(rollout(bare, NoControl(), seeds, name=BARE).metrics())
+        reached[BARE] = Reached.from_metrics(rollout(bare, NoControl(), seeds, name=BARE).metrics())
     bound = min(_largest_k_q(member) for member in {scenario.member(seed): None for seed in seeds})
     figures = Figures(reached, lowest_bus, refused, bound, episodes)
     return ScenarioCheck(scenario, figures, time.monotonic() - began_s)
@@ -174,24 +174,24 @@ def _lowest_bus(recorder: Recorder, n_env: int) -> str:
 def _fitted(law: str, scenario: Scenario, seeds: Sequence[int], until_s: float) -> Reached:
     """Results of a law with the best parameters found for the episodes."""
     best = fitted(law, scenario, seeds, until_s)
-    return Reached.of(rollout(scenario, best.controller, seeds, name=law).metrics(), best.parameters)
+    return Reached.from_metrics(rollout(scenario, best.controller, seeds, name=law).metrics(), best.parameters)
 
 
 def _hindsight(scenario: Scenario, seeds: Sequence[int], until_s: float, place: Place) -> Reached:
     """Hindsight of the first of the episodes, and of as many more as there is time for."""
     began_s = time.monotonic()
-    found = {seeds[0]: _solved(scenario, seeds[0])}
+    solved = {seeds[0]: _solved(scenario, seeds[0])}
     took_s = time.monotonic() - began_s
     place = place if took_s > _SLOW_S else ONE_PROCESS
     if time.monotonic() + took_s < until_s:
         units = [Unit(f"hindsight of seed {seed}", partial(_solved, scenario), seed) for seed in seeds[1:]]
         for unit, metrics in place.run(units):
             if not isinstance(metrics, Lost):
-                found[unit.item] = metrics
+                solved[unit.item] = metrics
             if time.monotonic() + took_s > until_s:
                 break
-    n = next(i for i, seed in enumerate([*seeds, -1]) if seed not in found)
-    return Reached.of([found[seed] for seed in seeds[:n]])
+    n = next(i for i, seed in enumerate([*seeds, -1]) if seed not in solved)
+    return Reached.from_metrics([solved[seed] for seed in seeds[:n]])
 
 
 def _solved(scenario: Scenario, seed: int) -> dict[str, Any]:

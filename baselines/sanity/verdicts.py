@@ -34,7 +34,9 @@ class Reached:
     """The parameters of a rule that was fitted."""
 
     @classmethod
-    def of(cls, metrics: Sequence[Mapping[str, float]], parameters: Mapping[str, Any] | None = None) -> Reached:
+    def from_metrics(
+        cls, metrics: Sequence[Mapping[str, float]], parameters: Mapping[str, Any] | None = None
+    ) -> Reached:
         """From the metrics of each episode."""
         return cls({name: np.array([m[name] for m in metrics]) for name in metrics[0]}, parameters or {})
 
@@ -65,11 +67,17 @@ class Figures:
     """Reason why hindsight is missing; empty if it is known."""
     largest_k_q: float
     """The largest reactive gain of the droop that is stable by itself, Mvar per p.u. and s."""
-    asked: int
+    requested_episodes: int
     """Episodes that were asked for; there was time for those that the table is of."""
 
 
-NONE, PAPER, DROOP, CONSTANT, HINDSIGHT = "no control", "paper's droop", "best droop", "best constant", "hindsight"
+NO_CONTROL, PAPER, DROOP, CONSTANT, HINDSIGHT = (
+    "no control",
+    "paper's droop",
+    "best droop",
+    "best constant",
+    "hindsight",
+)
 """Names of the controllers in the table."""
 BARE, PINNED = "no control without data centres", "hindsight at the top clock"
 """Who is looked at besides."""
@@ -93,26 +101,26 @@ def verdicts(scenario: Scenario, figures: Figures) -> tuple[Verdict, ...]:
     """What the figures say, the sum of it last."""
     reached = figures.reached
     best = reached.get(HINDSIGHT)
-    found = [*_collapses(scenario, reached), *_droop(figures.largest_k_q)]
+    verdict_list = [*_collapses(scenario, reached), *_droop(figures.largest_k_q)]
     if best is None:
-        found.append(
+        verdict_list.append(
             Verdict(f"hindsight is not known here: {figures.refused}", "judge by what a trained policy reaches")
         )
-        return (*found, *_sum_without_hindsight(reached))
-    found = [*_band(scenario, figures, best), *found, *_clock(reached)]
+        return (*verdict_list, *_sum_without_hindsight(reached))
+    verdict_list = [*_band(scenario, figures, best), *verdict_list, *_clock(reached)]
     gain = _to_gain(scenario, reached, best)
-    barred = any(verdict.is_bar for verdict in (*found, gain))
+    barred = any(verdict.is_bar for verdict in (*verdict_list, gain))
     said = f"{scenario.name} is {'not worth learning on as it stands' if barred else 'worth learning on'}"
-    few = best.n < figures.asked
-    as_far = f", as far as the first {best.n} of {figures.asked} episodes tell" if few else ""
-    return (*found, gain, Verdict(f"{said}{as_far}", "give it more --seconds to be sure" if few else ""))
+    few = best.n < figures.requested_episodes
+    as_far = f", as far as the first {best.n} of {figures.requested_episodes} episodes tell" if few else ""
+    return (*verdict_list, gain, Verdict(f"{said}{as_far}", "give it more --seconds to be sure" if few else ""))
 
 
 def _collapses(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdict]:
-    no_control, best = reached[NONE], reached.get(HINDSIGHT)
-    found = []
+    no_control, best = reached[NO_CONTROL], reached.get(HINDSIGHT)
+    collapses = []
     if no_control.collapsed:
-        found.append(
+        collapses.append(
             Verdict(
                 f"without control the power flow has no solution in {no_control.collapsed} of {no_control.n} episodes",
                 f"{_lower(scenario)} unless collapse is what you study",
@@ -120,13 +128,13 @@ def _collapses(scenario: Scenario, reached: Mapping[str, Reached]) -> list[Verdi
         )
     if best is not None and best.collapsed:
         text = f"hopeless: even hindsight ends {best.collapsed} of {best.n} episodes in voltage collapse"
-        found.append(Verdict(text, _lower(scenario), is_bar=True))
-    return found
+        collapses.append(Verdict(text, _lower(scenario), is_bar=True))
+    return collapses
 
 
 def _band(scenario: Scenario, figures: Figures, best: Reached) -> list[Verdict]:
     """Whether the band can be kept."""
-    no_control, bare = figures.reached[NONE], figures.reached.get(BARE)
+    no_control, bare = figures.reached[NO_CONTROL], figures.reached.get(BARE)
     outside, low, high = (best.mean(OUTSIDE), *_reach(best))
     said = f"in {outside:.1f} % of bus-seconds (voltages {low:.3f} to {high:.3f} p.u.)"
     if outside <= HARD_PCT:
@@ -198,13 +206,13 @@ def _clock(reached: Mapping[str, Reached]) -> list[Verdict]:
 
 def _to_gain(scenario: Scenario, reached: Mapping[str, Reached], best: Reached) -> Verdict:
     """Compare the best rule with hindsight."""
-    rules = {name: reached[name].mean("J") for name in (NONE, PAPER, DROOP, CONSTANT)}
+    rules = {name: reached[name].mean("J") for name in (NO_CONTROL, PAPER, DROOP, CONSTANT)}
     name = min(rules, key=lambda rule: rules[rule])
     j = best.mean("J")
     share = 1.0 - j / max(rules[name], 1e-12)
-    of_none = 1.0 - j / max(rules[NONE], 1e-12)
+    of_none = 1.0 - j / max(rules[NO_CONTROL], 1e-12)
     said = f"hindsight is {100 * share:.1f} % below the {name} (J {j:.3f} against {rules[name]:.3f})"
-    if name == NONE or of_none < NOTHING_SHARE:
+    if name == NO_CONTROL or of_none < NOTHING_SHARE:
         text = f"nothing to gain: hindsight is within {100 * of_none:.1f} % of no control (J {j:.3f})"
         return Verdict(text, _harder(scenario), is_bar=True)
     if share < NOTHING_SHARE:
@@ -226,5 +234,5 @@ def _harder(scenario: Scenario) -> str:
 
 
 def _sum_without_hindsight(reached: Mapping[str, Reached]) -> list[Verdict]:
-    no_control, rules = reached[NONE].mean("J"), [reached[name].mean("J") for name in (DROOP, CONSTANT)]
+    no_control, rules = reached[NO_CONTROL].mean("J"), [reached[name].mean("J") for name in (DROOP, CONSTANT)]
     return [Verdict(f"simple rules are {100 * (1.0 - min(rules) / max(no_control, 1e-12)):.1f} % below no control")]

@@ -93,14 +93,14 @@ def tune(
         stable = is_stable(loops.largest_radius(droop))
         return stable and not any(has_limit_cycle(s, droop, episodes) for s in scenarios)
 
-    found, tried = min(trials, key=_cost), len(trials)
-    if not is_steady(found):
+    fittest, tried = min(trials, key=_cost), len(trials)
+    if not is_steady(fittest):
         trials = _search(law, scenarios, episodes, lambda x, on: drawn_back(loops, law.parameters(x, on)), on_trial)
         tried += len(trials)
-        found = next((trial for trial in sorted(trials, key=_cost) if is_steady(trial)), None)
-        if found is None:
+        fittest = next((trial for trial in sorted(trials, key=_cost) if is_steady(trial)), None)
+        if fittest is None:
             raise ValueError(f"tune: {name!r} is not stable on {scenarios[0].name} at any of {tried} sets of gains")
-    return Tuned(found.parameters, found.cost, tried, loops.largest_radius(Droop(**found.parameters)))
+    return Tuned(fittest.parameters, fittest.cost, tried, loops.largest_radius(Droop(**fittest.parameters)))
 
 
 def _search(
@@ -116,17 +116,17 @@ def _search(
     low, high = np.array(law.bounds(scenarios)).T
     if law.by_cross_entropy:
         return _by_cross_entropy(law, scenarios, episodes, on_trial)
-    alone = len(scenarios) == 1
-    j_free = [1.0] if alone else [mean_cost(s, NoControl(), episodes) for s in scenarios]
+    is_single = len(scenarios) == 1
+    j_free = [1.0] if is_single else [mean_cost(s, NoControl(), episodes) for s in scenarios]
     tried: list[tuple[Trial, np.ndarray]] = []
 
     def score(share: np.ndarray) -> float:
         """Cost of parameters at these shares of the way from their lower to their upper bounds."""
         share = np.clip(share, 0.0, 1.0)  # methods overstep by rounding
-        made = parameters(low + share * (high - low), scenarios)
-        controller = law.law(**made)
+        candidate = parameters(low + share * (high - low), scenarios)
+        controller = law.law(**candidate)
         cost = float(np.mean([mean_cost(s, controller, episodes) / j for s, j in zip(scenarios, j_free, strict=True)]))
-        tried.append((Trial(cost, made), share))
+        tried.append((Trial(cost, candidate), share))
         if on_trial is not None:
             on_trial()
         return cost

@@ -43,14 +43,14 @@ def has_limit_cycle(scenario: Scenario, droop: Droop, episodes: int) -> bool:
     episodes
         Episodes that are checked: seeds 0, 1, ..; each site draws its demand from ``DEMAND_SHARES``.
     """
-    held = with_held_inputs(scenario)
-    recorder = rollout(held, droop, range(episodes))
-    reactive = np.where(held.q_scale_kvar > 0.0, 2.0 * held.q_scale_kvar, np.inf)
+    constant = with_constant_inputs(scenario)
+    recorder = rollout(constant, droop, range(episodes))
+    reactive = np.where(constant.q_scale_kvar > 0.0, 2.0 * constant.q_scale_kvar, np.inf)
     for series in map(recorder.series, range(episodes)):
         settings = [series.q_kvar[:, : len(reactive)] / reactive]
-        if held.datacenters.count:
+        if constant.datacenters.count:
             settings.append(
-                series.f_mhz / (held.datacenters.parameters.f_max_mhz - held.datacenters.parameters.f_min_mhz)
+                series.f_mhz / (constant.datacenters.parameters.f_max_mhz - constant.datacenters.parameters.f_min_mhz)
             )
         late = np.concatenate(settings, axis=1)[STEPS // 2 :]
         swing, path = np.ptp(late, axis=0), np.abs(np.diff(late, axis=0)).sum(axis=0)
@@ -59,14 +59,19 @@ def has_limit_cycle(scenario: Scenario, droop: Droop, episodes: int) -> bool:
     return False
 
 
-def with_held_inputs(scenario: Scenario) -> Scenario:
+def with_constant_inputs(scenario: Scenario) -> Scenario:
     """A scenario whose demand and loads are constant, without noise, sunshine, faults and sags."""
     n = 8 * STEPS  # each split has a fifth at least
     time_s = scenario.dt_s * np.arange(n)
     demand = tuple(PowerTrace(time_s, np.full(n, share), f"held at {share:g}", rated_kw=1.0) for share in DEMAND_SHARES)
-    held = {"trace": demand, "workload.window": "start", "workload.site_correlation": 0.0, "background.load_sigma": 0.0}
+    constant = {
+        "trace": demand,
+        "workload.window": "start",
+        "workload.site_correlation": 0.0,
+        "background.load_sigma": 0.0,
+    }
     silent = {"sensing.noise_pu": 0.0, "faults": (), "sags": (), "inverters.injection": None}
-    return scenario.replace(**held, **silent, horizon=STEPS)
+    return scenario.replace(**constant, **silent, horizon=STEPS)
 
 
 def drawn_back(loops: ClosedLoops, parameters: dict[str, Any]) -> dict[str, Any]:

@@ -38,7 +38,7 @@ from dcgrid_env.core.work.unit import shared
 CARRIED = "tuned parameters"
 """Name of the shared value with the contents of files of ``dcgrid tune``, by their paths, on workers elsewhere."""
 SUFFIX = "-tuned"
-OWN = Path("results/tuned.json")
+USER_FILE = Path("results/tuned.json")
 """Where ``dcgrid tune`` writes by default, in the working directory."""
 _OF_SITES = ("idle_share", "f_min_mhz", "f_max_mhz", "s_rated_share", "q_max_share", "boost_share")
 NUMBERS = ("source_voltage_pu", *(f"datacenters.{name}" for name in _OF_SITES), "dt_s")
@@ -76,7 +76,7 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
     ValueError
         If parameters for this scenario are missing; the message names the difference and the command that finds them.
     """
-    file = OWN if path is None else Path(path)
+    file = USER_FILE if path is None else Path(path)
     require_tuned(path)
     entry = read_tuned(file).get(law, {}).get(scenario.name)
     shipped = None if path else _shipped().get(law, {}).get(scenario.name)
@@ -88,7 +88,7 @@ def tuned_parameters(law: str, scenario: Scenario, path: str | Path | None = Non
         return TunedParameters(_arguments(shipped), None)
     if entry is not None and fits:
         return TunedParameters(_arguments(entry), file)
-    raise ValueError(_none(law, scenario, path, entry is not None, differs))
+    raise ValueError(_missing_message(law, scenario, path, entry is not None, differs))
 
 
 def tuned_controller(law: str, scenario: Scenario, path: str | Path | None = None) -> Controller:
@@ -127,7 +127,7 @@ def read_tuned(path: Path) -> dict[str, dict[str, dict[str, Any]]]:
 
 def own_parameters(path: Path | None) -> dict[str, dict[str, dict[str, dict[str, Any]]]]:
     """Return the content of a file of ``dcgrid tune`` by its path; by default that in the working directory."""
-    file = OWN if path is None else path
+    file = USER_FILE if path is None else path
     return {str(file): read_tuned(file)} if file.is_file() else {}
 
 
@@ -159,7 +159,7 @@ def _without_agents(scenario: Scenario) -> Scenario:
 
 def _grid(scenario: Scenario) -> Scenario:
     """Reduce a scenario to its grid: other fields get their defaults, numbers are floats, ratings are per device."""
-    plain = {f.name: f.default for f in dataclasses.fields(scenario) if f.default is not dataclasses.MISSING}
+    defaults = {f.name: f.default for f in dataclasses.fields(scenario) if f.default is not dataclasses.MISSING}
     parts: dict[str, Any] = {"workload": Workload(), "sensing": Sensing(), "cost": Cost()}
     parts["grid_request"] = GridRequest()
     parts["background"] = Background(capacitors=scenario.background.capacitors)
@@ -167,11 +167,11 @@ def _grid(scenario: Scenario) -> Scenario:
         parts["power_flow"] = "sweep"
     numbers = {name: float(attrgetter(name)(scenario)) for name in NUMBERS}
     p_rated_kw, s_kva = (
-        tuple(of.tolist())
-        for of in (scenario.datacenters.parameters.p_rated_kw, scenario.inverters.parameters.s_rated_kva)
+        tuple(rated.tolist())
+        for rated in (scenario.datacenters.parameters.p_rated_kw, scenario.inverters.parameters.s_rated_kva)
     )
     ratings = {"datacenters.p_rated_kw": p_rated_kw, "inverters.s_rated_kva": s_kva, "inverters.injection": None}
-    return scenario.replace(name="grid", **(plain | parts | ratings | numbers))
+    return scenario.replace(name="grid", **(defaults | parts | ratings | numbers))
 
 
 @cache
@@ -203,18 +203,18 @@ def _presets_of(law: str, scenario: Scenario) -> list[str]:
     return [name for name in names if grid_difference(scenario, make_scenario(name)) is None]
 
 
-def _none(law: str, scenario: Scenario, path: str | Path | None, another: bool, differs: str | None) -> str:
+def _missing_message(law: str, scenario: Scenario, path: str | Path | None, another: bool, differs: str | None) -> str:
     """Explain why tuned parameters are missing, and name the command that finds them."""
     said = f"no tuned parameters of {law!r} for scenario {scenario.name!r}"
     if differs:
         said += f": those that ship are of the preset of that name, from which this one differs in {differs}"
     elif path is None:
-        said += f" ship with the package, nor stand in {OWN}"
+        said += f" ship with the package, nor stand in {USER_FILE}"
         if same := _presets_of(law, scenario):
             said += f"; its grid is that of {' and '.join(same)}, whose it takes with --set name={same[0]}"
     else:
         said += f" stand in {path}"
     if another:
-        said += f"; {path or OWN} has some of another {scenario.name!r}, whose feeder, devices or step differ"
+        said += f"; {path or USER_FILE} has some of another {scenario.name!r}, whose feeder, devices or step differ"
     out = f" --out {path}" if path else ""
     return f"{said}; find its own with `dcgrid tune --laws {law} {options_of(scenario, '--scenarios')}{out}`"

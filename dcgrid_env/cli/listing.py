@@ -91,8 +91,8 @@ def scenario_fields() -> dict[str, str]:
 
 def described(registry: Registry) -> dict[str, str]:
     """Return the description of each name in a registry, with the package if a plug-in registered it."""
-    whose = {name: registry.origin(name) for name in registry if not name.startswith(".")}
-    return {name: registry[name][0] + (f" ({origin})" if origin else "") for name, origin in whose.items()}
+    origins = {name: registry.origin(name) for name in registry if not name.startswith(".")}
+    return {name: registry[name][0] + (f" ({origin})" if origin else "") for name, origin in origins.items()}
 
 
 def card_line(card: Card) -> str:

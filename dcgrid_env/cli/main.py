@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Sequence
 
 from dcgrid_command.command_table import COMMANDS, TRACEBACK, VERSION
-from dcgrid_command.group import HELP, Entry, Group, found
+from dcgrid_command.group import HELP, Entry, Group, resolve
 from dcgrid_command.streams import complain, standard_streams
 from dcgrid_env import __version__
 from dcgrid_env.cli.remedies import with_options
@@ -71,7 +71,7 @@ def parse(words: Sequence[str], commands: Group = COMMANDS, prog: str = "dcgrid"
 
     Raises ValueError if the command does not exist, and SystemExit if an option is invalid, and after the help.
     """
-    member, line, rest = found(commands, prog, words)
+    member, line, rest = resolve(commands, prog, words)
     if isinstance(member, Entry):
         return member.load().parse(rest, line)
     if rest and rest[0] not in HELP:

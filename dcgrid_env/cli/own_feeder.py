@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dcgrid_env.devices.device import Device
 
 
-class Asked(NamedTuple):
+class FeederRequest(NamedTuple):
     """Options that define the scenario on a feeder."""
 
     feeder: str
@@ -26,14 +26,16 @@ class Asked(NamedTuple):
     """Inverters in words such as "5 x 200 kvar"; None to choose them for the feeder."""
 
 
-def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]) -> Scenario:
+def scenario_on_feeder(
+    request: FeederRequest, overrides: tuple[str, ...], split: str, chosen: dict[str, Any]
+) -> Scenario:
     """Return the scenario on a feeder.
 
     The source voltage is that of the feeder's file; for bundled feeders see ``source_voltage.default_voltage``.
 
     Parameters
     ----------
-    asked
+    request
         Feeder and devices.
     overrides, split, chosen
         Fields to override, split of the episodes, and fields that the command sets, as for ``ScenarioSpec.make``.
@@ -48,24 +50,24 @@ def scenario_on_feeder(asked: Asked, overrides: tuple[str, ...], split: str, cho
     from dcgrid_env.baselines.source_voltage import default_voltage
     from dcgrid_env.scenario.on_feeder import power_flow_of
 
-    feeder, scenario = asked.feeder, asked.scenario
-    given = read_overrides(overrides)
-    if "feeder" in given:
+    feeder, scenario = request.feeder, request.scenario
+    values = read_overrides(overrides)
+    if "feeder" in values:
         raise ValueError("set: must not contain feeder together with --feeder; give it once")
-    made = _feeder(feeder)
+    built = _feeder(feeder)
     if scenario is None:
-        on_it = varied(scenario_on(made, asked.datacenters, asked.inverters), overrides, split, chosen)
-        return on_it if "source_voltage_pu" in given else default_voltage(on_it)
+        on_it = varied(scenario_on(built, request.datacenters, request.inverters), overrides, split, chosen)
+        return on_it if "source_voltage_pu" in values else default_voltage(on_it)
     for option in ("datacenters", "inverters"):
-        if getattr(asked, option) is not None:
+        if getattr(request, option) is not None:
             raise ValueError(
                 f"{option}: must not be combined with --scenario {scenario}, which defines the devices; remove one"
             )
     base = ScenarioSpec(scenario).make(split)
-    _check_buses(base, made, scenario, given)
+    _check_buses(base, built, scenario, values)
     more = [f"feeder={json.dumps(feeder)}"]
-    if "power_flow" not in given and type(base.feeder) is not type(made):
-        more.append(f"power_flow={power_flow_of(made)}")
+    if "power_flow" not in values and type(base.feeder) is not type(built):
+        more.append(f"power_flow={power_flow_of(built)}")
     return ScenarioSpec(scenario, (*overrides, *more)).make(split, **chosen)
 
 
@@ -82,18 +84,18 @@ def _feeder(named: str) -> Any:
         raise FeederError(f"feeder {named}: {error}" if Path(named).is_dir() else str(error)) from None
 
 
-def _check_buses(base: Scenario, feeder: Any, named: str, given: dict[str, Any]) -> None:
+def _check_buses(base: Scenario, feeder: Any, named: str, values: dict[str, Any]) -> None:
     """Raise ValueError if the scenario's devices are at buses that the feeder lacks and that are not overridden."""
     from dcgrid_env.scenario.placement import path_of
 
-    if "devices" in given:
+    if "devices" in values:
         return
     there = set(feeder.bus_ids)
     for device in base.devices:
         path = path_of(device)
         field = f"{path}.buses"
         lacking = [bus for bus in device.buses or () if bus not in there]
-        if lacking and field not in given and "buses" not in (given.get(path) or {}):
+        if lacking and field not in values and "buses" not in (values.get(path) or {}):
             raise ValueError(
                 f"feeder {feeder.name!r} lacks {_list(lacking)}, where scenario {named!r} has devices ({field}); "
                 f"remove --scenario to choose devices for the feeder, or pass --set '{field}=[..]' with its buses"

@@ -45,7 +45,7 @@ def with_options(error: BaseException, command: object) -> str:
     """
     message = str(error)
     fields = {field.name for field in dataclasses.fields(command)} if dataclasses.is_dataclass(command) else set()
-    known = {name for name in fields if f"pass {name}=" in message} | (READING if _is_of_a_file(error) else set())
+    known = {name for name in fields if f"pass {name}=" in message} | (READING if _comes_from_file(error) else set())
     if not known:
         return message
     names = sorted(known, key=len, reverse=True)
@@ -74,7 +74,7 @@ def with_options(error: BaseException, command: object) -> str:
     return text
 
 
-def _is_of_a_file(error: BaseException | None) -> bool:
+def _comes_from_file(error: BaseException | None) -> bool:
     """Return whether a reader of a recording raised an error or its cause."""
     while error is not None:
         if any(kind.__name__ == "TraceError" for kind in type(error).__mro__):

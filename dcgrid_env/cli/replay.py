@@ -72,36 +72,38 @@ class Replay(Command):
         from dcgrid_env.baselines.tuning.tuned import require_tuned
         from dcgrid_env.rendering import replay
 
-        asked = _asked(self)
-        require_tuned(asked.tuned)
+        request = _request(self)
+        require_tuned(request.tuned)
         targets = [path for path in (self.gif, self.mp4) if path is not None]
         page = self.out or (self.run_folder or Path("results/replay")) / "replay.html"
-        _check(self, asked, targets)
+        _check(self, request, targets)
         for field, path in (("gif", self.gif), ("mp4", self.mp4), ("out", None if targets else page)):
             if path is not None:
                 check_file(field, path)
-        controllers = {name: find_controller(name, asked.scenario, asked.tuned) for name in asked.names}
+        controllers = {name: find_controller(name, request.scenario, request.tuned) for name in request.names}
         console, runs, notes = plain_console(), {}, []
         with progress_bar(console) as progress:
             for name, controller in controllers.items():
-                bar = progress.add_task(name, total=asked.scenario.horizon)
-                runs[name] = _episode(asked, name, controller, lambda bar=bar: progress.advance(bar))
-                if asked.stored is not None and (said := asked.stored.difference(name, asked.seed, _cost(runs[name]))):
+                bar = progress.add_task(name, total=request.scenario.horizon)
+                runs[name] = _episode(request, name, controller, lambda bar=bar: progress.advance(bar))
+                if request.stored is not None and (
+                    said := request.stored.difference(name, request.seed, _cost(runs[name]))
+                ):
                     notes.append(said)
             for target in targets:
                 _film(self, target, runs, progress)
         for line in notes:
             say(console, line)
         if not targets:
-            first = asked.scenario
-            replay(runs, f"{first.name}, {first.split} split, seed {asked.seed}").write(page)
+            first = request.scenario
+            replay(runs, f"{first.name}, {first.split} split, seed {request.seed}").write(page)
             targets = [page]
         for target in targets:
             say(console, f"wrote {target} ({target.stat().st_size / 1e6:.1f} MB)")
         offer(console, targets[0], self.open)
 
 
-class _Asked(NamedTuple):
+class _Request(NamedTuple):
     scenario: Scenario
     names: list[str]
     seed: int
@@ -109,7 +111,7 @@ class _Asked(NamedTuple):
     stored: StoredRun | None
 
 
-def _asked(cfg: Replay) -> _Asked:
+def _request(cfg: Replay) -> _Request:
     from dcgrid_env.baselines.engineering import engineering_scenario
     from dcgrid_env.baselines.scenario_spec import ScenarioSpec
 
@@ -121,7 +123,7 @@ def _asked(cfg: Replay) -> _Asked:
         names = split_names(cfg.compare or COMPARED)
         make = ScenarioSpec(cfg.scenario, cfg.set).make
         scenario = engineering_scenario(make) if cfg.split is None else make(cfg.split)
-        return _Asked(scenario, names, cfg.seed or 0, cfg.tuned, None)
+        return _Request(scenario, names, cfg.seed or 0, cfg.tuned, None)
     if cfg.set or cfg.split is not None:
         raise ValueError(
             "set, split: must not be given with a run's folder, which defines them; remove them, or use --scenario"
@@ -130,17 +132,17 @@ def _asked(cfg: Replay) -> _Asked:
     command = stored.command
     names = split_names(cfg.compare) if cfg.compare is not None else stored.controllers
     seed = command.seed if cfg.seed is None else cfg.seed
-    return _Asked(stored.scenario, names, seed, cfg.tuned or command.tuned, stored)
+    return _Request(stored.scenario, names, seed, cfg.tuned or command.tuned, stored)
 
 
-def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:
+def _check(cfg: Replay, request: _Request, films: list[Path]) -> None:
     """Raise ValueError before any run if the replay is not possible."""
     from dcgrid_env.rendering.film import require_imageio
     from dcgrid_env.rendering.replay_page import check_size, plotting_script
 
-    if not asked.names:
+    if not request.names:
         raise ValueError(f"compare: must name at least one controller (dcgrid list), got {cfg.compare!r}")
-    check_size(asked.scenario.member(asked.seed), len(asked.names))
+    check_size(request.scenario.member(request.seed), len(request.names))
     if films and cfg.out is not None:
         raise ValueError("out: must not be combined with --gif or --mp4, as it is the HTML file; remove --out")
     for option, path in (("gif", cfg.gif), ("mp4", cfg.mp4)):
@@ -152,10 +154,10 @@ def _check(cfg: Replay, asked: _Asked, films: list[Path]) -> None:
         plotting_script()
 
 
-def _episode(asked: _Asked, name: str, controller: Controller, on_step: Callable[[], None]) -> Series:
+def _episode(request: _Request, name: str, controller: Controller, on_step: Callable[[], None]) -> Series:
     from dcgrid_env.baselines import rollout
 
-    return rollout(asked.scenario, controller, [asked.seed], on_step, name).series(0)
+    return rollout(request.scenario, controller, [request.seed], on_step, name).series(0)
 
 
 def _cost(run: Series) -> float:

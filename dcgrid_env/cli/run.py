@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dcgrid_env.baselines.runs import Runs
-from dcgrid_env.cli.own_feeder import Asked, chosen_line, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import FeederRequest, chosen_line, scenario_on_feeder
 from dcgrid_env.core.commands.command import Command
 from dcgrid_env.core.commands.names import split_names
 from dcgrid_env.core.commands.opening import offer
@@ -200,8 +200,8 @@ def scenario_of(cfg: Run) -> Scenario:
 
     def make(split: str) -> Scenario:
         if cfg.feeder is not None:
-            asked = Asked(cfg.feeder, cfg.scenario, cfg.datacenters, cfg.inverters)
-            return scenario_on_feeder(asked, changes, split, chosen)
+            request = FeederRequest(cfg.feeder, cfg.scenario, cfg.datacenters, cfg.inverters)
+            return scenario_on_feeder(request, changes, split, chosen)
         return ScenarioSpec(DEFAULT_SCENARIO if cfg.scenario is None else cfg.scenario, changes).make(split, **chosen)
 
     return engineering_scenario(make) if cfg.split is None else make(cfg.split)

@@ -46,5 +46,5 @@ def stamps_respected(allow: str | None) -> Iterator[None]:
             yield
         except UnverifiedFeederWarning as warning:
             accept = f"repeat the import with --allow {UNVERIFIED} to accept it"
-            here = f"--allow {UNVERIFIED} goes on with it, or " if allow is not None else ""
-            raise FeederError(f"{warning}; {here}{accept}") from None
+            option = f"--allow {UNVERIFIED} goes on with it, or " if allow is not None else ""
+            raise FeederError(f"{warning}; {option}{accept}") from None

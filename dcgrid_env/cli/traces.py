@@ -86,8 +86,8 @@ class CheckRecording(Command):
         with working(console, "reading the recording"):
             trace, source = self.recording()
         # The recording's own scale may be refused, but the step and the episode are known all the same.
-        plain = tuple(change for change in changes if change.partition("=")[0].strip() not in _SCALE)
-        spec = ScenarioSpec(self.scenario, plain).make("train")
+        unscaled = tuple(change for change in changes if change.partition("=")[0].strip() not in _SCALE)
+        spec = ScenarioSpec(self.scenario, unscaled).make("train")
         report = check_recording(trace, spec.dt_s, window_steps(spec) * spec.dt_s, _idle_share(spec))
         say(console, f"{trace.name}: {trace.provenance}\nread: {source}")
         for line in report.lines():
@@ -111,9 +111,9 @@ class CheckRecording(Command):
         for line in scaling:
             say(console, line)
         if self.out is not None:
-            found = {"source": trace.provenance.record(), "read": source, "warnings": report.warnings()}
+            findings = {"source": trace.provenance.record(), "read": source, "warnings": report.warnings()}
             used = {"scenario": self.scenario, "scaling": scaling, "refused": str(refused) if refused else None}
-            write_json(self.out, found | used | report.record())
+            write_json(self.out, findings | used | report.record())
             say(console, f"wrote {self.out}")
         if refused is not None:
             raise refused
@@ -129,10 +129,10 @@ class CheckRecording(Command):
             "metric": self.metric, "step_s": self.step_s, "part_s": self.part_s, "invalid": self.invalid,
             "gaps": self.gaps, "max_gap_s": self.max_gap_s, "limit_kw": self.limit_kw,
         }  # fmt: skip
-        given = [name for name, value in options.items() if value is not None]
+        used = [name for name, value in options.items() if value is not None]
         if self.name in RECORDINGS or not Path(self.name).is_file():
-            if given:
-                raise ValueError(f"{given[0]}: is an option for files, got the recording {self.name!r}; leave it out")
+            if used:
+                raise ValueError(f"{used[0]}: is an option for files, got the recording {self.name!r}; leave it out")
             trace, source = recorded_trace(self.name), "fetched recording"
         else:
             trace = read_file(self.name, **options)

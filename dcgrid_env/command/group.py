@@ -70,7 +70,7 @@ class Group(NamedTuple):
         return "\n".join([*lines, "", f"Run `{prog} COMMAND --help` for the options of a command."])
 
 
-def found(root: Group, prog: str, words: Sequence[str]) -> tuple[Entry | Group, str, Sequence[str]]:
+def resolve(root: Group, prog: str, words: Sequence[str]) -> tuple[Entry | Group, str, Sequence[str]]:
     """What words lead to, the words that lead there, and those that follow: a group's begin with no command of it."""
     member: Entry | Group = root
     while isinstance(member, Group) and words and words[0] in member.members:
@@ -80,5 +80,5 @@ def found(root: Group, prog: str, words: Sequence[str]) -> tuple[Entry | Group, 
 
 def help_page(root: Group, prog: str, words: Sequence[str]) -> str | None:
     """The page of the group that words lead to, where they ask for its help; else None."""
-    member, prog, rest = found(root, prog, words)
+    member, prog, rest = resolve(root, prog, words)
     return member.page(prog) if isinstance(member, Group) and rest and rest[0] in HELP else None

@@ -179,7 +179,7 @@ class Device(Protocol):
         parameters: DeviceParams,
         state: DeviceState,
         setpoints: tuple[Array, ...],
-        given: DeviceInput,
+        device_input: DeviceInput,
         dt_s: float,
     ) -> tuple[Any, Array]:
         """Advance by one interval.
@@ -190,7 +190,7 @@ class Device(Protocol):
             Parameters and the state before the interval, arrays of one kind.
         setpoints
             Setpoint of each channel except the reactive one, (row, slot) each, in the order and units of ``channels``.
-        given
+        device_input
             Exogenous input, see ``input``.
         dt_s
             Length of the interval, s.

@@ -61,9 +61,9 @@ class Inverters(PickledByFields):
         if isinstance(self.injection, tuple):
             wrong = [share for share in self.injection if not is_number(share) or not -1 <= share <= 1]
             if wrong:
-                given = f"has {len(self.injection)} shares, {wrong[0]!r} among them"
+                problem = f"has {len(self.injection)} shares, {wrong[0]!r} among them"
                 remedy = "give numbers from -1 to 1, for t = 0 and each step"
-                raise FieldError("Inverters", "injection", ..., f"{given}; {remedy}")
+                raise FieldError("Inverters", "injection", ..., f"{problem}; {remedy}")
         elif not (self.injection is None or self.injection == SUN):
             if not isinstance(self.injection, PowerTrace):
                 share = "a PowerTrace or a file of one as a share of the rating"
@@ -130,13 +130,13 @@ class Inverters(PickledByFields):
         parameters: InverterParams,
         state: DeviceState,
         setpoints: tuple[Array, ...],
-        given: DeviceInput,
+        device_input: DeviceInput,
         dt_s: float,
     ) -> tuple[Any, Array]:
         """Inject the scheduled power times the connected share."""
         if self.ride_through is None:
-            return (), -given
-        return riding_inverter.step(self.ride_through, state, given, dt_s)
+            return (), -device_input
+        return riding_inverter.step(self.ride_through, state, device_input, dt_s)
 
     def connected(self, state: DeviceState) -> Array:
         """Return the share of each inverter's power that is on the grid, see ``device.may_leave``."""

@@ -15,7 +15,7 @@ _SAME_TIME_S = 1e-6
 
 
 def in_force(
-    asked: tuple[Array, Array], before: tuple[Array, Array], age_s: Array, hold_s: Array, same: float, dt_s: float
+    requested: tuple[Array, Array], before: tuple[Array, Array], age_s: Array, hold_s: Array, same: float, dt_s: float
 ) -> tuple[Array, Array, Array]:
     """Return the set point in force over a step, its two parts, and the time since its last change at the end.
 
@@ -33,9 +33,9 @@ def in_force(
         Length of the step, s.
     """
     xp = namespace(age_s)
-    differs = (xp.abs(asked[0] - before[0]) > same) | (xp.abs(asked[1] - before[1]) > same)
+    differs = (xp.abs(requested[0] - before[0]) > same) | (xp.abs(requested[1] - before[1]) > same)
     changes = differs & (age_s >= hold_s - _SAME_TIME_S)
-    first, second = (xp.where(changes, new, old) for new, old in zip(asked, before, strict=True))
+    first, second = (xp.where(changes, new, old) for new, old in zip(requested, before, strict=True))
     return first, second, xp.where(changes, 0.0 * age_s, age_s) + dt_s
 
 

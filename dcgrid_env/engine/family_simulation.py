@@ -47,8 +47,8 @@ class FamilySimulation(Simulation):
             self.scenario, self.now.seeds[env_index : env_index + 1], self.now.numbers[env_index : env_index + 1]
         )[0][0]
 
-    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: EpisodeOptions | None = None) -> Snapshot:
-        if given is not None:
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, options: EpisodeOptions | None = None) -> Snapshot:
+        if options is not None:
             raise ScenarioError(
                 f"scenario {self.scenario.name!r} is on random feeders, where no buses can be given; make it on one of "
                 "them, scenario.member(seed)"

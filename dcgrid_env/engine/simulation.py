@@ -49,7 +49,7 @@ class Simulation:
         return self.now.transition
 
     @property
-    def begun(self) -> bool:
+    def has_begun(self) -> bool:
         """Whether there has been a reset."""
         return self._now is not None
 
@@ -74,29 +74,29 @@ class Simulation:
         self._now = snapshot
 
     def reset(
-        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, given: EpisodeOptions | None = None
+        self, seeds: Sequence[int | None], mask: np.ndarray | None = None, options: EpisodeOptions | None = None
     ) -> Transition:
         """Begin a new episode in every environment, or where ``mask`` is True.
 
         An environment with a seed begins that seed's first episode; with None it begins its next one since it was
-        last seeded. The arrays of ``given`` have a row for each environment that begins.
+        last seeded. The arrays of ``options`` have a row for each environment that begins.
         """
         env_indices = np.arange(self.n_env) if mask is None else np.flatnonzero(mask)
-        drawn = self._begin(env_indices, seeds, given)
+        drawn = self._begin(env_indices, seeds, options)
         self._now = drawn if len(env_indices) == self.n_env else self._merged(self.now, drawn, env_indices)
         return self._now.transition
 
     def step_or_begin(self, action: np.ndarray) -> Transition:
         """Advance the environments whose episode goes on; the others begin their next one, whatever their action."""
         env_indices = np.flatnonzero(self.now.over)
-        begun = self._begin(env_indices, [None] * self.n_env)
+        initial = self._begin(env_indices, [None] * self.n_env)
         if len(env_indices) == self.n_env:
-            self._now = begun
-            return begun.transition
+            self._now = initial
+            return initial.transition
         # The physics steps all environments at once: those that begin stay in the batch, and are then put back.
-        self._now = self._merged(self.now, begun, env_indices)
+        self._now = self._merged(self.now, initial, env_indices)
         self.step(action)
-        self._now = self._merged(self.now, begun, env_indices)
+        self._now = self._merged(self.now, initial, env_indices)
         return self._now.transition
 
     def step(self, action: np.ndarray) -> Transition:
@@ -120,7 +120,7 @@ class Simulation:
         return transition
 
     def _begin(
-        self, env_indices: np.ndarray, seeds: Sequence[int | None], given: EpisodeOptions | None = None
+        self, env_indices: np.ndarray, seeds: Sequence[int | None], options: EpisodeOptions | None = None
     ) -> Snapshot:
         """New episodes of these environments, see ``reset``."""
         seed = np.zeros(len(env_indices), np.uint64)
@@ -131,11 +131,11 @@ class Simulation:
                 seed[i] = int(given_seed) % 2**64
             else:
                 seed[i], number[i] = self.now.seeds[env_index], self.now.numbers[env_index] + np.uint64(1)
-        return self._drawn(seed, number, given)
+        return self._drawn(seed, number, options)
 
-    def _drawn(self, seed: np.ndarray, number: np.ndarray, given: EpisodeOptions | None = None) -> Snapshot:
+    def _drawn(self, seed: np.ndarray, number: np.ndarray, options: EpisodeOptions | None = None) -> Snapshot:
         """Episodes at their beginning, of seeds and numbers of episodes since these, (row,) uint64 each."""
-        drawn = episode.draw(self.scenario, seed, number, given)
+        drawn = episode.draw(self.scenario, seed, number, options)
         step = np.zeros(len(seed), np.int64)
         quiet = np.zeros((len(seed), self.scenario.feeder.n_bus))
         p_ref, p_ref_next = (episode.p_ref_kw(self.scenario, drawn, step + ahead) for ahead in (0, 1))
@@ -160,8 +160,8 @@ class Simulation:
         default = difference.default_setpoints(self.scenario, before, outside.p_ref_kw)
         setpoints = dynamics.setpoints_of(self.scenario, action)
         targets, steps_left = tap_targets(self.scenario), self.scenario.horizon - self.now.step - 1
-        given = (self.scenario, before, after, setpoints, default, outside, self.now.episode.buses)
-        return difference.differences(*given, targets, steps_left)
+        arguments = (self.scenario, before, after, setpoints, default, outside, self.now.episode.buses)
+        return difference.differences(*arguments, targets, steps_left)
 
     def _measure(self, drawn: episode.Episode, step: np.ndarray, state: State) -> np.ndarray:
         return measure(self.scenario, state, measurement_noise(self.scenario, drawn.key, step))
@@ -183,15 +183,15 @@ class Simulation:
         costs = reward.team_costs(s, state, solution, last, figures)
         costs = costs if solved else reward.charged(s, costs, step, solution.converged)
         cost_j = reward.total(costs)
-        coming = episode.given_next(s, drawn, step, p_ref_next)
-        seen = observation.observe_within_bounds(s, state, drawn.placed, coming, measured[1], measured[0])
+        next_input = episode.given_next(s, drawn, step, p_ref_next)
+        observed = observation.observe_within_bounds(s, state, drawn.placed, next_input, measured[1], measured[0])
         if s.cost.reward != "local":
             paid = -cost_j
         else:
             local_costs = reward.local_costs(s, state, solution, last, drawn.placed.nodes)
             paid = -reward.total(reward.charged(s, local_costs, step, solution.converged))
         return Transition(
-            observation=seen,
+            observation=observed,
             reward=paid,
             terminated=np.zeros(len(last), np.bool_) if solved else ~solution.converged & (step > 0),
             truncated=last if solved else solution.converged & last,
@@ -227,8 +227,8 @@ def difference_scale(scenario: Scenario) -> np.ndarray:
     action of a channel is best. On random feeders it is measured on the first training feeder.
     """
     layout = action_layout(scenario)
-    plain = scenario.paid_as_team().replace(split="train", weights={"violation": 0.0})
-    sampled = Simulation(plain.member(0), SCALE_EPISODES)
+    training = scenario.paid_as_team().replace(split="train", weights={"violation": 0.0})
+    sampled = Simulation(training.member(0), SCALE_EPISODES)
     sampled.reset(range(SCALE_EPISODES))
     s, largest = sampled.scenario, []
     rest = np.tile(difference.rest_action(s), (SCALE_EPISODES, 1))
@@ -266,5 +266,5 @@ def tap_targets(scenario: Scenario) -> TapTargets | None:
     from dcgrid_env.engine.cost.tap_targets import useful_taps  # for scenarios with such relays alone
 
     sampled = Simulation(scenario.replace(split="train"), TAP_EPISODES)
-    begun = sampled.reset(range(TAP_EPISODES))
-    return useful_taps(sampled.scenario, relays, begun.state, begun.buses)
+    initial = sampled.reset(range(TAP_EPISODES))
+    return useful_taps(sampled.scenario, relays, initial.state, initial.buses)

@@ -29,11 +29,11 @@ class HugeObservationWarning(UserWarning):
     """An observation or a global state holds the voltage of every node of a very large feeder."""
 
 
-def warn_if_huge(scenario: Scenario, what: str, remedy: str) -> None:
-    """Warn that ``what`` grows with the feeder if the feeder is very large."""
+def warn_if_huge(scenario: Scenario, subject: str, remedy: str) -> None:
+    """Warn that ``subject`` grows with the feeder if the feeder is very large."""
     n = len(scenario.feeder.load_nodes)
     if n > HUGE:
-        warnings.warn(f"{what} holds the voltages of {n:,} nodes; {remedy}", HugeObservationWarning, stacklevel=4)
+        warnings.warn(f"{subject} holds the voltages of {n:,} nodes; {remedy}", HugeObservationWarning, stacklevel=4)
 
 
 class EpisodeCutWarning(UserWarning):
@@ -103,8 +103,8 @@ class BaseEnvironment:
         if joint and self.pays_team and self.scenario.cost.reward == "local":
             raise ScenarioError("reward='local' pays each agent alone; use parallel_env, or reward='shared'")
         if self.scenario.sensing.observe == "feeder":
-            what = f"scenario {self.scenario.name!r}: observe is 'feeder', so that each observation"
-            warn_if_huge(self.scenario, what, "'local' or 'neighbours' does not grow with the feeder")
+            subject = f"scenario {self.scenario.name!r}: observe is 'feeder', so that each observation"
+            warn_if_huge(self.scenario, subject, "'local' or 'neighbours' does not grow with the feeder")
         self.render_mode, self.info_level = render_mode, info
         ids = self.scenario.feeder.bus_ids
         self._bus_ids = np.array(bus_numbers(ids) or ids)  # numbers where all are, which clients make tensors of
@@ -152,18 +152,18 @@ class BaseEnvironment:
         seeds: list[int | None],
         rng: np.random.Generator,
         mask: np.ndarray | None = None,
-        given: EpisodeOptions | None = None,
+        episode_options: EpisodeOptions | None = None,
     ) -> Transition:
         """Begin episodes; draw a seed if none was ever given."""
-        if not self._simulation.begun:
+        if not self._simulation.has_begun:
             seeds = [int(rng.integers(2**63)) if seed is None else seed for seed in seeds]
         elif self._simulation.n_env == 1:
-            self._warn_of_cuts()
-        transition = self._simulation.reset(seeds, mask, given)
+            self._warn_about_cuts()
+        transition = self._simulation.reset(seeds, mask, episode_options)
         self._arrived()
         return transition
 
-    def _warn_of_cuts(self) -> None:
+    def _warn_about_cuts(self) -> None:
         """Warn, once, before a reset if the last episodes ended at the same step, before the horizon.
 
         A time limit that is put around the environment cannot be seen from within, but its resets can. A single step

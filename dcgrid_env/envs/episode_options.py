@@ -37,9 +37,11 @@ def episode_options(scenario: Scenario, num_envs: int, options: Mapping[str, Any
         buses = buses.astype(np.int64)
     if begin_h is not None:
         begin_h = np.asarray(begin_h, dtype=np.float64)
-        low, high, what = _begins(scenario)
+        low, high, suffix = _begins(scenario)
         if begin_h.shape != (num_envs,) or not ((begin_h >= low - 1e-9) & (begin_h < high)).all():
-            raise ValueError(f"begin_h must be hours from {low:g} to less than {high:g}{what}, of shape {(num_envs,)}")
+            raise ValueError(
+                f"begin_h must be hours from {low:g} to less than {high:g}{suffix}, of shape {(num_envs,)}"
+            )
         if not scenario.follows_day:
             raise ValueError("begin_h is given, but the scenario does not follow the day; give background.start_hour")
     return EpisodeOptions(buses, begin_h)

@@ -35,7 +35,7 @@ _STEP_KEYS = ("cost", "J", "reward_vector", "tap_moves", "capacitor_switchings")
 
 
 @cached_on_owner
-def keys_of_steps(scenario: Scenario, keys: tuple[str, ...]) -> tuple[str, ...]:
+def step_keys(scenario: Scenario, keys: tuple[str, ...]) -> tuple[str, ...]:
     """Return those of the keys that belong to a step, with no figures at a reset: costs, J, rewards and events."""
     events = {name for device in scenario.devices for name in step_totals(device)}
     return tuple(key for key in keys if key in _STEP_KEYS or key.startswith("cost_") or key in events)
@@ -43,7 +43,7 @@ def keys_of_steps(scenario: Scenario, keys: tuple[str, ...]) -> tuple[str, ...]:
 
 def drop_step_keys(scenario: Scenario, info: dict[str, Any]) -> None:
     """Remove what belongs to a step, and its masks, from the info of a reset."""
-    for key in keys_of_steps(scenario, tuple(info)):
+    for key in step_keys(scenario, tuple(info)):
         del info[key]
         info.pop(f"_{key}", None)
 
@@ -51,7 +51,7 @@ def drop_step_keys(scenario: Scenario, info: dict[str, Any]) -> None:
 def info_arrays(scenario: Scenario, transition: Transition, level: InfoLevel = "full") -> dict[str, np.ndarray]:
     """Figures of a step, each (row,), float64; ``power_flow_converged`` is 1 or 0.
 
-    After a reset, those of ``keys_of_steps`` are 0, and the environments remove them.
+    After a reset, those of ``step_keys`` are 0, and the environments remove them.
 
     ``cost_*`` are the weighted terms as charged, their sum is minus the team's reward; ``cost`` is the violation, what
     exceeds a limit, and trips where these have a weight, for constrained learning. ``J`` is the cost so far as a share

@@ -128,7 +128,8 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         cuts = np.cumsum([0, *(len(low) for low, _ in bounds.values())]).tolist()
         self._slices = {a: slice(*cuts[i : i + 2]) for i, a in enumerate(s.agents)}
         fields = zip(s.devices, observation.device_fields(s), strict=True)
-        n_state = len(s.feeder.load_nodes) + 2 * s.n_agents + sum(device.count * len(of) for device, of in fields) + 1
+        n_device = sum(device.count * len(names) for device, names in fields)
+        n_state = len(s.feeder.load_nodes) + 2 * s.n_agents + n_device + 1
         self.state_space = spaces.Box(-STATE_BOUND, STATE_BOUND, (n_state,), np.float32)
         self._rng, _ = seeding.np_random()
 
@@ -193,17 +194,17 @@ class DcgridParallelEnv(BaseEnvironment, ParallelEnv[str, np.ndarray, Any]):
         warn_if_huge(self.scenario, "state()", "take what you need of env.transition.state instead")
         s, now = self.scenario, self._simulation.now
         params = parameters(s, now.state.p_kw)
-        coming = episode.given_next(s, now.episode, now.step, now.p_ref_next_kw)
+        next_input = episode.given_next(s, now.episode, now.step, now.p_ref_next_kw)
         parts = [
             (now.state.v_pu[0, s.feeder.load_slice] - 1.0) / (s.cost.band_pu or 1.0),
             now.state.p_kw[0] / params.p_scale_kw,
             now.state.q_kvar[0] * params.per_q_scale,
         ]
         of_devices = zip(
-            s.devices, observation.device_fields(s), params.devices, now.state.devices, coming, strict=True
+            s.devices, observation.device_fields(s), params.devices, now.state.devices, next_input, strict=True
         )
-        for device, fields, device_params, its_state, given in of_devices:
-            raw = device.observe(device_params, its_state, given)
+        for device, fields, device_params, its_state, device_input in of_devices:
+            raw = device.observe(device_params, its_state, device_input)
             parts += [figure[0] / field.share_of for field, figure in zip(fields, raw, strict=True)]
         parts.append(now.step / s.horizon)
         return np.clip(np.concatenate(parts), -STATE_BOUND, STATE_BOUND).astype(np.float32)

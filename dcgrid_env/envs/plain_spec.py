@@ -33,12 +33,14 @@ class PlainSpec:
     def spec(self, spec: Any) -> None:
         if spec is not None:
             self._refuse_time_limit(spec.id)
-            kwargs = {name: _plain(value) for name, value in spec.kwargs.items() if not isinstance(value, Horizon)}
+            kwargs = {
+                name: _plain_value(value) for name, value in spec.kwargs.items() if not isinstance(value, Horizon)
+            }
             fields = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec) if field.init}
             steps = Horizon(self.scenario.horizon)
             kind = EnvSpec if _is_plain(kwargs) else _WithObjects
             spec = kind(**fields | {"kwargs": kwargs, "max_episode_steps": steps, "additional_wrappers": ()})
-            self._made()
+            self._on_spec()
         self._spec = spec
 
     def _refuse_time_limit(self, gym_id: str) -> None:
@@ -51,7 +53,7 @@ class PlainSpec:
                 f"kwargs={{'horizon': {steps}}} and without max_episode_steps"
             )
 
-    def _made(self) -> None:
+    def _on_spec(self) -> None:
         """Do what is due where Gymnasium has made the environment."""
 
 
@@ -65,7 +67,7 @@ class _WithObjects(EnvSpec):
         return super().to_json()
 
 
-def _plain(value: Any) -> Plain:
+def _plain_value(value: Any) -> Plain:
     """Return a keyword argument in plain form; for a scenario, its preset's name or a mapping of its fields."""
     if not isinstance(value, Scenario):
         return to_data(value)

@@ -180,8 +180,8 @@ class TensorEnv:
         like = self.like
         want = (len(self._due), action_layout(self.scenario).n)
         if not _fits(action, like):
-            given = _kind(action) if is_array_api_obj(action) else repr(action)
-            raise ValueError(f"the action is {given}; it must be as like is, {_kind(like)}")
+            received = _kind(action) if is_array_api_obj(action) else repr(action)
+            raise ValueError(f"the action is {received}; it must be as like is, {_kind(like)}")
         if tuple(action.shape) != want:
             raise ValueError(f"the action has shape {tuple(action.shape)}; it must be {want}: environments, actuators")
 
@@ -210,8 +210,8 @@ class TensorEnv:
 
     def _observe(self) -> Array:
         work = Work(*(self._now(self._outside.inputs[name], 1) for name in ("p_ref_kw", "compute_share")))
-        coming = [work if device.input == "workload" else None for device in self.scenario.devices]
-        return observation.observe(self._on, self.state, self._placed, coming, self._measured[1], self._measured[0])
+        next_input = [work if device.input == "workload" else None for device in self.scenario.devices]
+        return observation.observe(self._on, self.state, self._placed, next_input, self._measured[1], self._measured[0])
 
     def _index(self, positions: np.ndarray) -> Array:
         """Return positions as integers of the wanted kind, on the wanted device."""

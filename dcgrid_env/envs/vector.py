@@ -18,7 +18,7 @@ from dcgrid_env.engine.physics.actions import joint_action
 from dcgrid_env.envs.base import BaseEnvironment, joint_reward, joint_spaces
 from dcgrid_env.envs.class_docs import documented
 from dcgrid_env.envs.episode_options import episode_options
-from dcgrid_env.envs.info import InfoLevel, drop_step_keys, info_arrays, keys_of_steps
+from dcgrid_env.envs.info import InfoLevel, drop_step_keys, info_arrays, step_keys
 from dcgrid_env.envs.plain_spec import PlainSpec
 from dcgrid_env.envs.time_limit import with_horizon
 from dcgrid_env.grid.random_feeders.family import RandomFeeders
@@ -171,15 +171,15 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
                 raise ValueError(f"reset_mask must be a bool array of shape ({self.num_envs},)")
             if not np.any(mask):
                 raise ValueError("reset_mask is False for every environment; leave the reset out")
-            if not self._simulation.begun:
+            if not self._simulation.has_begun:
                 raise ValueError("the first reset must be of all environments; leave reset_mask out")
-        given = episode_options(self.scenario, self.num_envs, options or {})
-        if given is not None and mask is not None:
+        drawn = episode_options(self.scenario, self.num_envs, options or {})
+        if drawn is not None and mask is not None:
             raise ValueError(
                 "reset_mask is combined with buses or begin_h, which are of all environments; give one or the other"
             )
         super().reset(seed=first)
-        transition = self._reset(seeds, self.np_random, mask, given)
+        transition = self._reset(seeds, self.np_random, mask, drawn)
         infos = self._infos(transition, self._everyone if mask is None else np.asarray(mask))
         drop_step_keys(self.scenario, infos)
         return transition.observation.copy(), infos
@@ -201,11 +201,11 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         self._last = None
         done = transition.terminated | transition.truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and done.any():
-            begun, infos = self._begin_anew(transition, done)
+            initial, infos = self._begin_anew(transition, done)
         else:
-            begun, infos = transition, self._infos(transition, self._everyone)
+            initial, infos = transition, self._infos(transition, self._everyone)
         return (
-            begun.observation.copy(),
+            initial.observation.copy(),
             joint_reward(transition),
             transition.terminated.copy(),
             transition.truncated.copy(),
@@ -256,9 +256,9 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             return viewer.draw()
         return tuple(viewer.draw(env_index) for env_index in range(self.num_envs))
 
-    def _made(self) -> None:
+    def _on_spec(self) -> None:
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            _warn_of_statistics(gymnasium.__version__)
+            _warn_about_statistics(gymnasium.__version__)
 
     def _begin_anew(self, transition: Transition, done: np.ndarray) -> tuple[Transition, dict[str, Any]]:
         """Return the first transition of the next episode where one is over, and infos with the last one."""
@@ -266,11 +266,11 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(done):
             final_obs[i] = transition.observation[i].copy()
-        begun = self._reset([None] * self.num_envs, self.np_random, done)
+        initial = self._reset([None] * self.num_envs, self.np_random, done)
         self._last = transition
-        infos = self._infos(begun, self._everyone)
+        infos = self._infos(initial, self._everyone)
         infos |= {"final_obs": final_obs, "_final_obs": done, "final_info": final_info, "_final_info": done.copy()}
-        return begun, infos
+        return initial, infos
 
     def _infos(self, transition: Transition, valid: np.ndarray) -> dict[str, Any]:
         """Return arrays over environments, each with its mask of valid entries, in gymnasium's format.
@@ -286,16 +286,16 @@ class DcgridVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
             infos |= zip(self._bus_keys, self._bus_names.T.copy(), strict=True)
         masks = np.repeat(valid[None], len(infos), axis=0)
         infos |= zip(_mask_keys(tuple(infos)), masks, strict=True)
-        begun = self._simulation.now.step == 0
-        if begun.any():
-            for key in keys_of_steps(self.scenario, tuple(infos)):
-                infos[key][begun] = np.nan
-                infos[f"_{key}"][begun] = False
+        at_reset = self._simulation.now.step == 0
+        if at_reset.any():
+            for key in step_keys(self.scenario, tuple(infos)):
+                infos[key][at_reset] = np.nan
+                infos[f"_{key}"][at_reset] = False
         return infos
 
 
 @cache
-def _warn_of_statistics(version: str) -> None:
+def _warn_about_statistics(version: str) -> None:
     """Warn, once, if Gymnasium's statistics of episodes that begin in the same step are wrong in this version."""
     if tuple(int(part) for part in version.split(".")[:2]) < (1, 4):
         warnings.warn(

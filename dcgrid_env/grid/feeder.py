@@ -16,7 +16,7 @@ from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.balanced_nodes import OneNodeABus
 from dcgrid_env.grid.formats.csv_folder import read_csv, write_csv
 from dcgrid_env.grid.formats.feeder_folder import is_three_phase
-from dcgrid_env.grid.formats.import_stamp import warn_of_stamp
+from dcgrid_env.grid.formats.import_stamp import warn_about_stamp
 from dcgrid_env.grid.network import (
     BusId,
     LineTable,
@@ -281,7 +281,7 @@ class Feeder(PerUnit, OneNodeABus):
             feeder = cls.from_network(read_csv(Path(folder)))
         except FeederError as error:
             raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
-        warn_of_stamp(Path(folder))
+        warn_about_stamp(Path(folder))
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 

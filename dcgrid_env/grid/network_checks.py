@@ -74,18 +74,18 @@ def check_balanced(network: Network) -> None:
     check_numbers(name, "feeder", ["base_kv", "v0_pu"], {"value": voltages}, positive=True)
     check_numbers(name, "bus", network.load.bus, {"p_kw": network.load.p_kw, "q_kvar": network.load.q_kvar})
     shunt = network.shunt
-    given = {field: getattr(shunt, field) for field in ("capacitor_kvar", "shunt_kw", "shunt_kvar")}
-    check_numbers(name, "bus", shunt.bus, {field: values for field, values in given.items() if values})
+    figures = {field: getattr(shunt, field) for field in ("capacitor_kvar", "shunt_kw", "shunt_kvar")}
+    check_numbers(name, "bus", shunt.bus, {field: values for field, values in figures.items() if values})
     branches = [f"{i}-{j}" for i, j in zip(line.from_bus, line.to_bus, strict=True)]
     check_numbers(name, "branch", branches, {"r_ohm": line.r_ohm, "x_ohm": line.x_ohm}, non_negative=True)
     if line.rating_a:
         check_numbers(name, "branch", branches, {"rating_a": line.rating_a}, positive=True, may_be_nan=True)
     check_numbers(name, "bus", node.bus, {"x": node.x, "y": node.y}, may_be_nan=True)
-    given = {field: getattr(node, field) for field in ("base_kv", "voltage_ratio")}
-    given = {field: values for field, values in given.items() if values}
-    check_numbers(name, "bus", node.bus, given, positive=True, may_be_nan=True)
+    figures = {field: getattr(node, field) for field in ("base_kv", "voltage_ratio")}
+    figures = {field: values for field, values in figures.items() if values}
+    check_numbers(name, "bus", node.bus, figures, positive=True, may_be_nan=True)
     for field, expected in (("base_kv", source.base_kv[0]), ("voltage_ratio", 1.0)):
-        at_source = dict(zip(node.bus, given.get(field, ()), strict=False)).get(source.bus[0], math.nan)
+        at_source = dict(zip(node.bus, figures.get(field, ()), strict=False)).get(source.bus[0], math.nan)
         if not math.isnan(at_source) and at_source != expected:
             raise FeederError(
                 f"feeder {name!r}: bus {source.bus[0]}: {field} is {at_source}, but it is the substation, to whose "

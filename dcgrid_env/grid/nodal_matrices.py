@@ -123,14 +123,14 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64],
     source = network.source
     z = (np.array(source.r_ohm[0]) + 1j * np.array(source.x_ohm[0])) / (base_kv[0] ** 2 * _PER_SIEMENS)
     ends = np.array([c.ends for c in couplers], np.intp).reshape(-1, 4)
-    fed = _fed(elements, couplers, n)
-    alone = np.array([feed is None for feed in fed] + [False])
-    alone[_weakly_grounded(elements, nodes, legs, n)] = True
-    carrying = chosen(legs, alone[legs.node] | alone[legs.other])
+    feeds = _feeding_paths(elements, couplers, n)
+    isolated = np.array([feed is None for feed in feeds] + [False])
+    isolated[_weakly_grounded(elements, nodes, legs, n)] = True
+    carrying = chosen(legs, isolated[legs.node] | isolated[legs.other])
     if len(carrying.row):
         elements += [leg_element("leg", k, carrying, k) for k in range(len(carrying.row))]
-        fed = _fed(elements, couplers, n)
-    lost = [(bus, letter) for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not fed[node]]
+        feeds = _feeding_paths(elements, couplers, n)
+    lost = [(bus, letter) for bus, of_bus in nodes.items() for letter, node in of_bus.items() if not feeds[node]]
     if lost:
         there = elements_at(network, {bus for bus, _ in lost})
         raise FeederError(
@@ -146,7 +146,7 @@ def nodal_matrices(network: Network, nodes: Nodes, base_kv: NDArray[np.float64],
         coupler_regulator=np.array([c.regulator for c in couplers], np.intp),
         coupler_mutual=_mutual(couplers),
         carrying=carrying,
-        **_feeds(elements, couplers, fed, n),
+        **_feeds(elements, couplers, feeds, n),
     )
 
 
@@ -186,17 +186,17 @@ def leg_element(kind: str, row: int, legs: Legs, k: int) -> Element:
 
 def elements_at(network: Network, buses: Container[str]) -> list[str]:
     """Names of the elements at some buses, each with its kind."""
-    found = []
+    elements = []
     for kind in ("phase_line", "switch", "transformer", "regulator", "phase_load", "capacitor", "core"):
         table: Any = getattr(network, kind)
         ends = [getattr(table, field) for field in ("from_bus", "to_bus", "bus") if hasattr(table, field)]
         word = "transformer" if kind == "core" else kind.removeprefix("phase_")
         for name, *of_row in zip(table.name, *ends, strict=True):
-            found += [f"{word} {name}"] if any(bus in buses for bus in of_row) else []
+            elements += [f"{word} {name}"] if any(bus in buses for bus in of_row) else []
     for name, named in zip(network.admittance.name, network.admittance.nodes, strict=True):
         if any(bus in buses for bus, _ in node_names(named)):
-            found.append(name.replace(".", " ", 1))
-    return list(dict.fromkeys(found))
+            elements.append(name.replace(".", " ", 1))
+    return list(dict.fromkeys(elements))
 
 
 def line_impedances(network: Network) -> list[float]:
@@ -229,20 +229,25 @@ def _base_ohms(network: Network) -> dict[str, float]:
 
 
 def _mutual(couplers: Sequence[Coupler]) -> csr_matrix:
-    entries = [(k, k - len(of.mutual) + j, z) for k, of in enumerate(couplers) for j, z in enumerate(of.mutual) if z]
+    entries = [
+        (k, k - len(coupler.mutual) + j, z)
+        for k, coupler in enumerate(couplers)
+        for j, z in enumerate(coupler.mutual)
+        if z
+    ]
     row, column, z = (np.array(part) for part in zip(*entries, strict=True)) if entries else (np.zeros(0, int),) * 3
     below = csr_matrix((z.astype(np.complex128), (row, column)), (len(couplers), len(couplers)))
     return _frozen((below + below.T).tocsr())
 
 
-def _inverse(network: Network, what: str, z: NDArray[Any]) -> NDArray[Any]:
+def _inverse(network: Network, element: str, z: NDArray[Any]) -> NDArray[Any]:
     """Admittance matrix of an impedance matrix; FeederError for one without an inverse."""
     with np.errstate(all="ignore"), contextlib.suppress(np.linalg.LinAlgError):
         y = np.linalg.inv(z)
         if np.isfinite(y).all():
             return y
     raise FeederError(
-        f"feeder {network.name!r}: {what}: its impedance is 0 or singular, which a feeder that is not radial "
+        f"feeder {network.name!r}: {element}: its impedance is 0 or singular, which a feeder that is not radial "
         "cannot have; give a small one, or use a switch"
     )
 
@@ -290,8 +295,8 @@ def _lines(
     table = network.phase_line
     rated = table.rating_a or (math.nan,) * len(table)
     for row, phases in enumerate(table.phases):
-        at, size = ["abc".index(phase) for phase in phases], len(phases)
-        r, x, b_us = (np.array(m[row], float)[np.ix_(at, at)] for m in (table.r_ohm, table.x_ohm, table.b_us))
+        columns, size = ["abc".index(phase) for phase in phases], len(phases)
+        r, x, b_us = (np.array(m[row], float)[np.ix_(columns, columns)] for m in (table.r_ohm, table.x_ohm, table.b_us))
         half, z = 0.5e-6j * b_us, r + 1j * x
         ends = [nodes[bus][phase] for bus in (table.from_bus[row], table.to_bus[row]) for phase in phases]
         z_pu = z / (base_kv[ends[0]] ** 2 * _PER_SIEMENS)
@@ -388,39 +393,46 @@ def _neighbours(elements: Sequence[Element], couplers: Sequence[Coupler], n: int
     return joined
 
 
-def _fed(elements: Sequence[Element], couplers: Sequence[Coupler], n: int) -> list[tuple[int, int, float] | None]:
+def _feeding_paths(
+    elements: Sequence[Element], couplers: Sequence[Coupler], n: int
+) -> list[tuple[int, int, float] | None]:
     """What feeds each node: the node before it, the element or coupler, and the admittance; None for a node without.
 
     Nodes are taken from the source on, those that are fewest elements away first. Of several ways to a node the one
     with the largest admittance counts, so that a phase comes from its own and not by the coupling between phases.
     """
     joined = _neighbours(elements, couplers, n)
-    fed: list[tuple[int, int, float] | None] = [(-1, -1, math.inf) if node < 3 else None for node in range(n)]
-    here = [0, 1, 2]
-    while here:
-        found: dict[int, tuple[int, int, float]] = {}
-        for i in here:
-            for j, what, strength in joined[i]:
-                if fed[j] is None and (j not in found or strength > found[j][2]):
-                    found[j] = (i, what, strength)
-        for j, feed in found.items():
-            fed[j] = feed
-        here = list(found)
-    return fed
+    feeds: list[tuple[int, int, float] | None] = [(-1, -1, math.inf) if node < 3 else None for node in range(n)]
+    frontier = [0, 1, 2]
+    while frontier:
+        candidates: dict[int, tuple[int, int, float]] = {}
+        for i in frontier:
+            for j, position, strength in joined[i]:
+                if feeds[j] is None and (j not in candidates or strength > candidates[j][2]):
+                    candidates[j] = (i, position, strength)
+        for j, feed in candidates.items():
+            feeds[j] = feed
+        frontier = list(candidates)
+    return feeds
 
 
-def _feeds(elements: Sequence[Element], couplers: Sequence[Coupler], fed: list[Any], n: int) -> dict[str, Any]:
+def _feeds(elements: Sequence[Element], couplers: Sequence[Coupler], feeds: list[Any], n: int) -> dict[str, Any]:
     rows: list[tuple[int, int, complex]] = []
     coupler, regulator = np.full(n, -1, np.intp), np.full(n, -1, np.intp)
     parent, z_pu, rating_a, sign = np.full(n, -1, np.intp), np.zeros(n), np.full(n, math.nan), np.ones(n)
     for node in range(3, n):
-        parent[node], what, strength = fed[node]
-        if what < 0:
-            of = couplers[~what]
-            coupler[node], regulator[node], z_pu[node], rating_a[node] = ~what, of.regulator, abs(of.z), of.rating_a
-            sign[node] = 1.0 if of.ends[2] == node else -1.0
+        parent[node], position, strength = feeds[node]
+        if position < 0:
+            link = couplers[~position]
+            coupler[node], regulator[node], z_pu[node], rating_a[node] = (
+                ~position,
+                link.regulator,
+                abs(link.z),
+                link.rating_a,
+            )
+            sign[node] = 1.0 if link.ends[2] == node else -1.0
             continue
-        element = elements[what]
+        element = elements[position]
         place = element.nodes.index(node)
         z_pu[node], rating_a[node] = 1.0 / strength, element.rating_a[place]
         rows += [(node, j, -y) for j, y in zip(element.nodes, element.y[place], strict=True) if y != 0.0]

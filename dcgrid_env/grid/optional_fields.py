@@ -64,13 +64,13 @@ def check_optional_fields(feeder: Any) -> None:
         )
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
-            what = (
+            subject = (
                 f"branch to bus {feeder.bus_ids[feeder.to_bus[i]]}"
                 if field == "rating_a"
                 else f"bus {feeder.bus_ids[i]}"
             )
             wanted = "a finite number" if field.startswith("shunt") else "a number > 0"
-            raise FeederError(f"feeder {feeder.name!r}: {what}: {field} is {values[i]}; give {wanted}")
+            raise FeederError(f"feeder {feeder.name!r}: {subject}: {field} is {values[i]}; give {wanted}")
     loops = len(feeder.r_ohm) - n_bus + 1
     ends = () if feeder.loop_ends is None else np.shape(feeder.loop_ends)
     if ends != ((loops, 2) if loops else ()):

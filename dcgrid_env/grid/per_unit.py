@@ -55,8 +55,8 @@ class PerUnit:
         """Active draw and reactive injection of the buses' shunts at 1 p.u., per unit, shape (2, n_bus), or None."""
         if self.shunt_kw is None and self.shunt_kvar is None:
             return None
-        given = (np.zeros(len(self.bus_ids)) if shunt is None else shunt for shunt in (self.shunt_kw, self.shunt_kvar))
-        return _read_only(np.stack(tuple(given)) / S_BASE_KVA)
+        shunts = (np.zeros(len(self.bus_ids)) if shunt is None else shunt for shunt in (self.shunt_kw, self.shunt_kvar))
+        return _read_only(np.stack(tuple(shunts)) / S_BASE_KVA)
 
     @property
     def from_bus(self) -> NDArray[np.intp]:
@@ -66,8 +66,8 @@ class PerUnit:
     @property
     def to_bus(self) -> NDArray[np.intp]:
         """Index of the bus at the receiving end of branch k, shape (n_branch,)."""
-        fed = np.arange(1, len(self.bus_ids), dtype=np.intp)
-        return _read_only(fed if self.loop_ends is None else np.append(fed, self.loop_ends[:, 1]))
+        receiving = np.arange(1, len(self.bus_ids), dtype=np.intp)
+        return _read_only(receiving if self.loop_ends is None else np.append(receiving, self.loop_ends[:, 1]))
 
     @cached_property
     def depth_first(self) -> DepthFirst:

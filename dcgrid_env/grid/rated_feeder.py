@@ -50,7 +50,7 @@ def with_ratings(feeder: AnyFeeder, rating: RatingKind = "normal", season: str =
     chosen = chosen_ratings(feeder.to_network(), rating, season)
     if rating == "normal" and not season:
         return RatedFeeder(feeder, ())
-    made: Any = type(feeder)
-    rated = made.from_network(chosen.network)
+    kind: Any = type(feeder)
+    rated = kind.from_network(chosen.network)
     rated.__dict__["_folder"] = feeder.folder  # its other facts are still those of the files there
     return RatedFeeder(rated, chosen.without)

@@ -60,7 +60,7 @@ def chosen_ratings(network: Network, kind: RatingKind = "normal", season: str = 
         return ChosenRatings(network, ())
     names = _spellings(network)
     rows = zip(table.element, table.season, table.normal, table.emergency, strict=True)
-    by_key = {(names[element], of): (normal, emergency) for element, of, normal, emergency in rows}
+    by_key = {(names[element], row_season): (normal, emergency) for element, row_season, normal, emergency in rows}
     changed, without = {}, []
     for name, column, elements in _elements(network):
         rated, values = getattr(network, name), []
@@ -81,7 +81,7 @@ def chosen_ratings(network: Network, kind: RatingKind = "normal", season: str = 
 
 def check_ratings(network: Network) -> None:
     """Raise FeederError for a row of the table ``rating`` that is invalid, naming the element and the field."""
-    table, seen, names = network.rating, set[tuple[str, str]](), _spellings(network)
+    table, rated, names = network.rating, set[tuple[str, str]](), _spellings(network)
     for element, season, normal, emergency in zip(
         table.element, table.season, table.normal, table.emergency, strict=True
     ):
@@ -89,9 +89,9 @@ def check_ratings(network: Network) -> None:
         if element not in names:
             wanted = "'branch FROM-TO' with its buses" if len(network.line) else "a kind and name such as 'line l1'"
             raise FeederError(f"{where}: there is no such element; give {wanted}")
-        if (names[element], season) in seen:
+        if (names[element], season) in rated:
             raise FeederError(f"{where}: season {season!r} is there twice; leave one out")
-        seen.add((names[element], season))
+        rated.add((names[element], season))
         for field, value in (("normal", normal), ("emergency", emergency)):
             if not isinstance(value, int | float) or isinstance(value, bool) or value <= 0.0 or math.isinf(value):
                 raise FeederError(f"{where}: {field} is {value!r}; give a number > 0, or leave it empty")
@@ -115,8 +115,8 @@ def _elements(network: Network) -> Iterator[tuple[str, str, list[str]]]:
 
 def _spellings(network: Network) -> dict[str, str]:
     """Name of each element by the texts that mean it: a balanced branch may be named in either direction."""
-    found = {element: element for _, _, elements in _elements(network) for element in elements}
+    spellings = {element: element for _, _, elements in _elements(network) for element in elements}
     line = network.line
     for i, j in zip(line.from_bus, line.to_bus, strict=True):
-        found.setdefault(f"branch {j}-{i}", f"branch {i}-{j}")
-    return found
+        spellings.setdefault(f"branch {j}-{i}", f"branch {i}-{j}")
+    return spellings

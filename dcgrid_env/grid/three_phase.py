@@ -13,7 +13,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.cache import fields_alone
 from dcgrid_env.grid.capacitor_meters import Meter, meter_of
-from dcgrid_env.grid.formats.import_stamp import warn_of_stamp
+from dcgrid_env.grid.formats.import_stamp import warn_about_stamp
 from dcgrid_env.grid.formats.three_phase_folder import read_folder, write_folder
 from dcgrid_env.grid.network import Network
 from dcgrid_env.grid.nodal_matrices import NodalMatrices, nodal_matrices
@@ -80,7 +80,7 @@ class ThreePhaseFeeder(PhaseNodes):
             feeder = cls.from_network(read_folder(Path(folder)))
         except FeederError as error:
             raise error if str(folder) in str(error) else FeederError(f"{folder}: {error}") from None
-        warn_of_stamp(Path(folder))
+        warn_about_stamp(Path(folder))
         feeder.__dict__["_folder"] = Path(folder).absolute()  # beside the fields, which are what the feeder is
         return feeder
 
@@ -130,11 +130,11 @@ class ThreePhaseFeeder(PhaseNodes):
         """Node that feeds each node, -1 at the source bus, shape (n_node,). On radial feeders it has the same phase."""
         if not self.is_radial:
             return read_only(self.nodal.parent, np.intp)
-        found = [-1] * len(self.bus_phases[0])
+        parents = [-1] * len(self.bus_phases[0])
         for i in range(1, self.n_bus):
             sender = self.parent[i - 1]
-            found += [self.first_node[sender] + self.bus_phases[sender].index(p) for p in self.bus_phases[i]]
-        return read_only(found, np.intp)
+            parents += [self.first_node[sender] + self.bus_phases[sender].index(p) for p in self.bus_phases[i]]
+        return read_only(parents, np.intp)
 
     @cached_property
     def node_regulator(self) -> IntArray:

@@ -147,11 +147,11 @@ def _check_matrix(
 
 def _check_names(network: Network, kind: str) -> None:
     table: Any = getattr(network, kind)
-    seen: set[str] = set()
+    used: set[str] = set()
     for one in table.name:
-        if not isinstance(one, str) or not one or one in seen:
+        if not isinstance(one, str) or not one or one in used:
             raise _refuse(network, _words(kind), "name", one, "give each its own text")
-        seen.add(one)
+        used.add(one)
     for field in dataclasses.fields(table):
         values, choices = getattr(table, field.name), _CHOICES.get(field.name, ())
         if kind == "switch" and field.name == "state":
@@ -186,14 +186,14 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 def _check_ends(network: Network, kind: str, buses: dict[str, tuple[str, float]]) -> None:
     table: Any = getattr(network, kind)
     for one, i, j, phases in zip(table.name, table.from_bus, table.to_bus, table.phases, strict=True):
-        what = f"{_words(kind)} {one}"
+        subject = f"{_words(kind)} {one}"
         for field, bus in (("from_bus", i), ("to_bus", j)):
             if bus not in buses:
-                raise _refuse(network, what, field, bus, "no such bus; add it to the nodes")
+                raise _refuse(network, subject, field, bus, "no such bus; add it to the nodes")
             if not set(phases) <= set(buses[bus][0]):
-                raise _refuse(network, what, "phases", phases, f"bus {bus} has phases {buses[bus][0]} alone")
+                raise _refuse(network, subject, "phases", phases, f"bus {bus} has phases {buses[bus][0]} alone")
         if kind != "transformer" and abs(buses[i][1] - buses[j][1]) > _SAME_BASE * buses[i][1]:
-            raise _refuse(network, what, "base_kv_ln of its ends", (buses[i][1], buses[j][1]), "they must agree")
+            raise _refuse(network, subject, "base_kv_ln of its ends", (buses[i][1], buses[j][1]), "they must agree")
 
 
 def _check_branches(network: Network) -> None:
@@ -234,47 +234,51 @@ def _check_regulators(network: Network, buses: dict[str, tuple[str, float]]) -> 
         _numbers(network, "regulator", ["z_ldc_v"], non_negative=True)
     table = network.regulator
     for k, one in enumerate(table.name):
-        what, lowest, highest = f"regulator {one}", table.tap_min[k], table.tap_max[k]
+        subject, lowest, highest = f"regulator {one}", table.tap_min[k], table.tap_max[k]
         for field in ("tap", "tap_neutral", "tap_min", "tap_max", "max_taps_per_move"):
             if getattr(table, field)[k] != int(getattr(table, field)[k]):
-                raise _refuse(network, what, field, getattr(table, field)[k], "give a whole number")
+                raise _refuse(network, subject, field, getattr(table, field)[k], "give a whole number")
         for field in ("tap", "tap_neutral"):
             if not lowest <= getattr(table, field)[k] <= highest:
-                raise _refuse(network, what, field, getattr(table, field)[k], f"it must be from {lowest} to {highest}")
+                raise _refuse(
+                    network, subject, field, getattr(table, field)[k], f"it must be from {lowest} to {highest}"
+                )
         if table.tap_step[k] * max(abs(lowest), abs(highest)) >= 1.0:
-            raise _refuse(network, what, "tap_step", table.tap_step[k], "a tap would turn the voltage round")
+            raise _refuse(network, subject, "tap_step", table.tap_step[k], "a tap would turn the voltage round")
         if not isinstance(table.bank[k], str):
-            raise _refuse(network, what, "bank", table.bank[k], "give a text")
+            raise _refuse(network, subject, "bank", table.bank[k], "give a text")
         windings = table.windings(k)
         if table.connection and table.connection[k] == "delta" and len(table.phases[k]) != 2:
-            raise _refuse(network, what, "phases", table.phases[k], "a regulator between two phases has two")
+            raise _refuse(network, subject, "phases", table.phases[k], "a regulator between two phases has two")
         letters = "".join(sorted(set("".join(at_from for at_from, _ in windings))))
         if letters != table.phases[k]:
-            raise _refuse(network, what, "connection", table.connection[k], f"its phases are {table.phases[k]}")
+            raise _refuse(network, subject, "connection", table.connection[k], f"its phases are {table.phases[k]}")
         there = buses[table.to_bus[k]][0]
         if not set("".join(at_to for _, at_to in windings)) <= set(there):
-            raise _refuse(network, what, "connection", table.connection[k], f"its to_bus has phases {there}")
+            raise _refuse(network, subject, "connection", table.connection[k], f"its to_bus has phases {there}")
         sensed = table.relay_bus(k)
         at_winding = sensed == table.to_bus[k]
         if sensed not in buses:
-            raise _refuse(network, what, "sensed_bus", sensed, "no such bus; add it to the nodes, or leave it empty")
+            raise _refuse(network, subject, "sensed_bus", sensed, "no such bus; add it to the nodes, or leave it empty")
         sensed_phases = table.phases[k] if at_winding else buses[sensed][0]
         if table.sensed_phase[k] not in sensed_phases:
-            raise _refuse(network, what, "sensed_phase", table.sensed_phase[k], f"its phases are {sensed_phases}")
+            raise _refuse(network, subject, "sensed_phase", table.sensed_phase[k], f"its phases are {sensed_phases}")
         compensation = (table.r_ldc_v[k], table.x_ldc_v[k], table.z_ldc_v[k] if table.z_ldc_v else 0.0)
         if (any(compensation) and not at_winding) or (any(compensation[:2]) and compensation[2]):
             remedy = "with sensed_bus all are 0" if not at_winding else "with z_ldc_v the others are 0"
-            raise _refuse(network, what, "r_ldc_v, x_ldc_v, z_ldc_v", compensation, remedy)
+            raise _refuse(network, subject, "r_ldc_v, x_ldc_v, z_ldc_v", compensation, remedy)
 
 
 def _near(kv: float, base_kv_ln: float) -> bool:
     return 1.0 / FAR < kv / base_kv_ln < FAR
 
 
-def _check_voltage(network: Network, what: str, field: str, kv: float, base_kv_ln: float) -> None:
+def _check_voltage(network: Network, subject: str, field: str, kv: float, base_kv_ln: float) -> None:
     """Raise FeederError for a rated voltage that is far from its bus's base, line to neutral."""
     if not _near(kv, base_kv_ln):
-        raise _refuse(network, what, field, kv, f"far from the {base_kv_ln:g} kV (line to neutral) of its bus; give kV")
+        raise _refuse(
+            network, subject, field, kv, f"far from the {base_kv_ln:g} kV (line to neutral) of its bus; give kV"
+        )
 
 
 def _check_windings(network: Network, buses: dict[str, tuple[str, float]]) -> None:
@@ -296,20 +300,20 @@ def legs_of(connection: str) -> tuple[str, ...]:
 def _check_legs(network: Network, kind: str, fields: Sequence[str], buses: dict[str, tuple[str, float]]) -> None:
     table: Any = getattr(network, kind)
     for k, one in enumerate(table.name):
-        what = f"{_words(kind)} {one}"
+        subject = f"{_words(kind)} {one}"
         if table.bus[k] not in buses:
-            raise _refuse(network, what, "bus", table.bus[k], "no such bus; add it to the nodes")
-        _check_voltage(network, what, "leg_kv", table.leg_kv[k], buses[table.bus[k]][1])
+            raise _refuse(network, subject, "bus", table.bus[k], "no such bus; add it to the nodes")
+        _check_voltage(network, subject, "leg_kv", table.leg_kv[k], buses[table.bus[k]][1])
         for field in fields:
             values = getattr(table, field)[k]
             if not isinstance(values, tuple) or len(values) != 3:
-                raise _refuse(network, what, field, values, "give one figure for each of three legs")
+                raise _refuse(network, subject, field, values, "give one figure for each of three legs")
             check_numbers(network.name, _words(kind), [one] * 3, {field: values}, non_negative=kind != "phase_load")
             for leg, value in zip(legs_of(table.connection[k]), values, strict=True):
                 phases = buses[table.bus[k]][0]
                 if value != 0 and not (leg and set(leg) <= set(phases)):
                     there = f"its bus has phases {phases}" if leg else "its connection has no such leg"
-                    raise _refuse(network, what, f"{field} of leg {leg}", value, there)
+                    raise _refuse(network, subject, f"{field} of leg {leg}", value, there)
 
 
 def _check_loads(network: Network, buses: dict[str, tuple[str, float]]) -> None:
@@ -354,27 +358,27 @@ def _check_capacitor_controls(network: Network, buses: dict[str, tuple[str, floa
         if getattr(table, field):
             _numbers(network, "capacitor_control", [field], may_be_nan=True)
     for k, one in enumerate(table.name):
-        what, bank = f"capacitor control {one}", table.capacitor[k]
+        subject, bank = f"capacitor control {one}", table.capacitor[k]
         low = table.measures[k] in ("voltage", "power_factor")
         if bank not in banks or bank in controlled:
             remedy = "it has a control already" if bank in banks else f"there are {', '.join(banks) or 'none'}"
-            raise _refuse(network, what, "capacitor", bank, remedy)
+            raise _refuse(network, subject, "capacitor", bank, remedy)
         controlled.add(bank)
         after = table.after[k] if table.after else ""
         if after and (after not in banks or after == bank):
-            raise _refuse(network, what, "after", after, f"give another of {', '.join(banks)}, or leave it empty")
+            raise _refuse(network, subject, "after", after, f"give another of {', '.join(banks)}, or leave it empty")
         if not (table.on_at[k] < table.off_at[k] if low else table.on_at[k] > table.off_at[k]):
             remedy = f"for {table.measures[k]} it must be {'less' if low else 'more'} than off_at, {table.off_at[k]:g}"
-            raise _refuse(network, what, "on_at", table.on_at[k], remedy)
+            raise _refuse(network, subject, "on_at", table.on_at[k], remedy)
         legs = table.legs[k].split() if isinstance(table.legs[k], str) else []
         there = buses.get(table.bus[k], ("", 1.0))[0]
         if not legs or any(len(set(leg)) not in (1, 2) or not set(leg) <= set(there) for leg in legs):
             remedy = f"give phases or pairs of phases of bus {table.bus[k]}, which has {there or 'none'}"
-            raise _refuse(network, what, "legs", table.legs[k], remedy)
+            raise _refuse(network, subject, "legs", table.legs[k], remedy)
         for field in ("from_bus", "to_bus") if table.measures[k] != "voltage" else ():
             bus = getattr(table, field)[k]
             if bus not in buses or not set(table.phases[k]) <= set(buses[bus][0]):
-                raise _refuse(network, what, field, bus, f"give a bus with the phases {table.phases[k]}")
+                raise _refuse(network, subject, field, bus, f"give a bus with the phases {table.phases[k]}")
 
 
 def _check_cores(network: Network, buses: dict[str, tuple[str, float]]) -> None:
@@ -387,33 +391,33 @@ def node_names(nodes: str) -> list[tuple[str, str]]:
 
     The name of a bus may contain blanks.
     """
-    found, begun = [], ""
+    pairs, text = [], ""
     for word in re.split(r"(\s+)", nodes.strip()):
-        begun += word
-        bus, dot, letter = begun.rpartition(".") if word[-2:-1] == "." else ("", "", "")
+        text += word
+        bus, dot, letter = text.rpartition(".") if word[-2:-1] == "." else ("", "", "")
         if dot and letter in LETTERS:
-            found.append((bus.lstrip(), letter))
-            begun = ""
-    return [*found, *((word, "") for word in begun.split())]
+            pairs.append((bus.lstrip(), letter))
+            text = ""
+    return [*pairs, *((word, "") for word in text.split())]
 
 
 def _check_admittances(network: Network, buses: dict[str, tuple[str, float]]) -> None:
     table = network.admittance
     for k, one in enumerate(table.name):
-        what = f"admittance {one}"
+        subject = f"admittance {one}"
         for field in ("kind", "nodes"):
             if not isinstance(getattr(table, field)[k], str) or not getattr(table, field)[k]:
-                raise _refuse(network, what, field, getattr(table, field)[k], "give a text")
+                raise _refuse(network, subject, field, getattr(table, field)[k], "give a text")
         nodes = node_names(table.nodes[k])
         for bus, letter in nodes:
             if bus not in buses or not letter or letter not in buses[bus][0]:
-                raise _refuse(network, what, "nodes", f"{bus}.{letter}", "no such node; give bus.phase of the nodes")
+                raise _refuse(network, subject, "nodes", f"{bus}.{letter}", "no such node; give bus.phase of the nodes")
         if len(set(nodes)) < len(nodes):
-            raise _refuse(network, what, "nodes", table.nodes[k], "give each node once")
+            raise _refuse(network, subject, "nodes", table.nodes[k], "give each node once")
         size = len(nodes) * (len(nodes) + 1) // 2
         for field in ("g_s", "b_s"):
             values = getattr(table, field)[k]
             if not isinstance(values, tuple) or len(values) != size:
                 remedy = f"give the upper triangle of the matrix of its {len(nodes)} nodes, {size} figures"
-                raise _refuse(network, what, field, values, remedy)
+                raise _refuse(network, subject, field, values, remedy)
             check_numbers(network.name, "admittance", [one] * size, {field: values})

@@ -150,10 +150,10 @@ class PhaseNodes:
 
     @cached_property
     def _nodes_by_phase(self) -> dict[str, dict[str, int]]:
-        found: dict[str, dict[str, int]] = {bus: {} for bus in self.bus_ids}
+        by_bus: dict[str, dict[str, int]] = {bus: {} for bus in self.bus_ids}
         for node, (bus, letter) in enumerate(self._nodes):
-            found[self.bus_ids[bus]][letter] = node
-        return found
+            by_bus[self.bus_ids[bus]][letter] = node
+        return by_bus
 
     @property
     def _bases(self) -> dict[str, float]:

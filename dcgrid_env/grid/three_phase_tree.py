@@ -94,13 +94,13 @@ def _spanning(branches: list[Branch]) -> list[Branch]:
 
 
 def _branches(network: Network) -> list[Branch]:
-    found = []
+    branches = []
     for kind in ("phase_line", "switch", "transformer"):
         table = getattr(network, kind)
         rows = zip(table.name, table.from_bus, table.to_bus, table.phases, strict=True)
         for row, ends in enumerate(rows):
             if kind != "switch" or table.state[row] == "closed":
-                found.append(Branch(kind, (row,), *ends))
+                branches.append(Branch(kind, (row,), *ends))
     regulator = network.regulator
     banks: dict[tuple[str, str], list[int]] = {}
     for row, pair in enumerate(zip(regulator.from_bus, regulator.to_bus, strict=True)):
@@ -113,8 +113,8 @@ def _branches(network: Network) -> list[Branch]:
                 f"feeder {network.name!r}: regulators {names}: phases is {phases!r} from {i} to {j}; give each phase "
                 "one regulator"
             )
-        found.append(Branch("regulator", tuple(rows), names, i, j, "".join(sorted(set(phases)))))
+        branches.append(Branch("regulator", tuple(rows), names, i, j, "".join(sorted(set(phases)))))
     for row, (name, nodes) in enumerate(zip(network.admittance.name, network.admittance.nodes, strict=True)):
         first, *others = dict.fromkeys(bus for bus, _ in node_names(nodes))
-        found += [Branch("admittance", (row,), name, first, other, "") for other in others]
-    return found
+        branches += [Branch("admittance", (row,), name, first, other, "") for other in others]
+    return branches

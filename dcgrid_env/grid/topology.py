@@ -132,12 +132,12 @@ def breadth_first(root: int, n_bus: int, ends: Sequence[tuple[int, int]]) -> Wal
         neighbours[i].append((j, k))
         neighbours[j].append((i, k))
     fed_by: dict[int, tuple[int, int]] = {root: (-1, -1)}
-    queue, seen, closing = [root], set(), []
+    queue, visited, closing = [root], set(), []
     for i in queue:
         for j, k in sorted(neighbours[i]):
-            if k in seen:
+            if k in visited:
                 continue
-            seen.add(k)
+            visited.add(k)
             if j in fed_by:
                 closing.append((k, i, j))
                 continue

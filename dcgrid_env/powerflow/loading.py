@@ -65,17 +65,17 @@ class RatingCoverage(NamedTuple):
 
     def __str__(self) -> str:
         said = f"ratings known for {self.known} of {self.of} elements{f' ({self.basis})' if self.basis else ''}"
-        for what, names in (("limited by another rating", self.otherwise), ("not checked", self.not_checked)):
+        for label, names in (("limited by another rating", self.otherwise), ("not checked", self.not_checked)):
             more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-            said += f"; {what}: {', '.join(names[:_SHOWN])}{more}" if names else ""
+            said += f"; {label}: {', '.join(names[:_SHOWN])}{more}" if names else ""
         return said
 
 
 def rating_coverage(feeder: AnyFeeder) -> RatingCoverage:
     """Count the branches whose rating is known, on all phases, and name the others."""
     unknown = np.isnan(_ratings_a(feeder))
-    fed = np.arange(feeder.n_branch + 1) if isinstance(feeder, Feeder) else feeder.node_bus
-    without = set(fed[unknown].tolist()) - {0}
+    node_bus = np.arange(feeder.n_branch + 1) if isinstance(feeder, Feeder) else feeder.node_bus
+    without = set(node_bus[unknown].tolist()) - {0}
     names = tuple(feeder.branch_names[bus - 1] for bus in sorted(without))
     return RatingCoverage(feeder.n_branch - len(names), feeder.n_branch, names)
 
@@ -112,11 +112,11 @@ def _three_phase_loading(feeder: ThreePhaseFeeder, solution: ThreePhaseSolution)
     rated, regulated, before, place = rated_places(feeder, xp, v_pu.device)
     i_re, i_im = take_last(solution.i_re_a, rated), take_last(solution.i_im_a, rated)
     loading = positive_sqrt(i_re * i_re + i_im * i_im) * as_like(inverse_ratings(feeder), v_pu)[rated]
-    plain = len(rated) - len(regulated)
-    parts = [loading[..., :plain], 0.0 * v_pu[..., :1]]
+    n_unregulated = len(rated) - len(regulated)
+    parts = [loading[..., :n_unregulated], 0.0 * v_pu[..., :1]]
     if len(regulated):
         ratio = take_last(v_pu, regulated) / (take_last(v_pu, before) + NO_VOLTAGE_PU)
-        parts.insert(1, loading[..., plain:] * (1.0 + positive_part(ratio - 1.0)))
+        parts.insert(1, loading[..., n_unregulated:] * (1.0 + positive_part(ratio - 1.0)))
     return take_last(xp.concat(parts, axis=-1), place)
 
 

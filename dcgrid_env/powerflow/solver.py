@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid import Feeder, ThreePhaseFeeder
 from dcgrid_env.grid.random_feeders.feeder_batch import FeederBatch
-from dcgrid_env.powerflow.balanced.member_batch import distflow_of_members, lindistflow_of_members
+from dcgrid_env.powerflow.balanced.member_batch import member_distflow, member_lindistflow
 from dcgrid_env.powerflow.balanced.solvers import solve_distflow, solve_lindistflow
 from dcgrid_env.powerflow.control import Control
 from dcgrid_env.powerflow.solution import PowerFlowError, Solution
@@ -60,7 +60,7 @@ class Solver(Protocol):
 
 _SOLVERS: dict[type[Any], dict[str, Solver]] = {
     Feeder: {"distflow": solve_distflow, "lindistflow": solve_lindistflow},
-    FeederBatch: {"distflow": distflow_of_members, "lindistflow": lindistflow_of_members},
+    FeederBatch: {"distflow": member_distflow, "lindistflow": member_lindistflow},
     ThreePhaseFeeder: {"sweep": solve_unbalanced},
 }
 

@@ -90,14 +90,14 @@ def _tick(length: float, unit: str) -> float:
     return next((space for space in spaces if length / space <= _MOST_TICKS), spaces[-1])
 
 
-def _rows(scenario: Scenario, of: Envelope) -> list[_Row]:
+def _rows(scenario: Scenario, envelope: Envelope) -> list[_Row]:
     n_sites = scenario.n_sites
-    rows = [_voltages(scenario, name, 3.0 if not name else 1.9) for name in of.groups]
-    if of.curves("unbalance_pct") is not None:
+    rows = [_voltages(scenario, name, 3.0 if not name else 1.9) for name in envelope.groups]
+    if envelope.curves("unbalance_pct") is not None:
         rows.append(_lines("V2 / V1 (%)", "unbalance_pct", [UNBALANCE], 1.4))
-    if (taps := of.curves("tap")) is not None and np.ptp(taps.high - taps.low) > 0.0:
+    if (taps := envelope.curves("tap")) is not None and np.ptp(taps.high - taps.low) > 0.0:
         rows.append(_lines("taps", "tap", list(tap_looks(scenario.feeder)["colors"]), 1.6, from_zero=False))
-    if (stored := of.curves("stored_pct")) is not None:
+    if (stored := envelope.curves("stored_pct")) is not None:
         rows.append(_lines("stored (%)", "stored_pct", _colours(stored.mean.shape[1]), 1.6))
     if n_sites:
         rows += [

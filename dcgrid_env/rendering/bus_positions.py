@@ -29,13 +29,13 @@ def positions(feeder: AnyFeeder) -> FloatArray:
     placed = np.isfinite(xy[:, 0])
     is_large = feeder.n_bus > MOST_ARRANGED
     if 2 * placed.sum() < feeder.n_bus or placed.sum() < 2:
-        return _rows_of_paths(feeder) if is_large else _tree(feeder)
+        return _path_rows(feeder) if is_large else _tree(feeder)
     if placed.all():
         return xy
     return _near_the_next_upstream(feeder, xy) if is_large else _beside(feeder, xy)
 
 
-def _rows_of_paths(feeder: AnyFeeder) -> FloatArray:
+def _path_rows(feeder: AnyFeeder) -> FloatArray:
     """Lay out a tree that grows to the right, each lateral on separate rows below its path, in linear time."""
     order, _, parent, end = feeder.depth_first
     column = np.zeros(len(order))
@@ -93,7 +93,7 @@ class _Block:
     """A path of buses on one row with its laterals above and below; rows relative to it, columns absolute."""
 
     def __init__(self, chain: list[int], column: int, n_columns: int):
-        self.at = {bus: (column + k, 0) for k, bus in enumerate(chain)}
+        self.positions = {bus: (column + k, 0) for k, bus in enumerate(chain)}
         self.low = np.full(n_columns, np.inf)
         self.high = np.full(n_columns, -np.inf)
         # One column more than the path has, so that paths on the same row do not read as one.
@@ -107,11 +107,11 @@ class _Block:
         if side is None:
             side = 1 if (up, self.high.max()) <= (down, -self.low.min()) else -1
         shift = int(up if side > 0 else down)
-        self.at |= {bus: (column, side * (row + shift)) for bus, (column, row) in lateral.at.items()}
+        self.positions |= {bus: (column, side * (row + shift)) for bus, (column, row) in lateral.positions.items()}
         edges = side * (lateral.low + shift), side * (lateral.high + shift)
-        here = np.isfinite(lateral.low)
-        self.low[here] = np.minimum(self.low, np.minimum(*edges))[here]
-        self.high[here] = np.maximum(self.high, np.maximum(*edges))[here]
+        occupied = np.isfinite(lateral.low)
+        self.low[occupied] = np.minimum(self.low, np.minimum(*edges))[occupied]
+        self.high[occupied] = np.maximum(self.high, np.maximum(*edges))[occupied]
         return side
 
 
@@ -143,7 +143,7 @@ def _tree(feeder: AnyFeeder) -> FloatArray:
                 side = -taken
         return result
 
-    positions = block(0, 0, False).at
+    positions = block(0, 0, False).positions
     xy = np.array([positions[i] for i in range(feeder.n_bus)], dtype=np.float64)
     width, height = np.maximum(np.ptp(xy, axis=0), 1.0)
     xy[:, 1] *= np.clip(width / height / _WIDTH_TO_HEIGHT, 0.3, 2.5)

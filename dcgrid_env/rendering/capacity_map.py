@@ -72,8 +72,8 @@ class CapacityMap(FeederMap):
         widths = np.where(is_asked, 0.6, 0.3)[order].tolist()
         self.dots = ax.scatter(*xy[order].T, s=areas[order], c=colours[order], linewidths=widths, **look)
         self.substation = ax.scatter(xy[:1, 0], xy[:1, 1], s=90, marker="s", c=[INK], **look)
-        asked = np.flatnonzero(is_asked)
-        for bus in asked if len(asked) <= _MOST_LABELS else ():
+        requested = np.flatnonzero(is_asked)
+        for bus in requested if len(requested) <= _MOST_LABELS else ():
             text = f"{mw[bus]:.3g}"
             ax.annotate(
                 text,
@@ -120,8 +120,8 @@ def capacity_figure(feeder: AnyFeeder, capacities_mw: Mapping[str, NDArray[np.fl
     norm, xy = _norm(capacities_mw), positions(feeder)
     for i, (name, mw) in enumerate(capacities_mw.items()):
         ax = figure.add_subplot(grid[i // columns, i % columns])
-        asked = mw[~np.isnan(mw)]
-        ax.set_title(f"{name}: median {np.median(asked):.3g} MW, least {asked.min():.3g}", fontsize=11)
+        known_mw = mw[~np.isnan(mw)]
+        ax.set_title(f"{name}: median {np.median(known_mw):.3g} MW, least {known_mw.min():.3g}", fontsize=11)
         CapacityMap(ax, feeder, xy, mw, norm)
     bar = figure.add_axes((1.0 - 1.0 / figure.get_figwidth(), 0.15, 0.2 / figure.get_figwidth(), 0.65))
     figure.colorbar(ScalarMappable(norm, CMAP), cax=bar, label="largest data centre (MW)", format="%g")

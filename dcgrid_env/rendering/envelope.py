@@ -10,7 +10,7 @@ import numpy as np
 
 from dcgrid_env.engine.record.episode_record import Series
 from dcgrid_env.grid import ThreePhaseFeeder
-from dcgrid_env.rendering.phase_curves import phases_of_feeder
+from dcgrid_env.rendering.phase_curves import feeder_phases
 from dcgrid_env.scenario.scenario import Scenario
 
 INTERVALS = 720
@@ -72,12 +72,12 @@ class Envelope:
         self._steps = 0
         feeder: Any = scenario.feeder
         self.groups: dict[str, np.ndarray] = (
-            phases_of_feeder(feeder) if isinstance(feeder, ThreePhaseFeeder) else {"": feeder.load_nodes}
+            feeder_phases(feeder) if isinstance(feeder, ThreePhaseFeeder) else {"": feeder.load_nodes}
         )
         """Nodes whose voltages are shown together, by phase on a three-phase feeder."""
 
     @classmethod
-    def of(cls, series: Series) -> Envelope:
+    def from_series(cls, series: Series) -> Envelope:
         """That of a course that is there whole."""
         envelope = cls(series.scenario)
         envelope.add([series], 0)

@@ -243,8 +243,12 @@ class Curves:
             ax.yaxis.set_major_formatter(lambda x, _: f"{per_kws * x:,.0f}")
             if self._place_labels(per_kws * top):
                 return self.panels
-        of = {"names": self.panels[:1], "voltage": self.panels[1 : 1 + len(self.voltages)], "backlog": self.panels[-1:]}
-        return [panel for name in changed for panel in of[name]]
+        panels = {
+            "names": self.panels[:1],
+            "voltage": self.panels[1 : 1 + len(self.voltages)],
+            "backlog": self.panels[-1:],
+        }
+        return [panel for name in changed for panel in panels[name]]
 
     def _place_labels(self, highest: float = 0.0) -> bool:
         """Put the axes' names clear of the longest figure on any of them; True if that moves them."""

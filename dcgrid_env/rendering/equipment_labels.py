@@ -125,13 +125,13 @@ def _agents(scenario: Scenario) -> dict[tuple[str, int], str]:
 
     An agent of a bank's set point is that of the bank's first regulator.
     """
-    found, names = {}, iter(scenario.agents)
+    agents, names = {}, iter(scenario.agents)
     for device in scenario.devices:
         device_names = [next(names) for _ in range(device.count)]
         if isinstance(device, TapChangers | CapacitorBanks):
-            what = "tap" if isinstance(device, TapChangers) else "on"
-            found |= {(what, row): name for row, name in zip(device.rows, device_names, strict=True)}
+            field = "tap" if isinstance(device, TapChangers) else "on"
+            agents |= {(field, row): name for row, name in zip(device.rows, device_names, strict=True)}
         elif isinstance(device, RegulatorSetPoints | ThresholdSetPoints):
-            what = "tap" if isinstance(device, RegulatorSetPoints) else "on"
-            found |= {(what, rows[0]): name for rows, name in zip(device.members, device_names, strict=True)}
-    return found
+            field = "tap" if isinstance(device, RegulatorSetPoints) else "on"
+            agents |= {(field, rows[0]): name for rows, name in zip(device.members, device_names, strict=True)}
+    return agents

@@ -54,7 +54,7 @@ class FeederMap:
     See :func:`draw_feeder`; ``names`` are those of the data centres and of the other devices.
     """
 
-    clear_of_own = False
+    avoids_own_bus = False
     """Whether a name next to its bus avoids the whole box of that bus, not only its centre."""
 
     def __init__(
@@ -151,7 +151,7 @@ class FeederMap:
         radius = np.sqrt(self._ring_areas / np.pi) + 1.0
         radius[self.dc] = self._dc_radius_pt + 2.0
         frame = self.ax.get_window_extent().get_points() * to_points
-        room = Room(bus, radius, self.feeder.parent, frame, self.clear_of_own)
+        room = Room(bus, radius, self.feeder.parent, frame, self.avoids_own_bus)
         devices = [*self.dc, *self.others]
         for (name, label), i in zip(self._names.items(), devices, strict=True):
             label.set_text(f"{name} ({self.feeder.bus_ids[i]})" if self._ids else name)

@@ -15,7 +15,7 @@ from dcgrid_env.powerflow import three_phase_nodes
 from dcgrid_env.rendering.equipment_labels import banks_of
 from dcgrid_env.rendering.feeder_map import agent_colour
 from dcgrid_env.rendering.history import node_words
-from dcgrid_env.rendering.phase_curves import TAP_STYLES, UNBALANCE, phases_of_feeder, tap_looks
+from dcgrid_env.rendering.phase_curves import TAP_STYLES, UNBALANCE, feeder_phases, tap_looks
 from dcgrid_env.rendering.replay_course import agent_figures, p_ref_kw, relay_curves
 from dcgrid_env.scenario.scenario import Scenario
 
@@ -75,7 +75,7 @@ def fit_voltages(ax: Axes, scenario: Scenario, runs: list[Series]) -> None:
 def phase_rows(scenario: Scenario, runs: list[Series]) -> list[Row]:
     """The rows of a three-phase feeder: phases, unbalance, and where taps move in an episode, taps and relays."""
     feeder: Any = scenario.feeder
-    rows = [_phase(scenario, name, nodes) for name, nodes in phases_of_feeder(feeder).items()]
+    rows = [_phase(scenario, name, nodes) for name, nodes in feeder_phases(feeder).items()]
     if len(three_phase_nodes(feeder)):
         rows.append(_unbalance(feeder))
     if any(np.ptp(run.three_phase.equipment.regulators.tap, axis=0).any() for run in runs):

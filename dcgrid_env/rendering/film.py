@@ -85,7 +85,7 @@ def frames(runs: Mapping[str, Series], every: int = 1, scale: float = 1.0) -> It
     from PIL import Image
 
     viewers = [Viewer(run.scenario, "rgb_array") for run in runs.values()]
-    histories = [History.of(run) for run in runs.values()]
+    histories = [History.from_series(run) for run in runs.values()]
     ends = [history.last for history in histories]
     width, height = (2 * round(0.5 * scale * side) for side in (SIZE_PX[0], SIZE_PX[1] + _STRIP_PX))
     for step in [*range(0, max(ends), every), max(ends)]:

@@ -38,7 +38,7 @@ class History:
         self.solved = True
 
     @classmethod
-    def of(cls, run: Series) -> History:
+    def from_series(cls, run: Series) -> History:
         """A whole episode as it was recorded; ``last`` says up to which step a picture shows it."""
         history, rows = cls(run.scenario), len(run.v_pu)
         history.v_pu[:rows] = run.v_pu

@@ -31,7 +31,7 @@ def tap_looks(feeder: Any) -> dict[str, list[Any]]:
     return {"colors": [colours[row] for row in range(len(phases))], "linestyles": styles}
 
 
-def phases_of_feeder(feeder: Any) -> dict[str, np.ndarray]:
+def feeder_phases(feeder: Any) -> dict[str, np.ndarray]:
     """Nodes of each phase that a feeder has, but the substation's, in the order of their buses."""
     nodes = feeder.load_nodes
     by_phase = {name: nodes[feeder.node_phase[nodes] == k + 1] for k, name in enumerate("abc")}
@@ -55,7 +55,7 @@ class PhaseCurves(Curves):
 
     def _head_ratios(self) -> list[float]:
         feeder: Any = self.scenario.feeder
-        self.nodes = phases_of_feeder(feeder)
+        self.nodes = feeder_phases(feeder)
         self.has_unbalance, self.has_taps = len(three_phase_nodes(feeder)) > 0, taps_act(self.scenario)
         return [1.0] * len(self.nodes) + [0.7] * self.has_unbalance + [0.7] * self.has_taps
 
@@ -131,11 +131,11 @@ class PhaseCurves(Curves):
 
     def _show_voltages(self, history: History, t: np.ndarray) -> tuple[float, float]:
         v = history.v_pu[history.first : history.last + 1]
-        nodes_of_agents = self._agents_nodes(history)
+        agent_nodes = self._agents_nodes(history)
         for spread, (name, nodes) in zip(self.voltages, self.nodes.items(), strict=True):
             bus_v = v[:, nodes]
             spread.show(t, bus_v.min(axis=1), bus_v.max(axis=1), bus_v.mean(axis=1))
-            columns = nodes_of_agents[name]
+            columns = agent_nodes[name]
             self.by_phase[name].show(t, np.where(columns < 0, np.nan, v[:, columns]))
         judged = v[:, self.scenario.feeder.load_slice]
         return float(np.fmin.reduce(judged, axis=None)), float(np.fmax.reduce(judged, axis=None))
@@ -149,7 +149,7 @@ class PhaseCurves(Curves):
             connected = agent_nodes(s, buses[None])[0][sites_first(s)]
             by_phase = {}
             for k, name in enumerate("abc"):
-                here = feeder.node_phase[connected] == k + 1
-                by_phase[name] = np.where(here, connected, -1).max(axis=1, initial=-1)
+                on_phase = feeder.node_phase[connected] == k + 1
+                by_phase[name] = np.where(on_phase, connected, -1).max(axis=1, initial=-1)
             self.placed = buses.copy(), by_phase
         return self.placed[1]

@@ -45,7 +45,7 @@ class PhaseMap(FeederMap):
     diamond. ``label_equipment`` adds the taps and the capacitor banks, ``mark_worst`` the ring of the unbalance.
     """
 
-    clear_of_own = True
+    avoids_own_bus = True
     feeder: ThreePhaseFeeder
     equipment: EquipmentLabels | None = None
 
@@ -65,10 +65,11 @@ class PhaseMap(FeederMap):
         lacks = xy[[len(phases) < 3 for phases in feeder.bus_phases]]
         empty: dict[str, Any] = {"facecolors": "white", "edgecolors": "#B0B0B0", "linewidths": 0.6}
         self.circles = ax.scatter(*lacks.T, s=size, zorder=1.7, **empty)
-        self._here = [np.flatnonzero(feeder.node_phase == phase + 1) for phase in range(3)]
-        self._at = [xy[feeder.node_bus[here]] for here in self._here]
+        self._phase_nodes = [np.flatnonzero(feeder.node_phase == phase + 1) for phase in range(3)]
+        self._phase_xy = [xy[feeder.node_bus[nodes]] for nodes in self._phase_nodes]
         self.sectors = [
-            ax.scatter(*xy.T, c=np.ones(len(xy)), marker=sector(phase), **look) for phase, xy in enumerate(self._at)
+            ax.scatter(*xy.T, c=np.ones(len(xy)), marker=sector(phase), **look)
+            for phase, xy in enumerate(self._phase_xy)
         ]
         self.dots = self.sectors[0]
         line: dict[str, Any] = {"facecolors": "none", "edgecolors": "black", "linewidths": 1.8, "zorder": 4.5}
@@ -100,11 +101,11 @@ class PhaseMap(FeederMap):
 
     def _show_voltages(self, v: FloatArray) -> None:
         outside = self.outside(v)
-        for phase, (shown, beyond, xy) in enumerate(zip(self.sectors, self.rims, self._at, strict=True)):
-            here = self._here[phase]
-            shown.set_array(np.ma.masked_invalid(v[here]))
-            beyond.set_offsets(xy[outside[here]])
-            beyond.set_visible(bool(outside[here].any()))
+        for phase, (shown, beyond, xy) in enumerate(zip(self.sectors, self.rims, self._phase_xy, strict=True)):
+            nodes = self._phase_nodes[phase]
+            shown.set_array(np.ma.masked_invalid(v[nodes]))
+            beyond.set_offsets(xy[outside[nodes]])
+            beyond.set_visible(bool(outside[nodes].any()))
 
     def mark_worst(self, bus: int | None) -> None:
         """Ring the bus at a position in ``bus_ids``, or none; after ``place``."""

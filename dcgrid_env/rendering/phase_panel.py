@@ -69,7 +69,7 @@ class PhaseMapPart(MapPart):
             signs["regulator: taps"] = mark("D", 8)
         if self.equipment.capacitors:
             signs["capacitor on"] = Patch(facecolor=CAPACITOR, edgecolor=CAPACITOR)
-        return by_rows(sorted(((sign, text) for text, sign in signs.items()), key=lambda of: _place(of[1])))
+        return by_rows(sorted(((sign, text) for text, sign in signs.items()), key=lambda entry: _place(entry[1])))
 
     def update(self, history: History) -> list[Panel]:
         """Show the last step; the panels in which something moved that was thought to be still."""

@@ -113,15 +113,15 @@ def agent_figures(run: Series) -> list[dict[str, np.ndarray]]:
             connected[:, agents] *= device.connected(state)
             may_be_away[agents] = True
         works = device.input == "workload"
-        own = _site_figures(run, state, site, device.count) if works else {}
+        device_figures = _site_figures(run, state, site, device.count) if works else {}
         site += device.count * works
-        own |= _stored(device, state)
+        device_figures |= _stored(device, state)
         for slot, i in enumerate(agents):
             figures[i] = {"p_kw": run.p_kw_from_reset[:, i], "q_kvar": q_kvar[:, i]}
-            figures[i] |= {name: values[:rows, slot] for name, values in own.items()}
+            figures[i] |= {name: values[:rows, slot] for name, values in device_figures.items()}
             if may_be_away[i]:
                 figures[i]["on_grid_pct"] = connected[:, i]
-    return [{name: own[name] for name in SHOWN if name in own} for own in figures]
+    return [{name: device_figures[name] for name in SHOWN if name in device_figures} for device_figures in figures]
 
 
 def of_devices(run: Series) -> Iterator[tuple[Any, Any, range]]:
@@ -138,9 +138,9 @@ def p_ref_kw(run: Series) -> np.ndarray:
 
 
 def _site_figures(run: Series, state: Any, first: int, count: int) -> dict[str, np.ndarray]:
-    asked = p_ref_kw(run)[:, first : first + count]
+    requested_kw = p_ref_kw(run)[:, first : first + count]
     burnt = {"burnt_kw": state.burnt_kw} if hasattr(state, "burnt_kw") else {}
-    return {"p_ref_kw": asked, "f_mhz": state.f_mhz, "backlog_kws": state.backlog_kws, **burnt}
+    return {"p_ref_kw": requested_kw, "f_mhz": state.f_mhz, "backlog_kws": state.backlog_kws, **burnt}
 
 
 def _stored(device: Any, state: Any) -> dict[str, np.ndarray]:
@@ -148,7 +148,7 @@ def _stored(device: Any, state: Any) -> dict[str, np.ndarray]:
     if hasattr(state, "stored_kwh"):
         return {"stored_pct": 100.0 * state.stored_kwh / device.parameters.energy_kwh}
     if hasattr(state, "storage"):
-        sizes = next(own for own in device.features if hasattr(own, "energy_kwh")).params(device.count)
+        sizes = next(feature for feature in device.features if hasattr(feature, "energy_kwh")).params(device.count)
         return {"stored_pct": 100.0 * state.storage.stored_kwh / sizes.energy_kwh}
     if hasattr(state, "battery"):  # that of a UPS begins full
         return {"stored_pct": 100.0 * state.battery.stored_kws / np.maximum(state.battery.stored_kws[:1], 1e-9)}

@@ -72,7 +72,7 @@ def _room(feeder: Any, xy: np.ndarray) -> Room:
 
 def _agents(run: Series, room: Room) -> list[dict[str, Any]]:
     s = run.scenario
-    found: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     for device, _, agents in of_devices(run):
         works = device.input == "workload"
         for slot, i in enumerate(agents):
@@ -84,13 +84,13 @@ def _agents(run: Series, room: Room) -> list[dict[str, Any]]:
             if works:
                 dc = device.parameters
                 one |= {"f_max_mhz": float(dc.f_max_mhz[slot]), "p_rated_kw": float(dc.p_rated_kw[slot])}
-            found.append(one)
+            entries.append(one)
     # Sites first: they are given the best places.
-    for one in sorted(found, key=lambda one: not one["site"]):
+    for one in sorted(entries, key=lambda one: not one["site"]):
         if not one["equipment"]:
             one["name"] = one["id"]
             one["at"] = _rounded(room.take(one["bus"], len(one["name"]), _LETTER_PX))
-    return found
+    return entries
 
 
 def _banks(feeder: Any, room: Room) -> list[dict[str, Any]]:
@@ -109,9 +109,9 @@ def _banks(feeder: Any, room: Room) -> list[dict[str, Any]]:
 
 def _capacitors(feeder: Any, room: Room) -> list[dict[str, Any]]:
     table = feeder.network.capacitor
-    found = []
+    capacitors = []
     for row, (name, of_bank) in enumerate(zip(table.name, table.bus, strict=True)):
         bus = feeder.index(of_bank)
         label_xy = _rounded(room.take(bus, len(str(name)) + 4, 9.0, 1.6, led=True))
-        found.append({"name": str(name), "bus": bus, "row": row, "at": label_xy})
-    return found
+        capacitors.append({"name": str(name), "bus": bus, "row": row, "at": label_xy})
+    return capacitors

@@ -63,7 +63,7 @@ def run_figure(scenario: Scenario, series: dict[str, Series], seed: int) -> Figu
         Seed of the episode.
     """
     if scenario.horizon > MOST_STEPS:
-        return long_figure(scenario, {name: Envelope.of(run) for name, run in series.items()}, seed)
+        return long_figure(scenario, {name: Envelope.from_series(run) for name, run in series.items()}, seed)
     by_phase = isinstance(scenario.feeder, ThreePhaseFeeder)
     runs = list(series.values())
     rows = [

@@ -29,7 +29,7 @@ def test_a_score_is_that_of_evaluate_and_shows_all_costs_of_its_episodes():
         np.testing.assert_array_equal(figures, expected)
     costs = published(scenario)
     assert costs is not None
-    np.testing.assert_array_equal(found.J_hindsight, costs.of(SEEDS).J)
+    np.testing.assert_array_equal(found.J_hindsight, costs.select(SEEDS).J)
     assert (found.delay_s, found.violation_pct) == (
         policy.means["delay_mean_s"], policy.means["outside_bus_seconds_pct"],
     )  # fmt: skip

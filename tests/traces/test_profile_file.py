@@ -96,7 +96,7 @@ def test_values_between_samples_and_after_the_end():
     hours = np.array([6.0, 6.5, 7.0 - 1e-12, 8.75, 9.25])
 
     def at(**how):
-        return table.at(hours, **how)[:, 0].tolist()
+        return table.values_at(hours, **how)[:, 0].tolist()
 
     assert at(linear=False, repeat=False) == [1, 1, 3, 7, 7]  # a rounding error before 7 h counts as 7 h
     assert at(linear=True, repeat=False) == [1, 2, 3, 7, 7]

@@ -91,11 +91,11 @@ def read_dmon_log(
                 power = values[fields.index(POWER)]
                 meters.add(gpu, _time(where, row["time"], step_s, rows[gpu]), _number(where, power), number)
         sha256 = file.sha256()
-    found = meters.total()
-    parameters = {"gpus": len(meters.meters), "column": POWER} | found.notes
+    total = meters.total()
+    parameters = {"gpus": len(meters.meters), "column": POWER} | total.notes
     if step_s is None:
-        parameters[BEGAN] = clock_text(found.begin_s)
-    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
+        parameters[BEGAN] = clock_text(total.begin_s)
+    return total.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 def _fields(where: str, text: str) -> list[str]:

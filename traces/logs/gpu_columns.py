@@ -88,17 +88,17 @@ def find_columns(
 
 
 def _from_names(where: str, names: tuple[str, ...], unit: str | None, header: tuple[str, ...] | None) -> GpuColumns:
-    plain = [re.sub(r"\s*\[[^\]]*\]$", "", name) for name in names]
-    power = next((plain.index(name) for name in POWER_NAMES if name in plain), None)
-    if power is None or "timestamp" not in plain:
-        missing = "timestamp" if "timestamp" not in plain else "power.draw"
+    bare_names = [re.sub(r"\s*\[[^\]]*\]$", "", name) for name in names]
+    power = next((bare_names.index(name) for name in POWER_NAMES if name in bare_names), None)
+    if power is None or "timestamp" not in bare_names:
+        missing = "timestamp" if "timestamp" not in bare_names else "power.draw"
         raise TraceError(f"{where}: {', '.join(names)} has no {missing}; log with `{QUERY}`")
     return GpuColumns(
         width=len(names),
-        time=plain.index("timestamp"),
+        time=bare_names.index("timestamp"),
         power=power,
-        gpu=next((plain.index(name) for name in GPU_NAMES if name in plain), None),
-        power_name=plain[power],
+        gpu=next((bare_names.index(name) for name in GPU_NAMES if name in bare_names), None),
+        power_name=bare_names[power],
         unit=column_unit(where, names[power], unit) if bracketed(names[power])[1] else unit,
         header=header,
     )

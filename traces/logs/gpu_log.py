@@ -83,9 +83,9 @@ def read_gpu_log(
         for block in chain(read, file.blocks()):
             log.add(block)
         sha256 = file.sha256()
-    found, began = log.total()
-    parameters = {BEGAN: began, "gpus": len(log.series), "column": layout.power_name} | found.notes
-    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
+    total, began = log.total()
+    parameters = {BEGAN: began, "gpus": len(log.series), "column": layout.power_name} | total.notes
+    return total.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 @dataclass
@@ -161,21 +161,21 @@ class _Log:
                 if not self._columns.identifies(s.gpu):
                     self._require_one_gpu(s)
         ends_s = min(s.time_s[0] for s in series), max(s.time_s[-1] for s in series)
-        found = held_total({f"GPU {s.gpu}".strip(): self._filled(s, *ends_s) for s in series})
-        if len(found.time_s) < 2:
+        summed = held_total({f"GPU {s.gpu}".strip(): self._filled(s, *ends_s) for s in series})
+        if len(summed.time_s) < 2:
             raise TraceError(
-                f"{self._name}: {len(found.time_s)} readings from when all {len(series)} GPUs have reported; give at "
+                f"{self._name}: {len(summed.time_s)} readings from when all {len(series)} GPUs have reported; give at "
                 "least 2"
             )
-        began = np.datetime64((self._origin_ns or 0) + round(found.begin_s * 1e9), "ns").astype("datetime64[ms]")
-        return found, str(began)
+        began = np.datetime64((self._origin_ns or 0) + round(summed.begin_s * 1e9), "ns").astype("datetime64[ms]")
+        return summed, str(began)
 
     def _append(self, series: _Series, time_s: FloatArray, power_kw: FloatArray, lines: list[int]) -> None:
         known = 1 if series.time_s else 0
         joined_s = np.append(series.time_s[-1], time_s) if known else time_s
         back = np.flatnonzero(np.diff(joined_s) <= 0)
         if back.size:
-            raise self._out_of_order(lines[int(back[0]) + 1 - known], series.gpu, joined_s[back[0] : back[0] + 2])
+            raise self._order_error(lines[int(back[0]) + 1 - known], series.gpu, joined_s[back[0] : back[0] + 2])
         series.line.extend(lines)
         series.time_s.frombytes(time_s.tobytes())
         series.power_kw.frombytes(power_kw.tobytes())
@@ -190,11 +190,11 @@ class _Log:
         ):
             if rule.refuses(distance_s):
                 raise TraceError(
-                    f"{self._name}, line {s.line[edge]}{self._of(s.gpu)}: its {text.format(distance_s)}, more than "
+                    f"{self._name}, line {s.line[edge]}{self._label(s.gpu)}: its {text.format(distance_s)}, more than "
                     f"max_gap_s = {rule.max_gap_s:g}; raise max_gap_s, cut the file there, or pass gaps='hold'"
                 )
         return rule.apply(
-            time_s, np.frombuffer(s.power_kw), lambda i: f"{self._name}, line {s.line[i]}{self._of(s.gpu)}"
+            time_s, np.frombuffer(s.power_kw), lambda i: f"{self._name}, line {s.line[i]}{self._label(s.gpu)}"
         )
 
     def _in_kw(self, number: int, value: str, unit: str | None) -> float:
@@ -233,17 +233,17 @@ class _Log:
                 fault = f"is another header than {', '.join(columns.header or ('none',))}"
         return TraceError(f"{self._name}, line {number}: {fault}; repair or remove the line, or cut the file there")
 
-    def _of(self, gpu: str) -> str:
+    def _label(self, gpu: str) -> str:
         return f": GPU {gpu}" if self._columns.gpu is not None or self._in_order else ""
 
-    def _out_of_order(self, number: int, gpu: str, pair_s: FloatArray) -> TraceError:
-        where = f"{self._name}, line {number}{self._of(gpu)}"
+    def _order_error(self, number: int, gpu: str, pair_s: FloatArray) -> TraceError:
+        where = f"{self._name}, line {number}{self._label(gpu)}"
         if pair_s[0] == pair_s[1]:
             return TraceError(
                 f"{where}: the time repeats the one before; log with `{QUERY}` so that a column tells GPUs apart, "
                 "or pass gpus= if the lines of each round are complete and in order"
             )
-        several = "" if self._of(gpu) else f" (if several GPUs report by turns, log with `{QUERY}`)"
+        several = "" if self._label(gpu) else f" (if several GPUs report by turns, log with `{QUERY}`)"
         return TraceError(
             f"{where}: the time steps back by {pair_s[0] - pair_s[1]:g} s; the clock was set or went off summer time: "
             f"cut the file there, or log with TZ=UTC{several}"
@@ -255,8 +255,8 @@ class _Log:
         for s in series:
             if not s.time_s:
                 raise TraceError(
-                    f"{self._name}, line {s.first_line}{self._of(s.gpu)}: has no reading in the whole log; leave the "
-                    "GPU out of the log (nvidia-smi -i) or remove its lines"
+                    f"{self._name}, line {s.first_line}{self._label(s.gpu)}: has no reading in the whole log; leave "
+                    "the GPU out of the log (nvidia-smi -i) or remove its lines"
                 )
         if self._gpus not in (None, len(series)):
             raise TraceError(f"{self._name}: holds {len(series)} GPUs, but gpus = {self._gpus}; correct gpus")
@@ -270,7 +270,7 @@ class _Log:
         if np.mean(at_once) > 0.3:
             i = int(np.argmax(at_once))
             raise TraceError(
-                f"{self._name}, line {s.line[i + 1]}{self._of(s.gpu)}: comes {distance_s[i]:g} s after the reading "
+                f"{self._name}, line {s.line[i + 1]}{self._label(s.gpu)}: comes {distance_s[i]:g} s after the reading "
                 f"before, as if several GPUs reported together; log with `{QUERY}` so that a column tells them apart, "
                 "or pass gpus= (1 if it is one GPU)"
             )

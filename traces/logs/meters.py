@@ -83,21 +83,21 @@ class Meters:
         """
         if not math.isfinite(time_s):
             raise TraceError(f"{self._placed(meter, place)}: the time is {time_s}; repair or remove the reading")
-        found = self.meters.get(meter)
-        if found is None:
+        appended = self.meters.get(meter)
+        if appended is None:
             limit_kw = limit_of(f"{self._field} {meter}", self._limit_kw)
-            found = self.meters[meter] = Meter(meter, limit_kw)
+            appended = self.meters[meter] = Meter(meter, limit_kw)
         if math.isnan(reading):
             return
         power_kw = reading * self._kw
-        if not 0.0 <= power_kw <= found.limit_kw:
+        if not 0.0 <= power_kw <= appended.limit_kw:
             remedy = "power is consumption and not negative: check the sign and the column"
             if power_kw > 0:
-                remedy = above_limit(found.limit_kw)
+                remedy = above_limit(appended.limit_kw)
             raise TraceError(f"{self._placed(meter, place)}: {self._field} is {power_kw:g} kW, {remedy}")
-        found.time_s.append(time_s)
-        found.power_kw.append(power_kw)
-        found.place.append(place)
+        appended.time_s.append(time_s)
+        appended.power_kw.append(power_kw)
+        appended.place.append(place)
 
     def total(self) -> Total:
         """Sum of the meters from the first instant at which all have reported to the last reading of any.
@@ -110,17 +110,19 @@ class Meters:
         """
         silent = next((meter.name for meter in self.meters.values() if not meter.time_s), None)
         if not self.meters or silent is not None:
-            what = "no reading" if silent is None else f"no reading of {silent}"
-            raise TraceError(f"{self._file}: has {what} of {self._field}; export the readings, or leave the meter out")
+            missing = "no reading" if silent is None else f"no reading of {silent}"
+            raise TraceError(
+                f"{self._file}: has {missing} of {self._field}; export the readings, or leave the meter out"
+            )
         ends_s = [(meter.time_s[0], meter.time_s[-1]) for meter in self.meters.values()]
         first_s, last_s = min(begin for begin, _ in ends_s), max(end for _, end in ends_s)
-        found = held_total({meter.name: self._filled(meter, first_s, last_s) for meter in self.meters.values()})
-        if len(found.time_s) < 2:
+        summed = held_total({meter.name: self._filled(meter, first_s, last_s) for meter in self.meters.values()})
+        if len(summed.time_s) < 2:
             raise TraceError(
-                f"{self._file}: {len(found.time_s)} readings from when all {len(self.meters)} meters have reported; "
+                f"{self._file}: {len(summed.time_s)} readings from when all {len(self.meters)} meters have reported; "
                 "give at least 2 (a reading holds until the next)"
             )
-        return found
+        return summed
 
     def _filled(self, meter: Meter, first_s: float, last_s: float) -> tuple[FloatArray, FloatArray]:
         """Readings of a meter with its gaps treated."""
@@ -195,12 +197,12 @@ def held_total(series: Mapping[str, tuple[FloatArray, FloatArray]]) -> Total:
     if len(time_s) > 1:
         sampling = replace(sampling_of(several or {"": time_s}), meters=len(series))
     apart_s = max(GAP_INTERVALS * sampling.interval_s, 1e-9)
-    late = {name: round(at - min(starts_s.values()), 3) for name, at in starts_s.items()}
-    early = {name: round(max(ends_s.values()) - at, 3) for name, at in ends_s.items()}
+    late = {name: round(time - min(starts_s.values()), 3) for name, time in starts_s.items()}
+    early = {name: round(max(ends_s.values()) - time, 3) for name, time in ends_s.items()}
     notes = {"starts_late_s": late, "ends_early_s": early}
-    notes = {key: {name: s for name, s in found.items() if s > apart_s} for key, found in notes.items()}
+    notes = {key: {name: s for name, s in delays.items() if s > apart_s} for key, delays in notes.items()}
     return Total(
-        time_s - begin_s, power_kw, float(begin_s), sampling, {key: found for key, found in notes.items() if found}
+        time_s - begin_s, power_kw, float(begin_s), sampling, {key: delays for key, delays in notes.items() if delays}
     )
 
 
@@ -231,13 +233,13 @@ def _in_rounds(times_s: Sequence[FloatArray]) -> list[FloatArray]:
     return np.split(time_s, np.cumsum([len(times) for times in times_s])[:-1])
 
 
-def one_of(names: Iterable[str], asked: str | None, where: str, option: str) -> str:
+def one_of(names: Iterable[str], wanted: str | None, where: str, option: str) -> str:
     """Return the name that a file has or that was asked for; raise TraceError if there are several or none."""
-    found = sorted(set(names))
-    if asked is not None:
-        if asked not in found:
-            raise TraceError(f"{where}: has no {asked!r}; it has {', '.join(found) or 'none'}: correct {option}")
-        return asked
-    if len(found) != 1:
-        raise TraceError(f"{where}: has {', '.join(found) or 'no power'}; choose one with {option}")
-    return found[0]
+    choices = sorted(set(names))
+    if wanted is not None:
+        if wanted not in choices:
+            raise TraceError(f"{where}: has no {wanted!r}; it has {', '.join(choices) or 'none'}: correct {option}")
+        return wanted
+    if len(choices) != 1:
+        raise TraceError(f"{where}: has {', '.join(choices) or 'no power'}; choose one with {option}")
+    return choices[0]

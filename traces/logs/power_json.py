@@ -84,23 +84,25 @@ def read_power_json(
     with open_text(path, MOST_MIB) as file:
         objects = _objects(file)
         sha256 = file.sha256()
-    what, stated, readings = _found(file.name, objects, metric)
+    metric_name, stated, readings = _readings(file.name, objects, metric)
     require_power(
-        f"{file.name}: metric", what, f"export a metric of power, or the rate of the counter, rate({what}[1m]), in W"
+        f"{file.name}: metric",
+        metric_name,
+        f"export a metric of power, or the rate of the counter, rate({metric_name}[1m]), in W",
     )
-    known = stated or column_unit(f"{file.name}: {what}", what, unit)
+    known = stated or column_unit(f"{file.name}: {metric_name}", metric_name, unit)
     if known is None:
-        raise TraceError(f"{file.name}: {what or 'an expression'} names no unit; pass unit= (W, kW, MW or mW)")
+        raise TraceError(f"{file.name}: {metric_name or 'an expression'} names no unit; pass unit= (W, kW, MW or mW)")
     meters = Meters(
-        file.name, what or "the expression", known, max_gap_s=max_gap_s, gaps=gaps, limit_kw=limit_kw,
+        file.name, metric_name or "the expression", known, max_gap_s=max_gap_s, gaps=gaps, limit_kw=limit_kw,
         placed=lambda meter, place: f"{file.name}: {meter}, value {place}",
     )  # fmt: skip
     for meter, time_s, value, place in readings:
         meters.add(meter, time_s, value, place)
-    found = meters.total()
-    parameters = {BEGAN: clock_text(found.begin_s), UTC_OFFSET: 0.0}
-    parameters |= {"meters": len(meters.meters), "metric": what or "an expression"}
-    return found.trace(name or stem(path), Provenance(file.name, None, parameters | found.notes, sha256))
+    total = meters.total()
+    parameters = {BEGAN: clock_text(total.begin_s), UTC_OFFSET: 0.0}
+    parameters |= {"meters": len(meters.meters), "metric": metric_name or "an expression"}
+    return total.trace(name or stem(path), Provenance(file.name, None, parameters | total.notes, sha256))
 
 
 def _objects(file: TextFile) -> list[Any]:
@@ -121,20 +123,20 @@ def _objects(file: TextFile) -> list[Any]:
     return objects
 
 
-def _found(name: str, objects: list[Any], metric: str | None) -> tuple[str, str | None, list[_Reading]]:
+def _readings(name: str, objects: list[Any], metric: str | None) -> tuple[str, str | None, list[_Reading]]:
     """Return the metric, its unit if its form defines it, and the readings, sorted by time for each meter."""
     if not objects or not all(isinstance(item, dict) for item in objects):
         raise TraceError(f"{name}: is not a JSON object, or a list of them; export {FORMS}")
     first = objects[0]
     try:
         if isinstance(first.get("data"), dict) and "resultType" in first["data"]:
-            what, readings = _prometheus(name, first["data"], metric)
-            return what, "W" if what in _IN_WATTS else None, readings
+            metric_name, readings = _prometheus(name, first["data"], metric)
+            return metric_name, "W" if metric_name in _IN_WATTS else None, readings
         if isinstance(first.get("timeline"), dict):
             return _ml_energy(name, first["timeline"], metric)
         if "MetricValues" in first:
-            what, readings = _metric_reports(name, objects, metric)
-            return what, "W", readings
+            metric_name, readings = _metric_reports(name, objects, metric)
+            return metric_name, "W", readings
         if any(key in first for key in ("PowerControl", "PowerWatts", _REDFISH)):
             return _REDFISH, "W", sorted(_polled(name, objects), key=_time_s)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -152,26 +154,27 @@ def _prometheus(name: str, data: dict[str, Any], metric: str | None) -> tuple[st
     series = data["result"]
     if not series:
         raise TraceError(f"{name}: the query has no series; correct its metric and its range of time")
-    what = one_of((item["metric"].get("__name__", "") for item in series), metric, name, "metric=")
+    metric_name = one_of((item["metric"].get("__name__", "") for item in series), metric, name, "metric=")
     readings: list[_Reading] = []
     for item in series:
         labels = item["metric"]
-        if labels.get("__name__", "") == what:
+        if labels.get("__name__", "") == metric_name:
             keys = next((keys for keys in _IDENTITY if all(key in labels for key in keys)), sorted(labels))
             meter = ", ".join(f"{key}={labels[key]}" for key in keys if key != "__name__") or "the series"
             readings += (
-                _Reading(meter, seconds(at, name), reading(value), n) for n, (at, value) in enumerate(item["values"], 1)
+                _Reading(meter, seconds(time, name), reading(value), n)
+                for n, (time, value) in enumerate(item["values"], 1)
             )
-    return what, sorted(readings, key=_time_s)
+    return metric_name, sorted(readings, key=_time_s)
 
 
 def _ml_energy(name: str, timeline: dict[str, Any], metric: str | None) -> tuple[str, str, list[_Reading]]:
     kinds = timeline["power"]
-    what = one_of(kinds, metric or ("device_instant" if "device_instant" in kinds else None), name, "metric=")
-    return what, "W", [
-        _Reading(f"GPU {gpu}", seconds(at, name), reading(watt), n)
-        for gpu, values in kinds[what].items()
-        for n, (at, watt) in enumerate(values, 1)
+    metric_name = one_of(kinds, metric or ("device_instant" if "device_instant" in kinds else None), name, "metric=")
+    return metric_name, "W", [
+        _Reading(f"GPU {gpu}", seconds(time, name), reading(watt), n)
+        for gpu, values in kinds[metric_name].items()
+        for n, (time, watt) in enumerate(values, 1)
     ]  # fmt: skip
 
 
@@ -185,31 +188,31 @@ def _metric_reports(name: str, objects: list[dict[str, Any]], metric: str | None
         power = [entry for entry in named if entry[2].endswith(_REPORTED) or entry[3].endswith(_REPORTED)]
     else:
         power = [entry for entry in named if entry[3] == metric]
-    what = one_of({entry[3] for entry in power}, None, f"{name}: power in MetricValues", "metric=")
+    metric_name = one_of({entry[3] for entry in power}, None, f"{name}: power in MetricValues", "metric=")
     readings = [
         _Reading(
-            prop or what,
-            seconds(value["Timestamp"], f"{name}: {what}, value {n}"),
+            prop or metric_name,
+            seconds(value["Timestamp"], f"{name}: {metric_name}, value {n}"),
             reading(value["MetricValue"]),
             n,
         )
         for n, value, prop, _ in power
     ]
     # Reports overlap: a value that several of them contain is one reading.
-    once = {(found.meter, found.time_s, found.value): found for found in readings}
-    return what, sorted(once.values(), key=_time_s)
+    once = {(one.meter, one.time_s, one.value): one for one in readings}
+    return metric_name, sorted(once.values(), key=_time_s)
 
 
 def _polled(name: str, objects: list[dict[str, Any]]) -> Iterator[_Reading]:
     """Yield the readings of polled Power or EnvironmentMetrics resources."""
     for n, item in enumerate(objects, 1):
-        at = next((item[key] for key in _TIMES if key in item), None)
-        if at is None:
+        time = next((item[key] for key in _TIMES if key in item), None)
+        if time is None:
             raise TraceError(
                 f"{name}: object {n} has no time; add a field Timestamp when the resource is polled, as Redfish's own "
                 "has none"
             )
-        time_s, source = seconds(at, f"{name}: object {n}"), str(item.get("@odata.id") or item.get("host") or "Power")
+        time_s, source = seconds(time, f"{name}: object {n}"), str(item.get("@odata.id") or item.get("host") or "Power")
         for control in item.get("PowerControl", ()):
             meter = f"{source} {control.get('MemberId', control.get('Name', ''))}".strip()
             yield _Reading(meter, time_s, reading(control[_REDFISH]), n)
@@ -220,5 +223,5 @@ def _polled(name: str, objects: list[dict[str, Any]]) -> Iterator[_Reading]:
             yield _Reading(source, time_s, reading(item[_REDFISH]), n)
 
 
-def _time_s(found: _Reading) -> float:
-    return found.time_s
+def _time_s(one: _Reading) -> float:
+    return one.time_s

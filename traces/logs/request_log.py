@@ -120,8 +120,8 @@ def read_request_log(
         provenance = Provenance(file.name, parameters=parameters, sha256=file.sha256())
     duration_s = end_s - begin_s if goes_on else (arrival_s or [0.0])[-1]
     if not arrival_s or duration_s == 0:
-        what = "" if part_s is None else f" from {begin_s:g} to {end_s:g} s"
-        raise TraceError(f"{file.name}: has {len(arrival_s)} requests{what}, none after the first time; give more")
+        interval = "" if part_s is None else f" from {begin_s:g} to {end_s:g} s"
+        raise TraceError(f"{file.name}: has {len(arrival_s)} requests{interval}, none after the first time; give more")
     return Requests(
         np.frombuffer(arrival_s),
         np.frombuffer(context, dtype=np.int64),
@@ -191,12 +191,12 @@ def _splitter(
     def split(file: str, number: int, line: str) -> tuple[str, str, str]:
         match = pattern.fullmatch(line)
         if match is None:
-            found = [cell.strip() for cell in line.split(",")]
-            if len(found) != len(columns):
-                raise TraceError(f"{file}, line {number}: has {len(found)} cells, not {len(columns)}; repair the line")
-            at = {name: found[columns.index(name)] for name in names}
-            wrong = next(i for i, name in enumerate(names) if not re.fullmatch(cells[i], at[name]))
-            raise _fault(file, number, names[wrong], at[names[wrong]], remedies[wrong])
+            texts = [cell.strip() for cell in line.split(",")]
+            if len(texts) != len(columns):
+                raise TraceError(f"{file}, line {number}: has {len(texts)} cells, not {len(columns)}; repair the line")
+            by_name = {name: texts[columns.index(name)] for name in names}
+            wrong = next(i for i, name in enumerate(names) if not re.fullmatch(cells[i], by_name[name]))
+            raise _fault(file, number, names[wrong], by_name[names[wrong]], remedies[wrong])
         groups = match.groups()
         return groups[order[0]], groups[order[1]], groups[order[2]]
 

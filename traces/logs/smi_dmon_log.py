@@ -89,11 +89,11 @@ def read_smi_dmon_log(
                     raise TraceError(f"{where}: {POWER} {not_a_number(row[POWER])}") from None
                 meters.add(gpu, time_s, watt, number)
         sha256 = file.sha256()
-    found = meters.total()
-    parameters = {"gpus": len(meters.meters), "column": POWER} | found.notes
+    total = meters.total()
+    parameters = {"gpus": len(meters.meters), "column": POWER} | total.notes
     if step_s is None:
-        parameters["began"] = clock_text(found.begin_s)
-    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
+        parameters["began"] = clock_text(total.begin_s)
+    return total.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 def _fields(where: str, text: str) -> list[str]:

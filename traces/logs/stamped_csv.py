@@ -30,7 +30,7 @@ from dcgrid_env.traces.text.power_unit import (
     require_power,
     require_summable,
     require_unit,
-    unit_of_word,
+    word_unit,
 )
 from dcgrid_env.traces.text.table_file import TableFile, open_table
 from dcgrid_env.traces.text.text_file import stem
@@ -126,22 +126,22 @@ def read_stamped_csv(
                 kw = _kw(f"{where}: column {header[column]!r}", row[column], stated)
                 meters.add(" ".join([*label, header[column]]), time_s, kw, number)
         sha256 = file.sha256()
-    found = meters.total()
+    total = meters.total()
     left_out = [text for c, text in enumerate(header) if c not in (columns.time, *columns.power, *columns.labels)]
-    parameters = {"meters": len(meters.meters), "columns": [header[c] for c in columns.power]} | found.notes
+    parameters = {"meters": len(meters.meters), "columns": [header[c] for c in columns.power]} | total.notes
     parameters |= {"left_out": left_out} if left_out else {}
     if clock is None or clock.is_epoch:
         offset_h = utc_offset_h(begin) if clock is None else 0.0
         offset = {} if offset_h is None else {UTC_OFFSET: offset_h}
-        parameters = {BEGAN: clock_text(found.begin_s)} | offset | parameters
-    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
+        parameters = {BEGAN: clock_text(total.begin_s)} | offset | parameters
+    return total.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 def is_stamped(header: Sequence[str], first: Sequence[str]) -> bool:
     """Return whether the first line has a date and time, or a column for the time and one that identifies the meter."""
     if any(map(is_date, first)):
         return True
-    return _time_column(header, first) is not None and any(_plain(text) in _METERS for text in header)
+    return _time_column(header, first) is not None and any(_normalised(text) in _METERS for text in header)
 
 
 def _top(file: TableFile) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -160,7 +160,7 @@ def _rows(file: TableFile) -> Iterator[tuple[int, list[str]]]:
             yield file.line, next(csv.reader([line]))
 
 
-def _plain(header: str) -> str:
+def _normalised(header: str) -> str:
     """Return a name in small letters with `_` between its words."""
     return re.sub(r"[^a-z0-9]+", "_", header.casefold()).strip("_")
 
@@ -187,7 +187,7 @@ def _columns(
             f"{where}: {header[time]!r} contains dates and {header[clock]!r} times; write both into one column, like "
             "2026-01-02 03:04:05"
         )
-    meters = [c for c in others if _plain(header[c]) in _METERS]
+    meters = [c for c in others if _normalised(header[c]) in _METERS]
     power = _power(f"{name}, header", header, first, [c for c in others if c not in meters], power_columns, unit)
     texts = [c for c in others if c not in meters and c not in power and _is_label(header[c], first[c])]
     return _Columns(time, power, sorted([*(c for c in meters if c not in power), *texts]))
@@ -195,7 +195,7 @@ def _columns(
 
 def _is_label(header: str, cell: str) -> bool:
     is_text = not is_missing(cell) and _QUANTITY.fullmatch(cell.strip()) is None
-    return is_text and _STATES.search(_plain(header)) is None
+    return is_text and _STATES.search(_normalised(header)) is None
 
 
 def _power(
@@ -210,42 +210,42 @@ def _power(
         for text in power_columns:
             require_power(where, text, "leave it out of power_columns=, or rename it if it is power")
         chosen = [header.index(text) for text in power_columns]
-        found = {c: column_unit(where, header[c], unit) for c in chosen}
+        units = {c: column_unit(where, header[c], unit) for c in chosen}
     else:
         candidates = [c for c in others if header[c] and other_quantity(header[c]) is None]
         names_power = [c for c in candidates if _names_power(header[c])]
         cells_power = [c for c in candidates if _unit_in(first[c])]
-        found = {c: column_unit(where, header[c], unit) for c in names_power}
-        found |= {c: unit for c in cells_power if c not in found}
-        if not found and unit is not None:
+        units = {c: column_unit(where, header[c], unit) for c in names_power}
+        units |= {c: unit for c in cells_power if c not in units}
+        if not units and unit is not None:
             numbers = [c for c in candidates if is_number(first[c])]
-            found = {c: unit for c in numbers if not bracketed(header[c])[1]}
+            units = {c: unit for c in numbers if not bracketed(header[c])[1]}
         if not any(is_number(first[c]) for c in candidates):
-            for c in () if found else others:
+            for c in () if units else others:
                 require_power(where, header[c], "give a column of power, or rename it if it is power")
                 other = other_quantity(header[c])
                 if other is not None and _names_power(header[c]):
                     raise TraceError(f"{where}: {header[c]!r} names {other!r}; pass power_columns= if it is power")
-    lacking = next((c for c, stated in found.items() if stated is None and not _unit_in(first[c])), None)
-    if lacking is not None or not found:
+    lacking = next((c for c, stated in units.items() if stated is None and not _unit_in(first[c])), None)
+    if lacking is not None or not units:
         fault = ", ".join(header) if lacking is None else repr(header[lacking])
         remedy = " and, if other columns are no power, power_columns=" if power_columns is None else ""
         raise TraceError(
             f"{where}: {fault} names no unit of power; pass unit= (one of {', '.join(KW_PER_UNIT)}){remedy}"
         )
     if power_columns is None:
-        require_summable(where, [header[c] for c in sorted(found)])
-    return dict(sorted(found.items()))
+        require_summable(where, [header[c] for c in sorted(units)])
+    return dict(sorted(units.items()))
 
 
 def _names_power(header: str) -> bool:
-    return any(unit_of_word(word) or word.casefold() == "mw" for word in (bracketed(header)[0], last_word(header)))
+    return any(word_unit(word) or word.casefold() == "mw" for word in (bracketed(header)[0], last_word(header)))
 
 
 def _unit_in(cell: str) -> str | None:
     """Return the unit of power in a cell such as `300 W`."""
     match = _QUANTITY.fullmatch(cell.strip())
-    return unit_of_word(match["unit"]) if match and match["unit"] else None
+    return word_unit(match["unit"]) if match and match["unit"] else None
 
 
 def _time(text: str, where: str, clock: Clock | None) -> float:
@@ -259,11 +259,11 @@ def _time(text: str, where: str, clock: Clock | None) -> float:
 def _kw(where: str, text: str, stated: str | None) -> float:
     """Return the power in a cell, kW; `stated` is the unit of its column."""
     match = _QUANTITY.fullmatch(text.strip())
-    found = unit_of_word(match["unit"]) if match and match["unit"] else None
-    if match and found:
-        if stated not in (None, found):
+    cell_unit = word_unit(match["unit"]) if match and match["unit"] else None
+    if match and cell_unit:
+        if stated not in (None, cell_unit):
             raise TraceError(f"{where} is {text.strip()[:40]!r}, but the column is in {stated}; repair the cell")
-        return float(match["number"]) * KW_PER_UNIT[found]
+        return float(match["number"]) * KW_PER_UNIT[cell_unit]
     try:
         value = reading(text)
     except ValueError:

@@ -24,11 +24,11 @@ def nanoseconds(cells: Sequence[str], where: Callable[[int], str]) -> NDArray[np
     TraceError
         For a date or time that does not exist, such as a 30th of February.
     """
-    plain = [cell.replace("/", "-") for cell in cells]
+    dashed = [cell.replace("/", "-") for cell in cells]
     try:
-        return np.array(plain, dtype="datetime64[ns]").astype(np.int64)
+        return np.array(dashed, dtype="datetime64[ns]").astype(np.int64)
     except ValueError:
-        for i, cell in enumerate(plain):
+        for i, cell in enumerate(dashed):
             try:
                 np.datetime64(cell, "ns")
             except ValueError:

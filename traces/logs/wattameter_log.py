@@ -81,21 +81,21 @@ def read_wattameter_log(
         sha256 = file.sha256()
     if meters is None:
         raise TraceError(f"{file.name}: has no reading; give a log of WattAMeter")
-    found = meters.total()
-    parameters = {BEGAN: clock_text(found.begin_s), "meters": len(meters.meters)} | found.notes
-    return found.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
+    total = meters.total()
+    parameters = {BEGAN: clock_text(total.begin_s), "meters": len(meters.meters)} | total.notes
+    return total.trace(name or stem(path), Provenance(file.name, None, parameters, sha256))
 
 
 def _power_columns(where: str, columns: list[str]) -> list[tuple[int, str, float]]:
     """Index in a line, name and kW for 1 of each column of power."""
-    found = []
+    power_columns = []
     for index, column in enumerate(columns, 2):
         match = _COLUMN.fullmatch(column)
         if match is not None and match["unit"] in KW_PER_UNIT and not match["meter"].endswith("-core"):
-            found.append((index, match["meter"], KW_PER_UNIT[match["unit"]]))
-    if not found:
+            power_columns.append((index, match["meter"], KW_PER_UNIT[match["unit"]]))
+    if not power_columns:
         raise TraceError(f"{where}: no column of {', '.join(columns)} is power in {', '.join(KW_PER_UNIT)}")
-    return found
+    return power_columns
 
 
 def _number(where: str, meter: str, text: str) -> float:

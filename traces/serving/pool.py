@@ -144,19 +144,19 @@ def in_chunks(
 ) -> Iterator[tuple[FloatArray, IntArray, IntArray, int]]:
     """Cut requests that come some at a time into those of each chunk of steps, with the chunk's number of steps."""
     parts = iter(parts)
-    held = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
+    waiting = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
     more = True
     for begin in range(0, n_steps, _CHUNK):
         end = min(begin + _CHUNK, n_steps)
-        while more and not (len(held[-1][0]) and held[-1][0][-1] >= end * GRID_S):
+        while more and not (len(waiting[-1][0]) and waiting[-1][0][-1] >= end * GRID_S):
             part = next(parts, None)
             more = part is not None
             if part is not None:
-                held.append(part)
-        arrival_s, context, generated = (np.concatenate(column) for column in zip(*held, strict=True))
+                waiting.append(part)
+        arrival_s, context, generated = (np.concatenate(column) for column in zip(*waiting, strict=True))
         cut = int(np.searchsorted(arrival_s, end * GRID_S, side="left"))
         yield arrival_s[:cut], context[:cut], generated[:cut], end - begin
-        held = [(arrival_s[cut:], context[cut:], generated[cut:])]
+        waiting = [(arrival_s[cut:], context[cut:], generated[cut:])]
 
 
 def serve(requests: Requests, replica: Replica, n_replicas: int = 1) -> Served:

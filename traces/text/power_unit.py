@@ -47,7 +47,7 @@ def last_word(header: str) -> str:
     return _SEPARATORS.split(re.sub(r"\s*(?:\[[^\[\]]*\]|\([^()]*\))$", "", header.strip()))[-1]
 
 
-def unit_of_word(word: str) -> str | None:
+def word_unit(word: str) -> str | None:
     """Return the unit of power that a word spells, with its usual sign; None for another word."""
     return word if word in KW_PER_UNIT else _SPELLINGS.get(word.casefold())
 
@@ -66,7 +66,7 @@ def other_quantity(header: str) -> str | None:
     limit = next((word for before, word in pairs if word in _LIMITS and not (word == "min" and before.isdigit())), None)
     if limit is not None:
         return limit
-    if any(map(unit_of_word, (inside, last))):
+    if any(map(word_unit, (inside, last))):
         return None
     if any(map(_ENERGY_WORD.fullmatch, words)):
         return "energy"
@@ -86,13 +86,13 @@ def require_summable(where: str, headers: Sequence[str]) -> None:
     Two statistics of a power, such as `power_average_w` and `power_instant_w`, are counted twice too.
     """
     sums = [header for header in headers if _SUMS.intersection(_words(header))]
-    plain: dict[tuple[str, ...], str] = {}
+    first_headers: dict[tuple[str, ...], str] = {}
     fault = None
     if sums and len(sums) < len(headers):
         fault = f"{sums[0]!r} names a sum, and there are other columns of power"
     for header in headers:
         words = _words(header)
-        first = plain.setdefault(tuple(word for word in words if word not in _STATISTICS), header)
+        first = first_headers.setdefault(tuple(word for word in words if word not in _STATISTICS), header)
         if first != header:
             fault = f"{first!r} and {header!r} are two figures of one power"
     if fault:
@@ -124,13 +124,13 @@ def column_unit(where: str, header: str, unit: str | None) -> str | None:
     """
     inside, square = bracketed(header)
     words = [inside, last_word(header)]
-    stated = sorted({spelled for word in words if (spelled := unit_of_word(word)) is not None})
+    stated = sorted({spelled for word in words if (spelled := word_unit(word)) is not None})
     either = any(word.casefold() == "mw" and word not in KW_PER_UNIT for word in words)
     if either and not {"mW", "MW"} & {*stated, unit}:
         raise TraceError(
             f"{where}: {header!r} may mean milliwatt or megawatt; pass unit='mW' or unit='MW', or write mW or MW"
         )
-    if square and not unit_of_word(inside) and not inside.isdigit():
+    if square and not word_unit(inside) and not inside.isdigit():
         others = [inside]
     else:
         others = [word for word in words if word.casefold() in _OTHERS]

@@ -50,16 +50,16 @@ class TableFile:
         self.line += bool(line)
         if not line:
             self._dialect.require_decimals()
-        return self._dialect.plain(line, self.line)
+        return self._dialect.normalise(line, self.line)
 
     def blocks(self) -> Iterator[Block]:
         """All further lines, in blocks."""
         top = Block(self.line + 1, "".join(self._top))
         self._top = []
         for block in chain([top] if top.text else [], self._file.blocks()):
-            plain = Block(block.first_line, self._dialect.plain(block.text, block.first_line))
+            normalised = Block(block.first_line, self._dialect.normalise(block.text, block.first_line))
             self.line = block.first_line + block.text.count("\n") - block.text.endswith("\n")
-            yield plain
+            yield normalised
         self._dialect.require_decimals()
 
     def sha256(self) -> str:
@@ -124,7 +124,7 @@ class _Dialect:
         that may separate thousands."""
         self._has_commas = False
 
-    def plain(self, text: str, first_line: int) -> str:
+    def normalise(self, text: str, first_line: int) -> str:
         """Return lines with commas between cells, a decimal point, and quotes only where a cell needs them."""
         if not self._is_table or ('"' not in text and (self.delimiter == "," or self.delimiter not in text)):
             return text
@@ -155,7 +155,7 @@ class _Dialect:
 
     def _decimals(self, cells: list[str], number: int) -> list[str]:
         """Return cells with decimal points; raise TraceError if a column has both signs."""
-        found = []
+        with_points = []
         for index, cell in enumerate(cells):
             match = _NUMBER.fullmatch(cell)
             if match is not None:
@@ -175,8 +175,8 @@ class _Dialect:
                             f"{self._name}, line {number}: the column has {column.point[1]!r} in line "
                             f"{column.point[0]} and {column.comma[1]!r} in line {column.comma[0]}; {_ONE_SIGN}"
                         )
-            found.append(cell)
-        return found
+            with_points.append(cell)
+        return with_points
 
     def require_decimals(self) -> None:
         """Raise TraceError if the signs in the numbers of a column may separate thousands."""

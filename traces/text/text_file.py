@@ -50,7 +50,7 @@ class TextFile:
 
     def readline(self) -> str:
         """The next line with its line end, or an empty text at the end of the file."""
-        line = self._rest_of_line()
+        line = self._line_rest()
         self.line += bool(line)
         self._count(line)
         return line
@@ -59,7 +59,7 @@ class TextFile:
         """All further lines, some BLOCK_CHARS at a time."""
         while text := self._text.read(BLOCK_CHARS):
             if not text.endswith("\n"):
-                text += self._rest_of_line()
+                text += self._line_rest()
             first = self.line + 1
             self.line += text.count("\n") + (not text.endswith("\n"))
             self._count(text)
@@ -76,7 +76,7 @@ class TextFile:
         if self._most_mib is not None and self._n_read > self._most_mib * 2**20:
             raise TraceError(f"{self.name}: has more than {self._most_mib} MiB of text; give a shorter file")
 
-    def _rest_of_line(self) -> str:
+    def _line_rest(self) -> str:
         line = self._text.readline(LINE_LIMIT_CHARS)
         if len(line) == LINE_LIMIT_CHARS and not line.endswith("\n"):
             raise TraceError(
@@ -110,10 +110,10 @@ def open_text(path: str | os.PathLike[str], most_mib: int | None = None) -> Iter
     Errors in the bytes while the file is open raise TraceError, naming the file and the line.
     """
     path = Path(path)
-    with open_bytes(path, TraceError) as raw, _Hashed(raw) as hashed, io.BufferedReader(hashed) as plain:
+    with open_bytes(path, TraceError) as raw, _Hashed(raw) as hashed, io.BufferedReader(hashed) as buffered:
         file = None
         try:
-            source = gzip.GzipFile(fileobj=plain) if plain.peek(2)[:2] == b"\x1f\x8b" else plain
+            source = gzip.GzipFile(fileobj=buffered) if buffered.peek(2)[:2] == b"\x1f\x8b" else buffered
             encoding = "utf-16" if source.peek(2)[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
             with source, io.TextIOWrapper(source, encoding) as text:
                 file = TextFile(path.name, text, hashed, most_mib)

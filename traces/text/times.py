@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcgrid_env.traces.checks import FloatArray, TraceError
-from dcgrid_env.traces.text.power_unit import bracketed, last_word, unit_of_word
+from dcgrid_env.traces.text.power_unit import bracketed, last_word, word_unit
 
 EPOCH_S = (1.2e9, 2.6e9)
 """Times in s since 1970 that are believed: the years 2008 to 2052."""
@@ -39,7 +39,7 @@ def named_unit(header: str) -> str | None:
 
 def is_time_name(header: str) -> bool:
     """Return whether the name of a column is one of times, and not of power."""
-    return _TIMES.match(header.strip().casefold()) is not None and unit_of_word(last_word(header)) is None
+    return _TIMES.match(header.strip().casefold()) is not None and word_unit(last_word(header)) is None
 
 
 def epoch_unit(time: float) -> str | None:

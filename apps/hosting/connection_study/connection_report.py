@@ -12,7 +12,7 @@ from typing import Any
 
 from dcgrid_env import Feeder, Scenario, profile_coverage, scenario_hash
 from dcgrid_env.apps.hosting.capacity_maps import capacity_maps
-from dcgrid_env.apps.hosting.capacity_output import capacity_table, first_of, record, unseen_pct
+from dcgrid_env.apps.hosting.capacity_output import capacity_table, first_few, record, unseen_pct
 from dcgrid_env.apps.hosting.connection_study.checklists import checklists, other_means
 from dcgrid_env.apps.hosting.connection_study.outage_section import capacities_with, outages_section
 from dcgrid_env.apps.hosting.connection_study.section import Section, sentences, under
@@ -108,31 +108,33 @@ def _without(outage: tuple[str, Scenario]) -> tuple[str, Capacities]:
 
 
 def sections_of(
-    job: Job, found: Capacities | None, file: Path, place: Place, on_section: Callable[[], None]
+    job: Job, capacities: Capacities | None, file: Path, place: Place, on_section: Callable[[], None]
 ) -> list[Section]:
     """Make the sections of the report in its order; arguments as for ``page`` and ``built``."""
     by_name, by_outage = built(job, place, on_section)
-    if found is not None:
-        by_name["capacity"] = _capacity(job, found)
+    if capacities is not None:
+        by_name["capacity"] = _capacity(job, capacities)
         if job.outages:
             in_order = {name: by_outage[name] for name in job.outages}
-            by_name["outages"] = outages_section(job, found, in_order)
-    made = [by_name[name] for name in ORDER if name in by_name]
-    made.append(_not_checked(job, found))
+            by_name["outages"] = outages_section(job, capacities, in_order)
+    sections = [by_name[name] for name in ORDER if name in by_name]
+    sections.append(_not_checked(job, capacities))
     if "checklists" not in job.request.leave_out:
         text = "What follows is no legal advice. Sources are secondary; check each line against the final text."
-        made.append(Section("checklists", "Checklists for large loads", "", (text,), checklists(job.request.leave_out)))
-    made.append(_inputs(job, file, meta()))
-    return made
+        sections.append(
+            Section("checklists", "Checklists for large loads", "", (text,), checklists(job.request.leave_out))
+        )
+    sections.append(_inputs(job, file, meta()))
+    return sections
 
 
-def answers(job: Job, found: Capacities | None) -> list[str]:
+def answers(job: Job, capacities: Capacities | None) -> list[str]:
     """The answer for the requested size under each controller, in sentences, and how sure it is."""
-    if found is None:
+    if capacities is None:
         return ["The capacity was left out of this study, so it gives no answer on the size."]
     request, said = job.request, []
-    for name in found.controllers:
-        (capacity,) = (c for c in found.by_controller[name] if c.bus == request.bus)
+    for name in capacities.controllers:
+        (capacity,) = (c for c in capacities.by_controller[name] if c.bus == request.bus)
         fits = request.mw <= capacity.capacity_mw + 1e-9
         size = f"{'at least ' if capacity.at_most else ''}{capacity.capacity_mw:g} MW"
         why = "" if capacity.at_most else f" The next size breaks: {capacity.limit}."
@@ -141,19 +143,19 @@ def answers(job: Job, found: Capacities | None) -> list[str]:
         waits = capacity.delay_mean_s >= 0.005
         delay = f" Work waits {capacity.delay_mean_s:.2f} s on average at that size." if waits else ""
         verdict = "fits" if fits else "does not fit"
-        asked = f"{request.mw:g} MW at bus {request.bus} {verdict}"
-        said.append(sentences((f"{under(name)}, {asked}: the bus carries {size}",)) + why + delay)
+        request_text = f"{request.mw:g} MW at bus {request.bus} {verdict}"
+        said.append(sentences((f"{under(name)}, {request_text}: the bus carries {size}",)) + why + delay)
     return said
 
 
-def confidence(job: Job, found: Capacities | None) -> str:
+def confidence(job: Job, capacities: Capacities | None) -> str:
     """State the number of windows, the bound that it gives and what was not checked, in sentences."""
     study, coverage, sizes = job.study, job.study.coverage, ""
-    if found is not None:
+    if capacities is not None:
         sizes = (
-            f"These sizes rest on {len(found.windows)} windows of {study.window_s:g} s. "
-            f"{windows_text(study, found.windows)} If none of {study.samples} spread windows breaks a limit, less than "
-            f"{unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. "
+            f"These sizes rest on {len(capacities.windows)} windows of {study.window_s:g} s. "
+            f"{windows_text(study, capacities.windows)} If none of {study.samples} spread windows breaks a limit, "
+            f"less than {unseen_pct(study.samples):.2g} % of other windows do, with 95 % confidence. "
         )
     others = "; the others were not checked" if coverage.not_checked else ""
     return (
@@ -162,23 +164,23 @@ def confidence(job: Job, found: Capacities | None) -> str:
     )
 
 
-def page(job: Job, found: Capacities | None, sections: Sequence[Section]) -> str:
+def page(job: Job, capacities: Capacities | None, sections: Sequence[Section]) -> str:
     """The report as HTML."""
     request, study = job.request, job.study
     links = " ".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
-    said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in answers(job, found))
+    said = "".join(f"<p><b>{html.escape(text)}</b></p>" for text in answers(job, capacities))
     more = "".join(
         f'<li><a href="#{s.name}">{html.escape(s.title)}</a>: {html.escape(s.answer)}</li>'
         for s in sections
         if s.answer and s.name != "capacity"
     )
-    asked = (
+    request_text = (
         f"Request: a data centre of {request.mw:g} MW at bus {request.bus} of feeder {study.scenario.feeder.name}. "
         f"Limits: {study.v_min_pu:g} to {study.v_max_pu:g} p.u. and {study.loading_max_pct:g} % of known ratings."
     )
     parts = [
-        f"<p>{html.escape(asked)}</p><p>{html.escape(sentences((job.source,)))}</p>",
-        f"<div class=answer>{said}<p>{html.escape(confidence(job, found))}</p><ul>{more}</ul></div>",
+        f"<p>{html.escape(request_text)}</p><p>{html.escape(sentences((job.source,)))}</p>",
+        f"<div class=answer>{said}<p>{html.escape(confidence(job, capacities))}</p><ul>{more}</ul></div>",
         f"<nav>{links}</nav>",
         *(_section(section) for section in sections),
         f"<p>Reproduce: <code>{html.escape(meta()['command'])}</code></p>",
@@ -186,14 +188,14 @@ def page(job: Job, found: Capacities | None, sections: Sequence[Section]) -> str
     return html_page(request.title, "".join(parts), _STYLE)
 
 
-def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> dict[str, Any]:
+def report_json(job: Job, capacities: Capacities | None, sections: Sequence[Section]) -> dict[str, Any]:
     """The report's tables and answers as JSON values."""
     return {
         "meta": meta(),
         "source_voltage": job.source,
-        "answers": answers(job, found),
-        "confidence": confidence(job, found),
-        "capacity": None if found is None else record(found),
+        "answers": answers(job, capacities),
+        "confidence": confidence(job, capacities),
+        "capacity": None if capacities is None else record(capacities),
         "sections": {
             section.name: {
                 "answer": section.answer,
@@ -207,8 +209,8 @@ def plain(job: Job, found: Capacities | None, sections: Sequence[Section]) -> di
     }
 
 
-def _capacity(job: Job, found: Capacities) -> Section:
-    picture = ("The largest data centre at each bus, MW", png(capacity_maps(found)))
+def _capacity(job: Job, capacities: Capacities) -> Section:
+    picture = ("The largest data centre at each bus, MW", png(capacity_maps(capacities)))
     allowed_pct, rule = job.study.allowed_pct, "no window breaks a limit, and without control no hour in a power flow"
     if allowed_pct:
         rule = f"limits are broken in at most {allowed_pct:g} % of the seconds of all windows"
@@ -216,29 +218,35 @@ def _capacity(job: Job, found: Capacities) -> Section:
         f"One data centre at one bus at a time. A size fits if {rule}. Every window has a step of the "
         "site to its full rating."
     )
-    whole, tables = capacity_table(found), []
-    for name in found.controllers:  # one for each, which is narrower than all in one
-        table = capacity_table(dataclasses.replace(found, controllers=(name,)))
+    whole, tables = capacity_table(capacities), []
+    for name in capacities.controllers:  # one for each, which is narrower than all in one
+        table = capacity_table(dataclasses.replace(capacities, controllers=(name,)))
         rows = [(f"{row[0]} (requested)" if row[0] == job.request.bus else row[0], *row[1:]) for row in table.rows]
         rows.sort(key=lambda row: not row[0].endswith(" (requested)"))
         title = f"Largest data centre at a bus under {name}, MW"
-        tables.append(Table(title, table.header, tuple(rows), whole.notes if name == found.controllers[-1] else ()))
-    answer = " ".join(answers(job, found))
+        tables.append(
+            Table(title, table.header, tuple(rows), whole.notes if name == capacities.controllers[-1] else ())
+        )
+    answer = " ".join(answers(job, capacities))
     return Section("capacity", "Capacity of the buses", answer, (text,), tuple(tables), (picture,))
 
 
-def _not_checked(job: Job, found: Capacities | None) -> Section:
+def _not_checked(job: Job, capacities: Capacities | None) -> Section:
     coverage = job.study.coverage
-    texts = [f"Elements without a known rating, which were not checked: {first_of(coverage.not_checked)}."]
-    if found is not None:
+    texts = [f"Elements without a known rating, which were not checked: {first_few(coverage.not_checked)}."]
+    if capacities is not None:
         left = [f"{bus} ({why})" for bus, why in job.study.left_out().items()]
-        untried = job.study.scenario.feeder.n_bus - 1 - len(found.buses)
-        without = first_of(left) if left else f"{untried}, which were not among the buses to try" if untried else "none"
+        untried = job.study.scenario.feeder.n_bus - 1 - len(capacities.buses)
+        without = (
+            first_few(left) if left else f"{untried}, which were not among the buses to try" if untried else "none"
+        )
         texts.append(f"Buses without an answer: {without}.")
         more = " and the reasons in capacity.without_answer" * bool(left)
         texts.append(f"report.json lists all elements in capacity.ratings{more}.")
-        if found.overloaded:
-            texts.append(f"Overloaded without the site: {first_of(found.overloaded)}. They do not count elsewhere.")
+        if capacities.overloaded:
+            texts.append(
+                f"Overloaded without the site: {first_few(capacities.overloaded)}. They do not count elsewhere."
+            )
     if job.request.leave_out:
         texts.append(f"Sections left out on request: {', '.join(job.request.leave_out)}.")
     if not job.outages:
@@ -287,10 +295,10 @@ def _inputs(job: Job, file: Path, about: dict[str, Any]) -> Section:
 
 def _base_kv(feeder: Any, bus: str) -> float:
     """Nominal voltage of a bus, line to line, kV."""
-    at = feeder.index(bus)
+    position = feeder.index(bus)
     if isinstance(feeder, Feeder):
-        return feeder.base_kv if feeder.bus_base_kv is None else float(feeder.bus_base_kv[at])
-    return float(f"{math.sqrt(3.0) * feeder.base_kv_ln[at]:.5g}")
+        return feeder.base_kv if feeder.bus_base_kv is None else float(feeder.bus_base_kv[position])
+    return float(f"{math.sqrt(3.0) * feeder.base_kv_ln[position]:.5g}")
 
 
 def _feeder_files(feeder: AnyFeeder) -> list[Path]:

@@ -40,8 +40,8 @@ def outages_section(job: Job, whole: Capacities, by_outage: Mapping[str, Capacit
     for name in whole.controllers:
         header += [f"{name}, MW", f"{request.mw:g} MW fits", "limit"]
         mw = {}
-        for row, found in zip(rows, (whole, *by_outage.values()), strict=True):
-            (capacity,) = (c for c in found.by_controller[name] if c.bus == request.bus)
+        for row, capacities in zip(rows, (whole, *by_outage.values()), strict=True):
+            (capacity,) = (c for c in capacities.by_controller[name] if c.bus == request.bus)
             mw[row[0]] = capacity.capacity_mw
             more = ">=" if capacity.at_most else ""
             fits = "yes" if request.mw <= capacity.capacity_mw + 1e-9 else "no"

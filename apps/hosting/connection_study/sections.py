@@ -90,12 +90,12 @@ def base_case(job: Job) -> Section:
 def worst_window(job: Job) -> Section:
     """Distances to all limits with the requested size, and the window that comes nearest to one without control."""
     study, bus = job.study, job.request.bus
-    at = study.scenario.feeder.index(bus)
-    windows = study_windows(study, at, job.sized)
+    position = study.scenario.feeder.index(bus)
+    windows = study_windows(study, position, job.sized)
     site = AddedSite(study, windows)
     site.exempt = overloaded_nodes(site)
     samples = np.arange(len(windows))
-    at_bus = np.full_like(samples, at)
+    at_bus = np.full_like(samples, position)
     controllers = job.controllers()
     trials = {name: run_trial(site, law, job.sized, at_bus, samples, name) for name, law in controllers}
     mw = site.mw(job.sized)
@@ -176,9 +176,9 @@ def _worst_day(study: Study) -> tuple[str, dict[str, Any]]:
     table = study.scenario.load_profiles.file
     if table is None:
         return "One day", {"background.start_hour": 0.0}
-    found = load_hours(dataclasses.replace(study, load="day") if study.load == "peak" else study)
-    lowest = (h for h, reason in zip(found.hours, found.reasons, strict=True) if "lowest voltage" in reason)
-    hour = float(next(lowest, found.hours[0]))
+    hours = load_hours(dataclasses.replace(study, load="day") if study.load == "peak" else study)
+    lowest = (h for h, reason in zip(hours.hours, hours.reasons, strict=True) if "lowest voltage" in reason)
+    hour = float(next(lowest, hours.hours[0]))
     end_h, day_h = table.begin_h + table.duration_h, 24.0 * np.floor(hour / 24.0)
     begin_h = max(table.begin_h, min(day_h, end_h - 24.0))
     steps = min(DAY_STEPS, int((end_h - begin_h) * 60.0 + 1e-9))
@@ -191,15 +191,15 @@ def _worst_day(study: Study) -> tuple[str, dict[str, Any]]:
 
 def ride_through(job: Job) -> Section:
     """Recorded sags, by which the site leaves the grid and comes back."""
-    study, asked = job.study, job.request.ride_through
+    study, rule = job.study, job.request.ride_through
     scenario = job.scenario(
-        job.request.mw, horizon=round(RIDE_THROUGH_S / study.scenario.dt_s), sags=asked.sags,
+        job.request.mw, horizon=round(RIDE_THROUGH_S / study.scenario.dt_s), sags=rule.sags,
         **NOMINAL,
-        **{"datacenters.ride_through": {"curve": asked.curve}, "workload.full_load_s": (0.0, RIDE_THROUGH_S)},
+        **{"datacenters.ride_through": {"curve": rule.curve}, "workload.full_load_s": (0.0, RIDE_THROUGH_S)},
     )  # fmt: skip
     series = {name: rollout(scenario, controller, [0], name=name).series(0) for name, controller in job.controllers()}
     text = (
-        f"The site follows the curve {asked.curve} during the sags {asked.sags}, at nominal load and at its full "
+        f"The site follows the curve {rule.curve} during the sags {rule.sags}, at nominal load and at its full "
         "rating, which gives the largest loss of load. It leaves the grid when the curve's time is over, continues on "
         "battery and comes back by the rule of docs/ride-through.md, which also has the sources of curves and sags. No "
         "controller can prevent a sag; it changes the voltages after the loss and the return."
@@ -209,12 +209,12 @@ def ride_through(job: Job) -> Section:
     trips = int(first["ups_trips"])
     if trips:
         answer = (
-            f"By the curve {asked.curve}, the sags {asked.sags} disconnect the site {trips} "
+            f"By the curve {rule.curve}, the sags {rule.sags} disconnect the site {trips} "
             f"time{'s' * (trips > 1)}, and {first['ups_lost_step_kw']:.0f} kW are lost in the largest step, {control}."
         )
     else:
-        answer = f"By the curve {asked.curve}, the site stays connected during the sags {asked.sags} {control}."
-    tables = (_curve(asked.curve), _metrics(series, "Metrics of the sags", _outside(scenario)))
+        answer = f"By the curve {rule.curve}, the site stays connected during the sags {rule.sags} {control}."
+    tables = (_curve(rule.curve), _metrics(series, "Metrics of the sags", _outside(scenario)))
     return Section("ride-through", "Ride-through and return", answer, (text,), tables)
 
 
@@ -235,7 +235,7 @@ def fluctuation(job: Job) -> Section:
             "the voltage change": m["voltage_step_max_pu"] * 100.0 > limits.voltage_step_pct,
             "Pst": m["pst_max"] > limits.pst,
         }
-        exceeded += [f"{what} {under(name)}" for what, is_over in over.items() if is_over]
+        exceeded += [f"{limit} {under(name)}" for limit, is_over in over.items() if is_over]
     allowed = ("limit", "none stated" if ramp is None else figure_of(ramp), figure_of(limits.voltage_step_pct),
                figure_of(limits.pst))  # fmt: skip
     header = ("controller", f"largest ramp over {limits.ramp_window_s:g} s, kW/s",
@@ -271,8 +271,10 @@ def sensitivity(job: Job) -> Section:
     bus = np.array([base.feeder.index(job.request.bus)])
     rows = []
     for name, changed in cases:
-        (found,) = snapshot_capacity(changed, bus)
-        rows.append((name, f"{'>=' if found.at_most else ''}{found.capacity_mw:g}", found.limit or "none found"))
+        (capacity,) = snapshot_capacity(changed, bus)
+        rows.append(
+            (name, f"{'>=' if capacity.at_most else ''}{capacity.capacity_mw:g}", capacity.limit or "none found")
+        )
     text = (
         f"Capacity of bus {job.request.bus} in one power flow at the worst hour without control, one assumption "
         "changed at a time. Windows and controllers give other sizes; the differences between the rows are what counts "
@@ -327,7 +329,11 @@ def _metrics(series: dict[str, Any], title: str, note: str) -> Table:
     figures = {name: run.metrics() for name, run in series.items()}
     first = next(iter(figures.values()))
     rows = [
-        (metric.label, metric.unit, *(metric.text(metric.of_episodes([of[metric.name]])) for of in figures.values()))
+        (
+            metric.label,
+            metric.unit,
+            *(metric.text(metric.of_episodes([metrics[metric.name]])) for metrics in figures.values()),
+        )
         for metric in metrics_in("run")
         if metric.name in first and metric.name != "J"
     ]

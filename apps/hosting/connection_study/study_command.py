@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from dcgrid_env.cli.own_feeder import Asked, scenario_on_feeder
+from dcgrid_env.cli.own_feeder import FeederRequest, scenario_on_feeder
 from dcgrid_env.core.commands.progress import progress_bar
 from dcgrid_env.core.commands.settings import check_folder
 from dcgrid_env.core.commands.terminal import plain_console, say
@@ -52,7 +52,7 @@ class ConnectionStudy(OverWorkers):
             answers,
             asked_sections,
             page,
-            plain,
+            report_json,
             sections_of,
         )
         from dcgrid_env.apps.hosting.hosting import hosting_capacity
@@ -63,23 +63,23 @@ class ConnectionStudy(OverWorkers):
         job = make_job(request, self.file)
         check_folder(self.out)
         console = plain_console()
-        found = None
+        capacities = None
         with progress_bar(console) as progress:
             if "capacity" not in request.leave_out:
                 total = len(job.study.candidates()) * len(request.controllers)
                 task = progress.add_task("capacity", total=total)
-                found = hosting_capacity(
+                capacities = hosting_capacity(
                     job.study, request.controllers, place, None, lambda _, n: progress.advance(task, n)
                 )
             task = progress.add_task("sections", total=len(asked_sections(job)) + len(job.outages))
-            sections = sections_of(job, found, self.file, place, lambda: progress.advance(task))
-        written = page(job, found, sections)
+            sections = sections_of(job, capacities, self.file, place, lambda: progress.advance(task))
+        written = page(job, capacities, sections)
         lines = file_lines(job.scenario(request.mw, **job.study.window_fields))
-        for text in (job.source, *answers(job, found), *lines):
+        for text in (job.source, *answers(job, capacities), *lines):
             say(console, text)
-        if found is not None:
-            write_text(self.out / "capacity.csv", capacity_csv(found))
-        write_json(self.out / "report.json", plain(job, found, sections))
+        if capacities is not None:
+            write_text(self.out / "capacity.csv", capacity_csv(capacities))
+        write_json(self.out / "report.json", report_json(job, capacities, sections))
         write_text(self.out / "report.html", written)
         say(console, f"wrote {self.out / 'report.html'} and {self.out / 'report.json'}")
 
@@ -90,11 +90,11 @@ def read_request(path: Path) -> StudyRequest:
     from dcgrid_env.core.checked import FieldError, from_mapping
 
     try:
-        given = read_toml(path, ValueError)
+        fields = read_toml(path, ValueError)
     except (FileNotFoundError, IsADirectoryError):
         raise ValueError(f"file: there is no study file {path}; write one (docs/connection-study.md)") from None
     try:
-        return from_mapping(StudyRequest, given)
+        return from_mapping(StudyRequest, fields)
     except FieldError as error:
         raise ValueError(f"{path}: {error.said(error.name)}") from None
 
@@ -143,14 +143,14 @@ def _scenario(request: StudyRequest, path: Path) -> Scenario:
     from dcgrid_env.grid import FEEDER_REGISTRY
     from dcgrid_env.scenario.toml import folder_text
 
-    given = [(name, _from_folder(path.parent, name, value)) for name, value in _flat(request.set)]
-    overrides = tuple(f"{name}={json.dumps(value)}" for name, value in given)
+    values = [(name, _from_folder(path.parent, name, value)) for name, value in _flat(request.set)]
+    overrides = tuple(f"{name}={json.dumps(value)}" for name, value in values)
     if request.feeder is None:
         return engineering_scenario(ScenarioSpec(str(request.scenario), overrides).make)
     folder, is_name = path.parent / request.feeder, request.feeder in FEEDER_REGISTRY
     feeder = folder_text(folder) if folder.is_dir() and not is_name else request.feeder
-    asked = Asked(feeder, request.scenario, None, None)
-    return engineering_scenario(lambda split: scenario_on_feeder(asked, overrides, split, {}))
+    feeder_request = FeederRequest(feeder, request.scenario, None, None)
+    return engineering_scenario(lambda split: scenario_on_feeder(feeder_request, overrides, split, {}))
 
 
 def _from_folder(folder: Path, name: str, value: object) -> object:
@@ -164,10 +164,10 @@ def _from_folder(folder: Path, name: str, value: object) -> object:
 
 def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
     """The fields of nested tables by their path."""
-    found: list[tuple[str, Any]] = []
+    fields: list[tuple[str, Any]] = []
     for name, value in table.items():
         if isinstance(value, dict):
-            found += _flat(value, f"{before}{name}.")
+            fields += _flat(value, f"{before}{name}.")
         else:
-            found.append((before + name, value))
-    return found
+            fields.append((before + name, value))
+    return fields

@@ -33,8 +33,10 @@ class Job:
     @property
     def source(self) -> str:
         """The source voltage and where it comes from, in a line."""
-        asked, scenario = self.request.set.get("source_voltage_pu"), self.study.scenario
-        return source_line(scenario, source_origin(scenario, asked, self.request.scenario, "[set] of the study's file"))
+        requested, scenario = self.request.set.get("source_voltage_pu"), self.study.scenario
+        return source_line(
+            scenario, source_origin(scenario, requested, self.request.scenario, "[set] of the study's file")
+        )
 
     def scenario(self, mw: float, **changes: Any) -> Scenario:
         """The study's scenario with a site of a rating at the requested bus, 0 MW for none, and other changes."""

@@ -68,7 +68,7 @@ class SeveralSites:
     """``equal`` shares as far as possible, or the largest ``sum``."""
 
     def __post_init__(self) -> None:
-        settle(self, buses=lambda given: [*map(_bus, given)] if isinstance(given, list | tuple) else given)
+        settle(self, buses=lambda value: [*map(_bus, value)] if isinstance(value, list | tuple) else value)
         if not (isinstance(self.buses, tuple) and self.buses and all(isinstance(bus, str) for bus in self.buses)):
             raise refuse(self, "buses", "give a list of at least one bus, as texts")
         if self.rule not in get_args(Rule):

@@ -75,14 +75,14 @@ def reduced_network(
         if b.from_closed and b.to_closed and first[b.from_bus] != first[b.to_bus]
     ]
     all_joints = joints(alive, report)
-    root = _chosen(grid, source, first, all_joints, report.what)
-    found = supplied_by(int(first[root.bus]), grid.n_bus, all_joints, report)
-    _report_sources(grid, root, first, found, report)
-    _report_branches(grid, found, report)
-    _report_unsupplied(grid, first, found, report)
+    root = _chosen(grid, source, first, all_joints, report.subject)
+    supplied = supplied_by(int(first[root.bus]), grid.n_bus, all_joints, report)
+    _report_sources(grid, root, first, supplied, report)
+    _report_branches(grid, supplied, report)
+    _report_unsupplied(grid, first, supplied, report)
     report.refuse_unless(grid.name, allow)
-    network = _tables(grid, root, first, found, shunts)
-    bus_of = {bus: grid.buses[i] for bus, i in zip(grid.buses, first.tolist(), strict=True) if i in found.fed}
+    network = _tables(grid, root, first, supplied, shunts)
+    bus_of = {bus: grid.buses[i] for bus, i in zip(grid.buses, first.tolist(), strict=True) if i in supplied.ratios}
     return Reduced(replace(network, source_of_facts=source_of_facts), bus_of)
 
 
@@ -90,9 +90,9 @@ def _check_branches(grid: BusBranchGrid, report: Report) -> None:
     """FeederError for branches whose figures no power flow could use, or that would overflow here."""
     for b in grid.branches:
         figures = {"series impedance": b.z_pu, "admittance to ground": b.y_from_pu + b.y_to_pu}
-        for what, value in figures.items():
+        for figure, value in figures.items():
             if not abs(value) < _LARGEST_PU:
-                report.add("refused", b.kind, b.name, f"its {what} is {value:.3g} p.u.: give a finite figure")
+                report.add("refused", b.kind, b.name, f"its {figure} is {value:.3g} p.u.: give a finite figure")
         if not 1.0 / _LARGEST_RATIO < b.tap < _LARGEST_RATIO:
             report.add(
                 "refused", b.kind, b.name, f"its ratio is {b.tap:.3g} p.u.: give one near 1, or right base voltages"
@@ -153,7 +153,7 @@ def _behind(z_pu: complex, y_pu: complex) -> complex:
 
 
 def _chosen(
-    grid: BusBranchGrid, source: str | None, first: np.ndarray, all_joints: Sequence[Joint], what: str
+    grid: BusBranchGrid, source: str | None, first: np.ndarray, all_joints: Sequence[Joint], subject: str
 ) -> Source:
     """The source whose island is taken; FeederError with all candidates if it is not clear which."""
     if not grid.sources:
@@ -165,25 +165,25 @@ def _chosen(
     if source is None and len(islands) == 1:
         return islands[0][0]
     choices = " or ".join(
-        f"--source {_words_for(grid, s)} ({len(fed)} buses, {kw:.1f} kW of load)" for s, fed, kw in islands
+        f"--source {_words_for(grid, s)} ({len(fed_buses)} buses, {kw:.1f} kW of load)" for s, fed_buses, kw in islands
     )
     if source is None:
-        raise FeederError(f"{what} {grid.name!r} has sources of {len(islands)} islands; choose one by {choices}")
-    raise FeederError(f"source: {source!r} is no source of {what} {grid.name!r}; choose {choices}")
+        raise FeederError(f"{subject} {grid.name!r} has sources of {len(islands)} islands; choose one by {choices}")
+    raise FeederError(f"source: {source!r} is no source of {subject} {grid.name!r}; choose {choices}")
 
 
 def _islands(
     grid: BusBranchGrid, first: np.ndarray, all_joints: Sequence[Joint]
 ) -> Iterator[tuple[Source, set[int], float]]:
     """Each island with a source: its first source, the buses that are fed, and their load in kW."""
-    seen: set[int] = set()
+    visited: set[int] = set()
     for source in grid.sources:
         start = int(first[source.bus])
-        if start in seen:
+        if start in visited:
             continue
-        fed = set(supplied_by(start, grid.n_bus, all_joints, Report()).fed)
-        seen |= fed
-        yield source, fed, float(grid.p_kw[np.isin(first, list(fed))].sum())
+        fed_buses = set(supplied_by(start, grid.n_bus, all_joints, Report()).ratios)
+        visited |= fed_buses
+        yield source, fed_buses, float(grid.p_kw[np.isin(first, list(fed_buses))].sum())
 
 
 def _words_for(grid: BusBranchGrid, source: Source) -> str:
@@ -193,14 +193,14 @@ def _words_for(grid: BusBranchGrid, source: Source) -> str:
     return shlex.quote(bus if hit is source else source.name)
 
 
-def _report_sources(grid: BusBranchGrid, root: Source, first: np.ndarray, found: Supplied, report: Report) -> None:
+def _report_sources(grid: BusBranchGrid, root: Source, first: np.ndarray, supplied: Supplied, report: Report) -> None:
     report.add("taken", root.kind, root.name, f"the substation, bus {grid.buses[first[root.bus]]}")
     for other in grid.sources:
         if other is root:
             continue
         if first[other.bus] == first[root.bus] and other.v_pu == root.v_pu:
             report.add("taken", other.kind, other.name, f"at the bus of {root.kind} {root.name}: one source")
-        elif first[other.bus] in found.fed:
+        elif first[other.bus] in supplied.ratios:
             text = (
                 f"it feeds the same island as {root.kind} {root.name}: a feeder has one source; open a switch between"
             )
@@ -209,31 +209,31 @@ def _report_sources(grid: BusBranchGrid, root: Source, first: np.ndarray, found:
             report.add("nothing lost", other.kind, other.name, "it feeds an island of its own, which is left out")
 
 
-def _report_branches(grid: BusBranchGrid, found: Supplied, report: Report) -> None:
-    for position, joint in enumerate(found.joints):
+def _report_branches(grid: BusBranchGrid, supplied: Supplied, report: Report) -> None:
+    for position, joint in enumerate(supplied.joints):
         for b in joint.members[:1]:
             texts = ["one branch"]
             if b.tap != 1.0 or grid.base_kv[b.from_bus] != grid.base_kv[b.to_bus]:
                 texts = ["one branch, referred to the source by its turns ratio"]
             if b.shift_deg:
                 texts.append("its phase shift turns all beyond it alike and is left out")
-            if position in found.loops:
-                texts.append(f"it closes a loop with {found.loops[position]}, which is solved by compensation")
+            if position in supplied.loops:
+                texts.append(f"it closes a loop with {supplied.loops[position]}, which is solved by compensation")
             report.add("taken", b.kind, b.name, "; ".join(texts))
         z = joint.branch.z_pu
         if z.real < 0 or z.imag < 0:
-            what = "resistance" if z.real < 0 else "reactance"
+            part = "resistance" if z.real < 0 else "reactance"
             size = z.real if z.real < 0 else z.imag
             b = joint.members[0]
-            report.add("refused", b.kind, b.name, f"its series {what} is negative ({size:.3g} p.u.)")
-    for joint in found.unsupplied:
+            report.add("refused", b.kind, b.name, f"its series {part} is negative ({size:.3g} p.u.)")
+    for joint in supplied.unsupplied:
         for b in joint.members:
             report.add("nothing lost", b.kind, b.name, "without supply: it is left out")
 
 
-def _report_unsupplied(grid: BusBranchGrid, first: np.ndarray, found: Supplied, report: Report) -> None:
+def _report_unsupplied(grid: BusBranchGrid, first: np.ndarray, supplied: Supplied, report: Report) -> None:
     for i, bus in enumerate(grid.buses):
-        if int(first[i]) not in found.fed:
+        if int(first[i]) not in supplied.ratios:
             loaded = grid.p_kw[i] or grid.q_kvar[i] or grid.shunt_kw[i] or grid.shunt_kvar[i]
             text = (
                 "without supply: it is left out with what stands there" if loaded else "without supply: it is left out"
@@ -241,13 +241,13 @@ def _report_unsupplied(grid: BusBranchGrid, first: np.ndarray, found: Supplied, 
             report.add("nothing lost", "bus", bus, text)
 
 
-def _tables(grid: BusBranchGrid, root: Source, first: np.ndarray, found: Supplied, shunts: np.ndarray) -> Network:
+def _tables(grid: BusBranchGrid, root: Source, first: np.ndarray, supplied: Supplied, shunts: np.ndarray) -> Network:
     """Return the tables of the supplied part, with the source bus first and the others in the grid's order."""
     source_bus = int(first[root.bus])
-    rows = [source_bus, *(i for i in sorted(found.fed) if i != source_bus)]
+    rows = [source_bus, *(i for i in sorted(supplied.ratios) if i != source_bus)]
     base_kv = float(grid.base_kv[source_bus])
     z_base_ohm, i_base_a = base_kv**2 / grid.base_mva, 1000.0 * grid.base_mva / (math.sqrt(3.0) * base_kv)
-    referred = np.array([found.fed[i] for i in rows])
+    referred = np.array([supplied.ratios[i] for i in rows])
 
     def summed(values: FloatArray) -> FloatArray:
         total = np.zeros(grid.n_bus, dtype=values.dtype)
@@ -256,7 +256,7 @@ def _tables(grid: BusBranchGrid, root: Source, first: np.ndarray, found: Supplie
 
     shunt_kva = summed(shunts) * (1000.0 * grid.base_mva) / referred**2
     bus_base_kv, own_ratio = grid.base_kv[rows], 1.0 / referred
-    branches = [_referred(joint, found) for joint in found.joints]
+    branches = [_referred(joint, supplied) for joint in supplied.joints]
     rating_a = [b.rating_pu * i_base_a for b in branches]
     return balanced_network(
         grid.name,
@@ -286,7 +286,7 @@ def _tables(grid: BusBranchGrid, root: Source, first: np.ndarray, found: Supplie
     )
 
 
-def _referred(joint: Joint, found: Supplied) -> Branch:
+def _referred(joint: Joint, supplied: Supplied) -> Branch:
     """A branch away from the source, its impedance and rating referred to the source's base voltage."""
-    b, t = joint.branch, found.fed[joint.branch.to_bus]
+    b, t = joint.branch, supplied.ratios[joint.branch.to_bus]
     return replace(b, z_pu=b.z_pu * t**2, rating_pu=b.rating_pu / t)

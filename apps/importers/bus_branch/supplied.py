@@ -18,7 +18,7 @@ _NAMES_IN_A_LOOP = 12
 class Supplied:
     """What is fed from one bus."""
 
-    fed: dict[int, float]
+    ratios: dict[int, float]
     """Voltage referred to the source over the bus's own, each per unit, for the row of every bus that is fed."""
     joints: list[Joint]
     """Joints between the buses that are fed, in the order of the grid's branches."""
@@ -34,10 +34,10 @@ def supplied_by(root: int, n_bus: int, all_joints: Sequence[Joint], report: Repo
     A joint that closes one loop too many, or a loop with a ratio or a phase shift around it, is refused.
     """
     walk = breadth_first(root, n_bus, [(joint.branch.from_bus, joint.branch.to_bus) for joint in all_joints])
-    fed, shift_deg = {root: 1.0}, {root: 0.0}
+    ratios, shift_deg = {root: 1.0}, {root: 0.0}
     for j, (i, k) in walk.fed_by.items():
         if k >= 0:
-            fed[j], shift_deg[j] = _beyond(all_joints[k].branch, i, fed[i], shift_deg[i])
+            ratios[j], shift_deg[j] = _beyond(all_joints[k].branch, i, ratios[i], shift_deg[i])
     loops: dict[int, str] = {}
     for number, (k, i, j) in enumerate(walk.closing):
         member, named = all_joints[k].members[0], ""
@@ -45,7 +45,7 @@ def supplied_by(root: int, n_bus: int, all_joints: Sequence[Joint], report: Repo
             others = [all_joints[m].text for m in _path(i, j, walk.fed_by)]
             more = len(others) - _NAMES_IN_A_LOOP
             named = ", ".join(others[:_NAMES_IN_A_LOOP]) + (f" and {more} more" if more > 0 else "")
-        ratio, shift = _beyond(all_joints[k].branch, i, fed[i], shift_deg[i])
+        ratio, shift = _beyond(all_joints[k].branch, i, ratios[i], shift_deg[i])
         turned = (shift - shift_deg[j] + 180.0) % 360.0 - 180.0
         if len(walk.closing) > MOST_LOOPS:
             text = "it closes a loop as well: open one of its branches"
@@ -55,7 +55,7 @@ def supplied_by(root: int, n_bus: int, all_joints: Sequence[Joint], report: Repo
                     f"{len(walk.closing)}; open one of them by a switch"
                 )
             report.add("refused", member.kind, member.name, text)
-        elif abs(ratio - fed[j]) > SAME * fed[j] or abs(turned) > SAME:
+        elif abs(ratio - ratios[j]) > SAME * ratios[j] or abs(turned) > SAME:
             text = (
                 f"it closes a loop with {named}, around which the ratios or phase shifts differ from 1 and 0, so that "
             )
@@ -64,12 +64,12 @@ def supplied_by(root: int, n_bus: int, all_joints: Sequence[Joint], report: Repo
             )
         else:
             loops[k] = named
-    kept = [k for k, joint in enumerate(all_joints) if joint.branch.from_bus in fed]
+    kept = [k for k, joint in enumerate(all_joints) if joint.branch.from_bus in ratios]
     return Supplied(
-        fed,
+        ratios,
         [all_joints[k] for k in kept],
         {position: loops[k] for position, k in enumerate(kept) if k in loops},
-        [joint for joint in all_joints if joint.branch.from_bus not in fed],
+        [joint for joint in all_joints if joint.branch.from_bus not in ratios],
     )
 
 

@@ -29,15 +29,15 @@ class Names:
 
     def unique(self, kind: str, name: str) -> str:
         """A name for an element of a class, reported if it differs from the model's in more than case."""
-        plain = re.sub(r"[^a-z0-9_\-]", "_", name.lower())
-        made, k = plain, self._used.get((kind, plain), 0)
-        while (kind, made) in self._used:
+        base = re.sub(r"[^a-z0-9_\-]", "_", name.lower())
+        unique_name, k = base, self._used.get((kind, base), 0)
+        while (kind, unique_name) in self._used:
             k += 1
-            made = f"{plain}_{k}"
-        self._used[kind, plain], self._used[kind, made] = k, 1
-        if made != name.lower():
-            self.report.add("nothing lost", kind, f"{name} is {made}", "the name has other characters here")
-        return made
+            unique_name = f"{base}_{k}"
+        self._used[kind, base], self._used[kind, unique_name] = k, 1
+        if unique_name != name.lower():
+            self.report.add("nothing lost", kind, f"{name} is {unique_name}", "the name has other characters here")
+        return unique_name
 
 
 class Buses:
@@ -67,8 +67,8 @@ class Buses:
                 wrong(item, "bustype", "keeps a voltage, which cannot be represented; write PQ and give its power")
         swings = [item for item in tops if types[id(item)].startswith("SWING")]
         if len(swings) != 1:
-            found = f"the buses {', '.join(item.name for item in swings)} as sources" if swings else "no source"
-            raise FeederError(f"{model.file.path}: the model has {found}; set bustype SWING at exactly one node")
+            sources = f"the buses {', '.join(item.name for item in swings)} as sources" if swings else "no source"
+            raise FeederError(f"{model.file.path}: the model has {sources}; set bustype SWING at exactly one node")
         self.swing = swings[0]
         self.objects = {self.name(item): item for item in tops}
         self.base_v: dict[str, float] = {}

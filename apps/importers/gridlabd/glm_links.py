@@ -50,10 +50,10 @@ def _phases(script: CircuitScript, link: GlmObject) -> str:
     phases = script.model.phases(link)
     if "S" in phases:
         return "12"
-    found = "".join(phase for phase in phases if phase in "ABC")
-    if not found:
+    letters = "".join(phase for phase in phases if phase in "ABC")
+    if not letters:
         wrong(link, "phases", "must have at least one of A, B and C")
-    return found
+    return letters
 
 
 def _rating_a(script: CircuitScript, line: GlmObject, phases: str) -> float:
@@ -62,10 +62,10 @@ def _rating_a(script: CircuitScript, line: GlmObject, phases: str) -> float:
     config = model.reference(line, "configuration")
     conductors = [f"conductor_{phase}" for phase in phases]
     holders = [model.reference(config, name) for name in conductors if name in config.properties] or [config]
-    found = [model.real(one, name, "current") for one in holders for name in _RATINGS if name in one.properties]
+    ratings = [model.real(one, name, "current") for one in holders for name in _RATINGS if name in one.properties]
     if "continuous_rating" in line.properties:
-        found = [model.real(line, "continuous_rating", "current")]
-    return min((rating for rating in found if 0.0 < rating < _NEVER), default=0.0)
+        ratings = [model.real(line, "continuous_rating", "current")]
+    return min((rating for rating in ratings if 0.0 < rating < _NEVER), default=0.0)
 
 
 def _phase_states(script: CircuitScript, switch: GlmObject, phases: str) -> list[bool]:
@@ -141,7 +141,7 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
         if number < 1:
             wrong(config, name, "must be at least 1")
     step = model.real(config, "regulation", "plain number", 0.0) / up  # GridLAB-D reads 10 % as 10
-    if step < 0.0 or (step == 0.0 and _kind_of_control(script, config) != "MANUAL"):
+    if step < 0.0 or (step == 0.0 and _control_kind(script, config) != "MANUAL"):
         wrong(config, "regulation", "must be positive, such as 0.1 for steps of 0.00625 by 16 taps")
     taps = {
         phase: model.real(
@@ -187,19 +187,19 @@ def _add_regulator(script: CircuitScript, regulator: GlmObject) -> None:
             script.new("RegControl", name, transformer=name, winding=2, **controls, **sensed)
 
 
-def _kind_of_control(script: CircuitScript, config: GlmObject) -> str:
+def _control_kind(script: CircuitScript, config: GlmObject) -> str:
     return script.model.keyword(config, "regulator_configuration", "Control", "MANUAL")
 
 
 def _ldc(script: CircuitScript, config: GlmObject, letter: str, phase: str) -> float:
-    if _kind_of_control(script, config) not in ("LINE_DROP_COMP", "MANUAL"):
+    if _control_kind(script, config) not in ("LINE_DROP_COMP", "MANUAL"):
         return 0.0
     return script.model.real(config, f"compensator_{letter}_setting_{phase}", "voltage", 0.0)
 
 
 def _control(script: CircuitScript, regulator: GlmObject, config: GlmObject, volts: float) -> dict[str, object]:
     """Properties of the RegControls; empty for a regulator whose taps are set by hand and that has no band."""
-    model, kind = script.model, _kind_of_control(script, config)
+    model, kind = script.model, _control_kind(script, config)
     center = model.real(config, "band_center", "voltage", 0.0)
     band = model.real(config, "band_width", "voltage", 0.0)
     if kind == "MANUAL" and not (center > 0.0 and band > 0.0):

@@ -28,11 +28,11 @@ def add_loads(script: CircuitScript) -> None:
     for item in script.model.of_kind(*NODES):
         if item.kind == "capacitor":
             continue
-        found: dict[tuple[str, str], complex] = {}
+        power_va: dict[tuple[str, str], complex] = {}
         for law, leg, va in _terms(script, item):
-            found[law, leg] = found.get((law, leg), 0.0) + va
+            power_va[law, leg] = power_va.get((law, leg), 0.0) + va
         for law in _LAWS:
-            legs = {leg: va for (of, leg), va in found.items() if of == law and va}
+            legs = {leg: va for (term_law, leg), va in power_va.items() if term_law == law and va}
             _add_legs(script, item, law, legs)
 
 
@@ -76,8 +76,8 @@ def _terms(script: CircuitScript, item: GlmObject) -> Iterator[tuple[str, str, c
                 if value and not (fractions and prefix):
                     yield law, leg, _power(law, value, nominal)
         yield from fractions
-    for key, found in item.properties.items():
-        if key.startswith(_STEMS) and key not in used and _is_load(key) and found.text.strip("0.+-jid ") != "":
+    for key, entry in item.properties.items():
+        if key.startswith(_STEMS) and key not in used and _is_load(key) and entry.text.strip("0.+-jid ") != "":
             wrong(item, key, "cannot be read here; write constant_power, constant_current or constant_impedance")
 
 
@@ -104,11 +104,11 @@ def _value(script: CircuitScript, item: GlmObject, key: str, quantity: str, used
     """A complex property, or its parts ``_real`` and ``_reac``; zero where a schedule or player gives it."""
     total = 0.0 + 0.0j
     for name, unit in ((key, 1.0), (f"{key}_real", 1.0), (f"{key}_reac", 1.0j)):
-        found = item.properties.get(name)
-        if found is None:
+        entry = item.properties.get(name)
+        if entry is None:
             continue
         used.add(name)
-        words = found.text.replace("*", " ").split()
+        words = entry.text.replace("*", " ").split()
         if (
             words
             and not words[0][0].isdigit()

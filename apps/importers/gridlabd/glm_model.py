@@ -17,8 +17,8 @@ NODES = ("node", "meter", "load", "capacitor", *TRIPLEX)
 
 def wrong(item: GlmObject, name: str, text: str) -> NoReturn:
     """Raise a FeederError that names file, line, object, property and value."""
-    found = item.properties.get(name)
-    where, value = (found.where, f" {found.text!r}") if found else (item.where, "")
+    entry = item.properties.get(name)
+    where, value = (entry.where, f" {entry.text!r}") if entry else (item.where, "")
     raise FeederError(f"{where}: {item.kind} {item.name}: {name}{value} {text}")
 
 
@@ -57,12 +57,12 @@ class Model:
 
     def reference(self, item: GlmObject, name: str, *kinds: str) -> GlmObject:
         """The object that a property names; FeederError unless it exists and is of one of the classes."""
-        found = self._by_name.get(self.word(item, name))
-        if found is None:
+        target = self._by_name.get(self.word(item, name))
+        if target is None:
             wrong(item, name, "is no object of the model; add it or correct the name")
-        if kinds and found.kind not in kinds:
-            wrong(item, name, f"is a {found.kind}; must be one of {', '.join(kinds)}")
-        return found
+        if kinds and target.kind not in kinds:
+            wrong(item, name, f"is a {target.kind}; must be one of {', '.join(kinds)}")
+        return target
 
     def word(self, item: GlmObject, name: str, default: str | None = None) -> str:
         """A property as text; FeederError if it is missing and has no default."""
@@ -115,8 +115,8 @@ class Model:
 
     def setting(self, module: str, name: str, default: str) -> str:
         """A setting of a module as text."""
-        found = self.file.modules.get(module, {}).get(name)
-        return found.text if found else default
+        entry = self.file.modules.get(module, {}).get(name)
+        return entry.text if entry else default
 
     def frequency_hz(self) -> float:
         """System frequency of the module powerflow, Hz."""
@@ -131,10 +131,10 @@ class Model:
 
     def bus_object(self, item: GlmObject) -> GlmObject:
         """The object whose bus a node, meter, load or capacitor is part of: its topmost parent among these."""
-        seen = {id(item)}
+        visited = {id(item)}
         while (parent := self.parent(item)) is not None and parent.kind in NODES:
-            if id(parent) in seen:
+            if id(parent) in visited:
                 wrong(item, "parent", "makes a circle")
-            seen.add(id(parent))
+            visited.add(id(parent))
             item = parent
         return item

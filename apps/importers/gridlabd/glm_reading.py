@@ -87,16 +87,16 @@ def read_model(file: str | Path, *, allow: Collection[str] = (), root: str | Pat
         master = Path(folder) / f"{path.stem}.dss"
         master.write_text("\n".join(commands), encoding="utf-8")
         try:
-            found = read_circuit(master, allow=["isolated"])
+            circuit = read_circuit(master, allow=["isolated"])
         except FeederError as error:
             said = str(error).replace(str(master.resolve()), "script").replace(str(master), "script")
             raise FeederError(f"{path}: the equivalent OpenDSS circuit cannot be read: {said}") from None
-    for row in found.findings:
+    for row in circuit.findings:
         report.add_all(row.fate, row.kind, row.names, row.text)
     report.refuse_unless(path.name, allow)
-    network = dataclasses.replace(found.network, source_of_facts=f"GridLAB-D model {path.name}")
+    network = dataclasses.replace(circuit.network, source_of_facts=f"GridLAB-D model {path.name}")
     files = digests(dict.fromkeys(model.file.files), root or path.parent)
-    return dataclasses.replace(found, network=network, findings=report.findings, files=files)
+    return dataclasses.replace(circuit, network=network, findings=report.findings, files=files)
 
 
 def _report_objects(model: Model, report: Report) -> None:

@@ -117,9 +117,9 @@ class GlmFile:
         if ".." in number:
             raise FeederError(f"{where}: object {header}: several objects in one block; write one block for each")
         self._unnamed += 1
-        made = GlmObject(kind.rpartition(".")[2], number or f"unnamed-{self._unnamed}", where, parent)
-        self.objects.append(made)
-        return made
+        item = GlmObject(kind.rpartition(".")[2], number or f"unnamed-{self._unnamed}", where, parent)
+        self.objects.append(item)
+        return item
 
     def _tokens(self, path: Path, depth: int) -> Iterator[tuple[str, str]]:
         """Tokens of a file and its includes, each with file and line."""
@@ -181,9 +181,9 @@ class GlmFile:
         """A text with the values of variables in place of ``${NAME}``."""
         room = _MOST_ADDED
 
-        def value(found: re.Match[str]) -> str:
+        def value(match: re.Match[str]) -> str:
             nonlocal room
-            text = self._variables.get(found[1], found[0])
+            text = self._variables.get(match[1], match[0])
             room -= len(text)
             if room < 0:
                 raise FeederError(f"{where}: variables make the line longer by more than {_MOST_ADDED}; shorten it")
@@ -194,11 +194,11 @@ class GlmFile:
     def _holds(self, name: str, rest: str, where: str) -> bool:
         if name != "if":
             return (rest in self._variables) == (name == "ifdef")
-        found = _CONDITION.fullmatch(rest.strip().removeprefix("(").removesuffix(")").strip())
-        if found is None:
+        condition = _CONDITION.fullmatch(rest.strip().removeprefix("(").removesuffix(")").strip())
+        if condition is None:
             raise FeederError(f"{where}: #if {rest} cannot be read; write #if NAME==VALUE")
-        value = self._variables.get(found["name"], found["name"])
-        return (value == found["value"].strip().strip("\"'")) == (found["sign"] != "!=")
+        value = self._variables.get(condition["name"], condition["name"])
+        return (value == condition["value"].strip().strip("\"'")) == (condition["sign"] != "!=")
 
     def _included(self, rest: str, where: str, path: Path) -> Path:
         name = rest.rstrip(";").strip()
@@ -221,10 +221,10 @@ def _without_comments(line: str, commented: bool) -> tuple[str, bool]:
         if not end:
             return "", True
 
-    def kept(found: re.Match[str]) -> str:
+    def kept(match: re.Match[str]) -> str:
         nonlocal commented
-        commented = found["open"] is not None
-        return found[0] if found[0][0] in "\"'" else " "
+        commented = match["open"] is not None
+        return match[0] if match[0][0] in "\"'" else " "
 
     commented = False
     return _COMMENT.sub(kept, line), commented
@@ -311,18 +311,18 @@ class _Blocks:
         check_depth(depth, where)
         if not header:
             raise FeederError(f"{where}: object without a class")
-        made = self._file.new_object("".join(header), where, parent)
+        item = self._file.new_object("".join(header), where, parent)
         for words, end, place in self._statements(where):
             if end == "{":
-                at = words.index("object") if "object" in words else -1
-                if at < 0 or at > 1:
+                position = words.index("object") if "object" in words else -1
+                if position < 0 or position > 1:
                     raise FeederError(f"{place}: {' '.join(words)[:60]!r} before {{ cannot be read; expected object")
-                inner = self._object(words[at + 1 :], place, None if at else made, depth + 1)
-                if at:
-                    made.properties[words[0]] = Text(inner.name, place)
+                inner = self._object(words[position + 1 :], place, None if position else item, depth + 1)
+                if position:
+                    item.properties[words[0]] = Text(inner.name, place)
             elif words:
-                made.properties[words[0]] = _value(words, place)
-        return made
+                item.properties[words[0]] = _value(words, place)
+        return item
 
 
 def _value(words: list[str], where: str) -> Text:

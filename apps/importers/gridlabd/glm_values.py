@@ -57,13 +57,13 @@ def number(text: str, quantity: str) -> complex:
     ValueError
         If the text is not a finite number, or if its unit does not belong to the quantity.
     """
-    plain, factors = "".join(text.split()), UNITS[quantity]
-    found = _REAL.fullmatch(plain)
-    if found is None:
+    compact, factors = "".join(text.split()), UNITS[quantity]
+    match = _REAL.fullmatch(compact)
+    if match is None:
         raise ValueError("must be a number, such as 7200, 1500 ft or 100+50j")
-    value = complex(float(found["first"]))
-    if (unit := found["unit"]) not in ("", *factors) and (found := _COMPLEX.fullmatch(plain)):
-        value, unit = _complex(float(found["first"]), found["second"], found["form"]), found["unit"]
+    value = complex(float(match["first"]))
+    if (unit := match["unit"]) not in ("", *factors) and (match := _COMPLEX.fullmatch(compact)):
+        value, unit = _complex(float(match["first"]), match["second"], match["form"]), match["unit"]
     if unit not in ("", *factors):
         raise ValueError(f"must be in {', '.join(factors)}")
     value *= factors[unit] if unit else 1.0

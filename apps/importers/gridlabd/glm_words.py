@@ -42,26 +42,26 @@ _CODE = re.compile(r"0[xX][0-9a-fA-F]{1,8}|[0-9]{1,10}")
 def keyword(text: str, words: dict[str, int]) -> str:
     """Return the keyword that a text means; ValueError for none."""
     if _CODE.fullmatch(text):
-        found = next((word for word, number in words.items() if number == _number(text)), None)
+        word_found = next((word for word, number in words.items() if number == _number(text)), None)
     else:
-        found = text.upper() if text.upper() in words else None
-    if found is None:
+        word_found = text.upper() if text.upper() in words else None
+    if word_found is None:
         raise ValueError(f"must be one of {', '.join(f'{word} ({number})' for word, number in words.items())}")
-    return found
+    return word_found
 
 
 def phase_letters(text: str) -> str:
     """Return the letters of a set of phases, in the order of ``PHASES``; ValueError for other letters."""
     if _CODE.fullmatch(text):
         number = _number(text)
-        found = {letter for letter, bits in PHASES.items() if number & bits}
+        letters = {letter for letter, bits in PHASES.items() if number & bits}
         if number & ~sum(PHASES.values()):
-            found = set()
+            letters = set()
     else:
-        found = set(text.upper()) - set("| ")
-    if not found or found - set(PHASES):
+        letters = set(text.upper()) - set("| ")
+    if not letters or letters - set(PHASES):
         raise ValueError(f"must be letters among {', '.join(PHASES)}, or the sum of their numbers")
-    return "".join(letter for letter in PHASES if letter in found)
+    return "".join(letter for letter in PHASES if letter in letters)
 
 
 def _number(text: str) -> int:

@@ -45,8 +45,8 @@ def line_matrices(
     config = model.reference(line, "configuration", kind)
     numbers = [{"A": 1, "B": 2, "C": 3, "1": 1, "2": 2}[phase] for phase in phases]
     if any(model.value(config, f"z{k}{k}", "impedance per length", 0.0) for k in numbers):
-        z = _given(model, config, numbers, "z", "impedance per length")
-        return z, np.real(_given(model, config, numbers, "c", "capacitance per length"))
+        z = _given_matrix(model, config, numbers, "z", "impedance per length")
+        return z, np.real(_given_matrix(model, config, numbers, "c", "capacitance per length"))
     if triplex:
         return _triplex(model, config, frequency_hz), np.zeros((2, 2))
     spacing = model.reference(config, "spacing", "line_spacing")
@@ -62,7 +62,7 @@ def line_matrices(
     return _underground(model, config, places, d, len(phases), frequency_hz)
 
 
-def _given(model: Model, config: GlmObject, numbers: list[int], letter: str, quantity: str) -> Matrix:
+def _given_matrix(model: Model, config: GlmObject, numbers: list[int], letter: str, quantity: str) -> Matrix:
     m = np.array([[model.value(config, f"{letter}{i}{j}", quantity, 0.0) for j in numbers] for i in numbers])
     if not np.allclose(m, m.T, rtol=1e-3, atol=0.0):
         wrong(config, f"{letter}{numbers[0]}{numbers[1]}", "makes the matrix asymmetric; set both entries alike")
@@ -146,7 +146,7 @@ def _underground(
         )
         for one in conductors
     ]
-    screens = [(k, *found) for k, one in enumerate(conductors[:kept]) if (found := _screen(model, one))]
+    screens = [(k, *screen) for k, one in enumerate(conductors[:kept]) if (screen := _screen(model, one))]
     placed = [*range(len(wires)), *(k for k, *_ in screens)]
     d = d[np.ix_(placed, placed)]
     for row, (k, _, radius, _) in enumerate(screens, start=len(wires)):

@@ -80,8 +80,8 @@ class _Reading:
         for statement in statements(self.file, text):
             self._statement(statement)
         if self.version != "2":
-            what = f"is of version {self.version}" if self.version else "names no version"
-            raise FeederError(f"{self.file}: the case {what}; mpc.version = '2' is read: save it by savecase")
+            version_text = f"is of version {self.version}" if self.version else "names no version"
+            raise FeederError(f"{self.file}: the case {version_text}; mpc.version = '2' is read: save it by savecase")
         if math.isnan(self.base_mva):
             raise FeederError(f"{self.file}: mpc.baseMVA is missing; give the base power in MVA")
         for table in ("bus", "gen", "branch"):

@@ -39,7 +39,7 @@ def statements(file: str, text: str) -> Iterator[Statement]:
     FeederError for brackets that do not match and strings that do not end, naming the line.
     """
     kept: list[str] = []
-    begun = line = 1
+    first_line = line = 1
     depth: list[tuple[str, int]] = []
     for match in _TOKEN.finditer(_without_blocks(file, text)):
         kind, token = match.lastgroup, match.group()
@@ -51,19 +51,19 @@ def statements(file: str, text: str) -> Iterator[Statement]:
             raise FeederError(f"{file}, line {line}: {token!r} closes no bracket")
         if kind in ("end", "stop") and not depth:
             if "".join(kept).strip():
-                yield Statement(begun, "".join(kept).strip())
+                yield Statement(first_line, "".join(kept).strip())
             kept = []
         elif kind == "continued":
             kept.append(" ")
         elif kind != "comment" and (kept or token.strip()):
             if not kept:
-                begun = line
+                first_line = line
             kept.append(token)
         line += token.count("\n")
     if depth:
         raise FeederError(f"{file}, line {depth[-1][1]}: the bracket {depth[-1][0]!r} is not closed")
     if "".join(kept).strip():
-        yield Statement(begun, "".join(kept).strip())
+        yield Statement(first_line, "".join(kept).strip())
 
 
 def _without_blocks(file: str, text: str) -> str:

@@ -181,7 +181,7 @@ def main() -> None:
 def _answer(read: Callable[..., Imported], wanted: dict[str, Any]) -> dict[str, Any]:
     file = wanted["file"]
     try:
-        found = read(file, **wanted["options"])
+        imported = read(file, **wanted["options"])
     except FeederError as error:
         said = str(error)
     except MemoryError:
@@ -190,8 +190,10 @@ def _answer(read: Callable[..., Imported], wanted: dict[str, Any]) -> dict[str, 
     except Exception as error:
         said = f"{file}: reading it ended in {type(error).__name__}: {' '.join(str(error).split())}; report the file"
     else:
-        voltages = {field: {node: (v.real, v.imag) for node, v in getattr(found, field).items()} for field in _VOLTAGES}
-        return asdict(found) | voltages
+        voltages = {
+            field: {node: (v.real, v.imag) for node, v in getattr(imported, field).items()} for field in _VOLTAGES
+        }
+        return asdict(imported) | voltages
     return {"error": said, "trace": traceback.format_exc()}
 
 

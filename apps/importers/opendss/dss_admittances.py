@@ -29,10 +29,10 @@ def admittance_joint(
 ) -> Joint | str | None:
     """The row of an element; None for one that draws and connects nothing, or what is wrong."""
     circuit.activate(kind, name)
-    found = admittance_at_nodes(circuit, letters)
-    if found is None:
+    at_nodes = admittance_at_nodes(circuit, letters)
+    if at_nodes is None:
         return "OpenDSS gives no admittance matrix of all its conductors"
-    nodes, y = found
+    nodes, y = at_nodes
     if not nodes:
         return None
     if np.abs(y - y.T).max() > _SAME * np.abs(y).max():

@@ -19,11 +19,11 @@ def check_frequency(circuit: DssCircuit) -> None:
     frequency = float(circuit.engine.Solution.Frequency())
     for name in circuit.names("vsource"):
         circuit.activate("vsource", name)
-        own = circuit.figure("basefreq")
-        if not math.isclose(own, frequency):
+        base_frequency = circuit.figure("basefreq")
+        if not math.isclose(base_frequency, frequency):
             raise FeederError(
-                f"source {name}: its basefreq is {own:g} Hz, but the circuit is solved at {frequency:g} Hz, where "
-                f"OpenDSS has 0 V at every bus; put Set DefaultBaseFrequency={frequency:g} before New Circuit"
+                f"source {name}: its basefreq is {base_frequency:g} Hz, but the circuit is solved at {frequency:g} Hz, "
+                f"where OpenDSS has 0 V at every bus; put Set DefaultBaseFrequency={frequency:g} before New Circuit"
             )
 
 
@@ -54,10 +54,10 @@ def derive_bases(circuit: DssCircuit) -> tuple[int, list[float]]:
 
 def _rated_kv(circuit: DssCircuit) -> list[float]:
     """Rated line-to-line voltages of the sources and windings, of those that are nearly alike the most frequent."""
-    found: list[float] = []
+    rated_kv: list[float] = []
     for name in circuit.names("vsource"):
         circuit.activate("vsource", name)
-        found.append(circuit.figure("basekv"))
+        rated_kv.append(circuit.figure("basekv"))
     for name in circuit.names("transformer"):
         circuit.activate("transformer", name)
         size, ends = circuit.engine.CktElement.NumPhases(), circuit.terminals()
@@ -65,8 +65,8 @@ def _rated_kv(circuit: DssCircuit) -> list[float]:
         for k, end in enumerate(ends, start=1):
             circuit.engine.Transformers.Wdg(k)
             to_ground = size == 1 and not circuit.engine.Transformers.IsDelta() and not all(end.nodes[:2])
-            found.append(float(circuit.engine.Transformers.kV()) * (math.sqrt(3.0) if to_ground else 1.0))
-    number = Counter(round(kv, 4) for kv in found if kv > _LEAST_KV)
+            rated_kv.append(float(circuit.engine.Transformers.kV()) * (math.sqrt(3.0) if to_ground else 1.0))
+    number = Counter(round(kv, 4) for kv in rated_kv if kv > _LEAST_KV)
     kept: list[float] = []
     for kv, _ in number.most_common():
         if not any(math.isclose(kv, other, rel_tol=_ALIKE) for other in kept):

@@ -32,8 +32,8 @@ def fixed_capacitors(circuit: DssCircuit, report: Report) -> set[str]:
             acting.add(bank)
     for name, bank in idle.items():
         why = "disabled" if name in disabled else "ControlMode=off"
-        what = "it is not in the circuit" if bank in acting else "its capacitor stays in its state"
-        report.add("nothing lost", "capcontrol", name, f"{why}: {what}")
+        consequence = "it is not in the circuit" if bank in acting else "its capacitor stays in its state"
+        report.add("nothing lost", "capcontrol", name, f"{why}: {consequence}")
     return set(idle.values()) - acting
 
 
@@ -57,19 +57,21 @@ def read_capacitor_controls(
         if bank in controlled:
             report.add("lost", "capcontrol", name, "a second control of one capacitor is left out")
             continue
-        made = _row(circuit, supply, letters, lines, name, bank) if bank in steps else "its capacitor is not switched"
-        if isinstance(made, str):
-            report.add("lost", "capcontrol", name, f"{made}: its capacitor stays as it stands")
+        columns = (
+            _row(circuit, supply, letters, lines, name, bank) if bank in steps else "its capacitor is not switched"
+        )
+        if isinstance(columns, str):
+            report.add("lost", "capcontrol", name, f"{columns}: its capacitor stays as it stands")
             continue
         controlled.add(bank)
         of_steps = steps[bank]
         if len(of_steps) > 1:  # OpenDSS keeps the time of the last opening for banks of one step alone
-            made["dead_time_s"] = 0.0
+            columns["dead_time_s"] = 0.0
         for k, names in enumerate(of_steps):
             after = of_steps[k - 1][0] if k else ""
             suffixed = len(of_steps) > 1 or len(names) > 1
             rows += [
-                {**made, "name": f"{name}_{row}" if suffixed else name, "capacitor": row, "after": after}
+                {**columns, "name": f"{name}_{row}" if suffixed else name, "capacitor": row, "after": after}
                 for row in names
             ]
         text = "in capacitor_controls.csv; it acts with grid_control.capacitors=controlled"
@@ -109,9 +111,11 @@ def _row(
     legs = _chosen(pt, volts, n_phase if delta else 0)
     through = _chosen(ct, phases) if measures == "current" else phases
     kept = (measures == "voltage" or overrides, measures != "voltage")
-    for used, at, found in zip(kept, (bus, end.bus), (legs, through), strict=True):
-        if used and (not found or not set("".join(found)) <= set(supply.phases.get(at, "")) & set("abc")):
-            return f"its phases {' '.join(found) or 'of no number'} at {at} are not among those with supply"
+    for used, place, letters_there in zip(kept, (bus, end.bus), (legs, through), strict=True):
+        if used and (
+            not letters_there or not set("".join(letters_there)) <= set(supply.phases.get(place, "")) & set("abc")
+        ):
+            return f"its phases {' '.join(letters_there) or 'of no number'} at {place} are not among those with supply"
     far = ends[2 - terminal].bus if len(ends) == 2 else ""
     if measures != "voltage" and not _is_metered(supply, lines, end.bus, far, through):
         return f"it measures {measures} at {element}, at the end that feeds it, and that is no line"
@@ -150,14 +154,14 @@ def _chosen(which: str, phases: list[str], pairs: int = 0) -> list[str]:
     return [phases[number - 1] + phases[following]] if following < len(phases) else []
 
 
-def _is_metered(supply: Supply, lines: Sequence[Joint], here: str, there: str, phases: list[str]) -> bool:
+def _is_metered(supply: Supply, lines: Sequence[Joint], near: str, far: str, phases: list[str]) -> bool:
     """Whether the power flow has the current of some phases at one end of an element."""
-    if supply.depth.get(here, 0) > supply.depth.get(there, math.inf):
+    if supply.depth.get(near, 0) > supply.depth.get(far, math.inf):
         return True
-    found = {
+    phases_there = {
         phase
         for line in lines
-        if line.kind in ("phase_line", "switch") and line.closed and set(line.ends) == {here, there}
+        if line.kind in ("phase_line", "switch") and line.closed and set(line.ends) == {near, far}
         for phase in line.phases
     }
-    return here != there and set(phases) <= found
+    return near != far and set(phases) <= phases_there

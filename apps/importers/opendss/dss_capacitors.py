@@ -36,7 +36,9 @@ def capacitor_steps(circuit: DssCircuit, letters: Letters, generic: Iterable[str
     names = circuit.names("capacitor")
     states = {name: _states(circuit, name) for name in names}
     opened = [name for name in names if _is_open(circuit, name)]
-    found: dict[str, list[Legs] | None] = {name: None if f"capacitor.{name}" in generic else [] for name in names}
+    steps_by_bank: dict[str, list[Legs] | None] = {
+        name: None if f"capacitor.{name}" in generic else [] for name in names
+    }
     for name in opened:
         circuit.activate("capacitor", name)
         circuit.engine.CktElement.Close(1, 0)
@@ -45,10 +47,10 @@ def capacitor_steps(circuit: DssCircuit, letters: Letters, generic: Iterable[str
             _set_states(circuit, name, [int(step == k) for step in range(len(before))])
         circuit.build_admittances()
         for name, before in states.items():
-            steps = found[name]
+            steps = steps_by_bank[name]
             if steps is not None and k < len(before):
                 legs = _legs(circuit, letters, name)
-                found[name] = None if legs is None else [*steps, legs]
+                steps_by_bank[name] = None if legs is None else [*steps, legs]
     for name, before in states.items():
         _set_states(circuit, name, before)
     for name in opened:
@@ -56,7 +58,7 @@ def capacitor_steps(circuit: DssCircuit, letters: Letters, generic: Iterable[str
         circuit.engine.CktElement.Open(1, 0)
     if names:
         circuit.build_admittances()
-    return found
+    return steps_by_bank
 
 
 def _states(circuit: DssCircuit, name: str) -> list[int]:
@@ -78,23 +80,23 @@ def _is_open(circuit: DssCircuit, name: str) -> bool:
 def _legs(circuit: DssCircuit, letters: Letters, name: str) -> Legs | None:
     """The legs of the bank with the steps that are on; None unless they are susceptances at one bus."""
     circuit.activate("capacitor", name)
-    made = admittance_at_nodes(circuit, letters)
-    if made is None:
+    admittance = admittance_at_nodes(circuit, letters)
+    if admittance is None:
         return None
-    nodes, y = made
+    nodes, y = admittance
     least = _SAME * np.abs(y).max(initial=0.0)
     if len({bus for bus, _ in nodes}) != 1 or max(np.abs(y.real).max(), np.abs(y - y.T).max()) > least:
         return None
     b = y.imag
-    found = {letter: float(b[k].sum()) for k, (_, letter) in enumerate(nodes)}
+    susceptances = {letter: float(b[k].sum()) for k, (_, letter) in enumerate(nodes)}
     for i, j in zip(*np.triu_indices(len(nodes), 1), strict=True):
         leg = "".join(sorted(nodes[i][1] + nodes[j][1]))
-        found["ca" if leg == "ac" else leg] = -float(b[i, j])
-    found = {leg: value for leg, value in found.items() if abs(value) > least}
-    return found if found and min(found.values()) > 0.0 else None
+        susceptances["ca" if leg == "ac" else leg] = -float(b[i, j])
+    susceptances = {leg: value for leg, value in susceptances.items() if abs(value) > least}
+    return susceptances if susceptances and min(susceptances.values()) > 0.0 else None
 
 
-def nodes_of_steps(bus: str, steps: Iterable[Legs]) -> list[Node]:
+def step_nodes(bus: str, steps: Iterable[Legs]) -> list[Node]:
     """Nodes of a bank at a bus."""
     return [(bus, letter) for letter in sorted({letter for legs in steps for leg in legs for letter in leg})]
 
@@ -103,14 +105,14 @@ def capacitor_admittances(
     circuit: DssCircuit, report: Report, letters: Letters, steps: Mapping[str, list[Legs] | None]
 ) -> list[Joint]:
     """Rows of the admittances for the banks that have no legs."""
-    found = []
+    joints = []
     for name, of_steps in steps.items():
         if of_steps is None:
             joint = admittance_joint(circuit, letters, "capacitor", name)
             reason = "in series, at no separate legs, or with a resistance; it stays in its present state"
             report_admittance(report, "capacitor", name, joint, reason)
-            found += [joint] if isinstance(joint, Joint) else []
-    return found
+            joints += [joint] if isinstance(joint, Joint) else []
+    return joints
 
 
 def read_capacitors(
@@ -131,14 +133,14 @@ def read_capacitors(
             continue  # among the admittances
         circuit.activate("capacitor", name)
         bus = circuit.terminals()[0].bus
-        if not supply.has(nodes_of_steps(bus, of_steps)):
+        if not supply.has(step_nodes(bus, of_steps)):
             report.add("lost", "isolated", f"capacitor {name}", "without supply: it is left out")
             continue
-        rows_of_steps = _rows(circuit, name, bus, of_steps, int(name.lower() in fixed))
-        names[name.lower()] = [[row["name"] for row in of_step] for of_step in rows_of_steps]
-        rows += [row for of_step in rows_of_steps for row in of_step]
+        step_rows = _rows(circuit, name, bus, of_steps, int(name.lower() in fixed))
+        names[name.lower()] = [[row["name"] for row in of_step] for of_step in step_rows]
+        rows += [row for of_step in step_rows for row in of_step]
         report.add("taken", "capacitor", name, "in capacitors.csv")
-        _report_rating(circuit, report, name, rows_of_steps)
+        _report_rating(circuit, report, name, step_rows)
     return rows, names
 
 
@@ -168,7 +170,7 @@ def _rows(circuit: DssCircuit, name: str, bus: str, of_steps: list[Legs], is_fix
 def _report_rating(circuit: DssCircuit, report: Report, name: str, rows: list[list[Row]]) -> None:
     circuit.activate("capacitor", name)
     named = sum(circuit.figures("kvar"))
-    found = sum(sum(row["kvar"]) for of_step in rows for row in of_step)
-    if not math.isclose(found, named, rel_tol=_RATING):
-        text = f"it has {found:.6g} kvar in OpenDSS's power flow, and so in the table; its property kvar is {named:.6g}"
+    kvar = sum(sum(row["kvar"]) for of_step in rows for row in of_step)
+    if not math.isclose(kvar, named, rel_tol=_RATING):
+        text = f"it has {kvar:.6g} kvar in OpenDSS's power flow, and so in the table; its property kvar is {named:.6g}"
         report.add("nothing lost", "capacitor", name, text)

@@ -61,13 +61,13 @@ def unlike_elements(
     places = {(bus, LETTERS[phase - 1]): k for k, (bus, phase) in enumerate(zip(node.bus, node.phase, strict=True))}
     inner = {k for (bus, _), k in places.items() if bus in between}
     base_kv = np.array(node.base_kv_ln)
-    found: list[str] = []
+    unlike: list[str] = []
     for elements, parts in _groups(list(_parts(network, places, base_kv)), members):
         ours = _matrix(network, parts, inner)
         theirs = _matrix(network, list(_of_opendss(circuit, letters, elements, places, base_kv)), set())
         if not _alike(ours, theirs, base_kv):
-            found += elements
-    return found
+            unlike += elements
+    return unlike
 
 
 def impedances_to_raise(network: Network, members: Mapping[str, Sequence[tuple[str, ...]]]) -> dict[str, float]:
@@ -109,12 +109,12 @@ def _groups(
     pairs = [(number[row[0]], number[full]) for of_table in members.values() for row in of_table for full in row]
     one, other = (np.array(side, int) for side in zip(*pairs, strict=True)) if pairs else (np.zeros(0, int),) * 2
     _, group = connected_components(coo_matrix((np.ones(len(one)), (one, other)), (len(names), len(names))), False)
-    found: dict[int, tuple[list[str], list[Element | Coupler]]] = {}
+    groups: dict[int, tuple[list[str], list[Element | Coupler]]] = {}
     for full, k in zip(names, group.tolist(), strict=True):
-        found.setdefault(k, ([], []))[0].append(full)
+        groups.setdefault(k, ([], []))[0].append(full)
     for part in parts:
-        found[int(group[number[members[part.kind][part.row][0]]])][1].append(part)
-    yield from found.values()
+        groups[int(group[number[members[part.kind][part.row][0]]])][1].append(part)
+    yield from groups.values()
 
 
 def _of_opendss(
@@ -128,13 +128,13 @@ def _of_opendss(
     for full in elements:
         kind, _, name = full.partition(".")
         circuit.activate(kind, name)
-        made = admittance_at_nodes(circuit, letters)
-        if made is None:
+        admittance = admittance_at_nodes(circuit, letters)
+        if admittance is None:
             continue
-        kept = [k for k, node in enumerate(made[0]) if node in places]
-        nodes = tuple(places[made[0][k]] for k in kept)
+        kept = [k for k, node in enumerate(admittance[0]) if node in places]
+        nodes = tuple(places[admittance[0][k]] for k in kept)
         per_siemens = np.outer(base_kv[list(nodes)], base_kv[list(nodes)]) * 1000.0 / PHASE_BASE_KVA
-        yield Element(kind, 0, nodes, made[1][np.ix_(kept, kept)] * per_siemens, np.full(len(nodes), np.nan))
+        yield Element(kind, 0, nodes, admittance[1][np.ix_(kept, kept)] * per_siemens, np.full(len(nodes), np.nan))
 
 
 def _matrix(
@@ -149,8 +149,8 @@ def _matrix(
     place, n = {node: k for k, node in enumerate(order)}, len(order)
     y = np.zeros((n + len(couplers), n + len(couplers)), np.complex128)
     for part in elements:
-        at = [place[node] for node in part.nodes]
-        y[np.ix_(at, at)] += part.y
+        rows = [place[node] for node in part.nodes]
+        y[np.ix_(rows, rows)] += part.y
     for k, coupler in enumerate(couplers, start=n):
         table, row = network.regulator, coupler.regulator
         ratio = 1.0 if row < 0 else 1.0 + table.tap_step[row] * table.tap[row]
@@ -177,8 +177,8 @@ def _alike(
     order = list(dict.fromkeys((*one[0], *other[0])))
     full = np.zeros((2, len(order), len(order)), np.complex128)
     for k, (nodes, y) in enumerate((one, other)):
-        at = [order.index(node) for node in nodes]
-        full[k][np.ix_(at, at)] = y
+        rows = [order.index(node) for node in nodes]
+        full[k][np.ix_(rows, rows)] = y
     size = np.sqrt(np.abs(np.diagonal(full[1])))
     kv = base_kv[order]
     least = _LEAST_S * np.outer(kv, kv) * 1000.0 / PHASE_BASE_KVA

@@ -171,14 +171,14 @@ class DssCircuit:
         """
         diagonal = csc_matrix(self.engine.YMatrix.getYsparse()).diagonal()  # without the last nodes, if these have none
         joined = {name for name, y in zip(self.engine.Circuit.YNodeOrder(), diagonal, strict=False) if y}
-        found = []
+        names = []
         for kind in ("isource", "vccs"):
             for name in self.names(kind):
                 self.activate(kind, name)
                 nodes = {f"{end.bus}.{node}".upper() for end in self.terminals() for node in end.nodes}
                 if joined.isdisjoint(nodes):
-                    found.append(f"{kind}.{name}")
-        return found
+                    names.append(f"{kind}.{name}")
+        return names
 
     def _set_snapshot(self) -> None:
         """Choose the mode that solves the present; OpenDSS then puts switches into their normal states: undo that."""

@@ -15,7 +15,7 @@ def with_further_ratings(network: Network, circuit: DssCircuit, ratings: ScriptR
     rows: list[tuple[str, str, float, float]] = []
     elements = {name: f"{kind} {name}" for kind in ("line", "switch") for name in _rated(network, kind)}
     for name in circuit.names("line"):
-        further = ratings.further_of_conductor(name)
+        further = ratings.conductor_ratings(name)
         if further and name not in elements:
             _report(report, "line", name)
         elif further:
@@ -26,7 +26,7 @@ def with_further_ratings(network: Network, circuit: DssCircuit, ratings: ScriptR
         regulators.setdefault(circuit.text("transformer").lower(), {})[f"regulator {name}"] = rated
     transformers = _rated(network, "transformer")
     for name in circuit.names("transformer"):
-        further, normal = ratings.further_of_transformer(name), ratings.of_transformer(name)
+        further, normal = ratings.transformer_ratings(name), ratings.of_transformer(name)
         rated = dict(regulators.get(name.lower(), {}))
         if name in transformers:
             rated[f"transformer {name}"] = transformers[name]

@@ -36,7 +36,7 @@ def read_lines(
     Those in ``generic``, as class.name, become rows of the admittances.
     """
     named = [(kind, name) for kind in ("line", "reactor", "fault") for name in circuit.names(kind)]
-    found = []
+    joints = []
     for kind, name in named:
         rating_a = ratings.of_conductor(kind, name) if kind != "fault" else math.nan
         branch = kind == "line" or (kind == "reactor" and _in_series(circuit, name))
@@ -46,10 +46,10 @@ def read_lines(
         if isinstance(line, str):
             reason, line = line, admittance_joint(circuit, letters, kind, name, rating_a)
             report_admittance(report, kind, name, line, reason)
-        found.append(line)
+        joints.append(line)
         if isinstance(line, Joint) and line.kind == "switch" and not line.closed:
-            found.append(_charging_of_open(circuit, report, letters, kind, name))
-    return _side_by_side([line for line in found if isinstance(line, Joint)], report)
+            joints.append(_open_line_charging(circuit, report, letters, kind, name))
+    return _side_by_side([line for line in joints if isinstance(line, Joint)], report)
 
 
 def report_admittance(report: Report, kind: str, name: str, joint: Joint | str | None, reason: str) -> None:
@@ -62,7 +62,7 @@ def report_admittance(report: Report, kind: str, name: str, joint: Joint | str |
         report.add("nothing lost", kind, name, "it connects nothing")
 
 
-def _charging_of_open(circuit: DssCircuit, report: Report, letters: Letters, kind: str, name: str) -> Joint | None:
+def _open_line_charging(circuit: DssCircuit, report: Report, letters: Letters, kind: str, name: str) -> Joint | None:
     """The admittance that an open line keeps at an end that is not open; None if it is that of a switch."""
     joint = admittance_joint(circuit, letters, kind, name)
     if not isinstance(joint, Joint) or max(map(abs, joint.values["b_s"])) < 1e-6 * _SWITCH_B_US:
@@ -158,15 +158,15 @@ def _as_switch(report: Report, kind: str, line: Joint, is_switch: bool, z: np.nd
 
 def _side_by_side(lines: list[Joint], report: Report) -> list[Joint]:
     """Closed lines between the same two buses made one, since a bus is fed by one branch."""
-    found: dict[Any, Joint] = {}
+    joints: dict[Any, Joint] = {}
     for k, line in enumerate(lines):
         pair = frozenset(line.ends) if line.closed and line.kind != "admittance" else k
-        other = found.get(pair)
+        other = joints.get(pair)
         if other:
             text = "beside each other between two buses: one row that is both, rated as balanced currents divide"
             report.add("nothing lost", "line", f"{other.name} and {line.name}", text)
-        found[pair] = _joined(other, line) if other else line
-    return list(found.values())
+        joints[pair] = _joined(other, line) if other else line
+    return list(joints.values())
 
 
 def _joined(first: Joint, second: Joint) -> Joint:

@@ -26,23 +26,23 @@ def legs_between(end: Terminal, letters: Letters, size: int, delta: bool) -> lis
         far = [*end.nodes[1:size], *(end.nodes[size:] or end.nodes[:1])]
     else:
         far = [end.nodes[size] if len(end.nodes) > size else 0] * size
-    legs = ["ca" if leg == "ac" else leg for leg in (letters.of(pair) for pair in zip(near, far, strict=True))]
+    legs = ["ca" if leg == "ac" else leg for leg in (letters.text(pair) for pair in zip(near, far, strict=True))]
     alike = any(one == other for one, other in zip(near, far, strict=True))
     return None if alike or len(set(legs)) < len(legs) else legs
 
 
 def by_connection(of_leg: Mapping[str, float]) -> dict[str, tuple[float, ...]]:
     """The figure of each leg in the tables' order, for the connections that occur."""
-    found: dict[str, tuple[float, ...]] = {}
+    figures: dict[str, tuple[float, ...]] = {}
     for connection in ("wye", "delta"):
         known = legs_of(connection)
         if set(of_leg) & set(known):
-            found[connection] = tuple(of_leg.get(leg, 0.0) for leg in known)
+            figures[connection] = tuple(of_leg.get(leg, 0.0) for leg in known)
     others = [leg for leg in of_leg if leg not in (*legs_of("wye"), *legs_of("delta"))]
     for first in range(0, len(others), 3):
         named = others[first : first + 3]
-        found[" ".join(named)] = (*(of_leg[leg] for leg in named), 0.0, 0.0)[:3]
-    return found
+        figures[" ".join(named)] = (*(of_leg[leg] for leg in named), 0.0, 0.0)[:3]
+    return figures
 
 
 def read_loads(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters, shapes: LoadShapes) -> list[Row]:
@@ -101,8 +101,8 @@ def _law(circuit: DssCircuit, report: Report, name: str) -> Row | None:
         return None
     shares: tuple[float, ...] = ()
     if model == 8:
-        *given, cutoff = circuit.figures("zipv")
-        shares = tuple(given)
+        *stated, cutoff = circuit.figures("zipv")
+        shares = tuple(stated)
         if cutoff > 0:
             report.add("lost", "load", name, "the voltage below which it is off (ZIPV) is left out")
     exponents: tuple[float, ...] = _MOTOR if model == 3 else ()

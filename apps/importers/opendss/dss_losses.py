@@ -60,12 +60,12 @@ def solved(circuit: DssCircuit) -> Solved | None:
     if stray:
         with circuit.without(stray):
             return solved(circuit)
-    found = Solved(circuit.volts(), circuit.source_kva()) if converged else None
-    return found if found and cmath.isfinite(found.source_kva) else None
+    solution = Solved(circuit.volts(), circuit.source_kva()) if converged else None
+    return solution if solution and cmath.isfinite(solution.source_kva) else None
 
 
-def effects_of_losses(
-    circuit: DssCircuit, findings: Sequence[Finding], before: Solved, names_of_nodes: Mapping[str, tuple[str, float]]
+def loss_effects(
+    circuit: DssCircuit, findings: Sequence[Finding], before: Solved, node_names: Mapping[str, tuple[str, float]]
 ) -> tuple[tuple[LossEffect, ...], Solved | None]:
     """Effects of each lost kind, and of all if there are several, with the power flow without all of them.
 
@@ -77,7 +77,7 @@ def effects_of_losses(
         What became of each element.
     before
         Its power flow.
-    names_of_nodes
+    node_names
         Name and base voltage to ground, V, of each node by OpenDSS's name.
     """
     lost: dict[str, list[str]] = {}
@@ -95,7 +95,7 @@ def effects_of_losses(
             _without_draw(circuit, lost["isolated"] if "isolated" in kinds else ()),
         ):
             after = solved(circuit)
-        effects.append(_effect(kinds, number, before, after, names_of_nodes))
+        effects.append(_effect(kinds, number, before, after, node_names))
     return tuple(effects), after
 
 

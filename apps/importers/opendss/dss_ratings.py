@@ -79,7 +79,7 @@ class ScriptRatings:
             return min(kvas) * highest / kvas[0]
         return min(kvas) if written & {"kva", "kvas"} else math.nan
 
-    def further_of_conductor(self, name: str) -> list[Further]:
+    def conductor_ratings(self, name: str) -> list[Further]:
         """Emergency ampacity of a line where the script gives it next to normamps, and the ampacities of seasons, A."""
         self._circuit.activate("line", name)
         emergency = self._circuit.figure("emergamps")
@@ -90,7 +90,7 @@ class ScriptRatings:
                 emergency = math.nan
         return self._with_seasons(emergency if emergency > 0.0 else math.nan, 1.0)
 
-    def further_of_transformer(self, name: str) -> list[Further]:
+    def transformer_ratings(self, name: str) -> list[Further]:
         """Emergency rating of a transformer's smaller winding and its ratings of seasons, kVA, as the script gives."""
         circuit = self._circuit
         circuit.activate("transformer", name)
@@ -101,11 +101,13 @@ class ScriptRatings:
 
     def _with_seasons(self, emergency: float, share: float) -> list[Further]:
         """Further ratings of the active element; OpenDSS numbers its seasons."""
-        found = [] if math.isnan(emergency) else [Further("", math.nan, emergency)]
+        ratings = [] if math.isnan(emergency) else [Further("", math.nan, emergency)]
         if int(self._circuit.figure("seasons")) > 1:
             normal = self._circuit.figures("ratings")
-            found += [Further(f"season{k}", value * share, math.nan) for k, value in enumerate(normal, 1) if value > 0]
-        return found
+            ratings += [
+                Further(f"season{k}", value * share, math.nan) for k, value in enumerate(normal, 1) if value > 0
+            ]
+        return ratings
 
     def _written(self) -> set[str]:
         """Properties of the active element that the script sets."""

@@ -51,27 +51,29 @@ class Regulation:
 
 def read_regulations(circuit: DssCircuit, report: Report, supply: Supply, letters: Letters) -> dict[str, Regulation]:
     """The control of each transformer that has one, by the transformer's name."""
-    found: dict[str, Regulation] = {}
+    regulations: dict[str, Regulation] = {}
     disabled, transformers = circuit.disabled("regcontrol"), {name.lower() for name in circuit.names("transformer")}
     units_out = {name.lower() for name in circuit.disabled("transformer")}
     for name in [*circuit.names("regcontrol"), *disabled]:
         circuit.activate("regcontrol", name)
         unit = circuit.text("transformer").lower().removeprefix("transformer.")
-        if unit in units_out or (name in disabled and (unit in found or unit not in transformers)):
-            what = f"its transformer {unit} is disabled" if unit in units_out else "disabled: it is not in the circuit"
-            report.add("nothing lost", "regcontrol", name, what)
+        if unit in units_out or (name in disabled and (unit in regulations or unit not in transformers)):
+            reason = (
+                f"its transformer {unit} is disabled" if unit in units_out else "disabled: it is not in the circuit"
+            )
+            report.add("nothing lost", "regcontrol", name, reason)
             continue
-        if unit in found:
+        if unit in regulations:
             report.add("lost", "regcontrol", name, "a second control of one transformer is left out")
             continue
         why = "disabled" if name in disabled else _why_fixed(circuit, unit)
         if why:
             report.add("nothing lost", "regcontrol", name, f"{why}: its tap is fixed")
         circuit.activate("regcontrol", name)
-        found[unit] = _regulation(circuit, Report() if why else report, supply, letters, name, unit)
+        regulations[unit] = _regulation(circuit, Report() if why else report, supply, letters, name, unit)
         if why:
-            found[unit].values["max_taps_per_move"] = 0
-    return found
+            regulations[unit].values["max_taps_per_move"] = 0
+    return regulations
 
 
 def _why_fixed(circuit: DssCircuit, unit: str) -> str:
@@ -121,7 +123,7 @@ def _regulation(
         report.add("nothing lost" if forward else "lost", "regcontrol", name, now)
     number = max(int(sensed) - 1, 0) if sensed.isdigit() else 0
     bus, *nodes = remote.split(".")
-    phase = letters.of([int(nodes[0] if nodes and nodes[0].isdigit() else 1)] if remote else [])
+    phase = letters.text([int(nodes[0] if nodes and nodes[0].isdigit() else 1)] if remote else [])
     if phase and phase <= "c" and phase in supply.phases.get(bus, ""):
         row |= {"pt_ratio": remote_pt, "r_ldc_v": 0.0, "x_ldc_v": 0.0, "z_ldc_v": 0.0}
         row |= {"sensed_bus": bus, "sensed_phase": phase}
@@ -207,22 +209,22 @@ def regulated_admittance(
     taps.Wdg(regulation.winding)
     if taps.IsDelta() or not set(phases) <= {1, 2, 3} or any(map(any, circuit.open_conductors())):
         return "its winding is a delta, of other conductors than phases, or open"
-    at = {(end.bus, letters[node]) for node in end.nodes if node}
-    if any((other.bus, letters[node]) in at for other in circuit.terminals() if other != end for node in other.nodes
+    tapped = {(end.bus, letters[node]) for node in end.nodes if node}
+    if any((other.bus, letters[node]) in tapped for other in circuit.terminals() if other != end for node in other.nodes
            if node):  # fmt: skip
         return "another of its windings ends at the same node"
     kva, kv = circuit.figures("kvas")[0], float(taps.kV()) * (math.sqrt(3.0) if size == 1 else 1.0)
     tap = float(taps.Tap())
     to = Winding(end.bus, "wye_grounded", kv, tap, float(taps.MinTap()), float(taps.MaxTap()), int(taps.NumTaps()))
     y = symmetric(joint.values["g_s"], joint.values["b_s"])
-    scale = np.array([tap if node in at else 1.0 for node in joint.nodes])
+    scale = np.array([tap if node in tapped else 1.0 for node in joint.nodes])
     y = y * np.outer(scale, scale)
     inner = {(end.bus, letters[node]) for node in neutral if node}
     kept = [k for k, node in enumerate(joint.nodes) if node not in inner]
-    nodes = tuple((between, joint.nodes[k][1]) if joint.nodes[k] in at else joint.nodes[k] for k in kept)
+    nodes = tuple((between, joint.nodes[k][1]) if joint.nodes[k] in tapped else joint.nodes[k] for k in kept)
     legs = [f"{letters[phase]}{letters[neutral[0]]}" for phase in sorted(phases)] if inner else []
     unit = Unit(
-        name, letters.of(phases), phases, (Winding(between, "", kv, 1.0, 1.0, 1.0, 1), to), kva, math.nan,
+        name, letters.text(phases), phases, (Winding(between, "", kv, 1.0, 1.0, 1.0, 1), to), kva, math.nan,
         0.0, 0.0, False, 0.0, 0.0, 0.0, circuit.text("bank"),
     )  # fmt: skip
     return joint_of(name, "transformer", nodes, y[np.ix_(kept, kept)], math.nan), unit, " ".join(legs) or "wye"

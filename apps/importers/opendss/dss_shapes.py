@@ -101,8 +101,8 @@ class LoadShapes:
 
     def profiles(self) -> tuple[ImportedProfiles, ...]:
         """Return the profiles of each mode for which some load names a shape."""
-        made = [self._of_mode(mode) for mode in MODES if any(mode in load.shapes for load in self._loads)]
-        return tuple(profiles for profiles in made if profiles is not None)
+        by_mode = [self._of_mode(mode) for mode in MODES if any(mode in load.shapes for load in self._loads)]
+        return tuple(profiles for profiles in by_mode if profiles is not None)
 
     def _of_mode(self, mode: str) -> ImportedProfiles | None:
         of_load = {i: load.shapes.get(mode) or load.shapes.get("daily") or "" for i, load in enumerate(self._loads)}
@@ -139,12 +139,12 @@ class LoadShapes:
             classes += [(row, kind) for row in load.rows]
         if not columns:
             return None
-        found = ImportedProfiles(
+        profiles = ImportedProfiles(
             mode, 3600.0 * step_h, tuple(columns), tuple(map(tuple, np.column_stack(list(columns.values())).tolist())),
             tuple(classes),
         )  # fmt: skip
-        self.report.add_all("taken", "loadshape", dict.fromkeys(k for _, k in classes), f"in {found.file}")
-        return found
+        self.report.add_all("taken", "loadshape", dict.fromkeys(k for _, k in classes), f"in {profiles.file}")
+        return profiles
 
     def _shape(self, name: str) -> _Shape | str:
         """Return a shape, or the reason why it cannot be a profile."""
@@ -204,7 +204,7 @@ def write_imported_profiles(profiles: Sequence[ImportedProfiles], folder: Path) 
         write_text(folder / one.classes_file, "".join(f"{a},{b}\n" for a, b in (("load", "class"), *one.classes)))
 
 
-def imported_profiles(plain: Sequence[dict[str, Any]]) -> tuple[ImportedProfiles, ...]:
+def imported_profiles(records: Sequence[dict[str, Any]]) -> tuple[ImportedProfiles, ...]:
     """Return profiles from their form in JSON."""
     return tuple(
         ImportedProfiles(
@@ -214,5 +214,5 @@ def imported_profiles(plain: Sequence[dict[str, Any]]) -> tuple[ImportedProfiles
             tuple(map(tuple, one["values"])),
             tuple(map(tuple, one["classes"])),
         )
-        for one in plain
+        for one in records
     )

@@ -63,7 +63,7 @@ def read_units(circuit: DssCircuit, ratings: ScriptRatings, generic: Collection[
     }
 
 
-def rating_of_fed_side(circuit: DssCircuit, ratings: ScriptRatings, name: str, depth: dict[str, int]) -> float:
+def fed_side_rating(circuit: DssCircuit, ratings: ScriptRatings, name: str, depth: dict[str, int]) -> float:
     """Rated current of a transformer of any windings at the bus that it feeds, A; NaN where it is not known.
 
     The windings of one phase to that bus are in series, as the two halves of a split-phase transformer are.
@@ -71,8 +71,8 @@ def rating_of_fed_side(circuit: DssCircuit, ratings: ScriptRatings, name: str, d
     rating_kva = ratings.of_transformer(name)
     circuit.activate("transformer", name)
     buses, size = [end.bus for end in circuit.terminals()], circuit.engine.CktElement.NumPhases()
-    fed = max(buses, key=lambda bus: depth.get(bus, 0))
-    kvs = [kv for kv, bus in zip(circuit.figures("kvs"), buses, strict=True) if bus == fed]
+    fed_bus = max(buses, key=lambda bus: depth.get(bus, 0))
+    kvs = [kv for kv, bus in zip(circuit.figures("kvs"), buses, strict=True) if bus == fed_bus]
     volts = sum(kvs) if size == 1 else math.sqrt(3.0) * max(kvs) * size / 3.0
     return rating_kva / volts
 
@@ -169,11 +169,11 @@ def transformer_joint(unit: Unit, to_bus: str, to_tap: float) -> Joint | str:
 
 def merged(joints: list[Joint], report: Report) -> list[Joint]:
     """Transformers of one kind between the same two buses made one: of single phases, or in parallel."""
-    found: dict[object, Joint] = {}
+    joints_by_ends: dict[object, Joint] = {}
     for joint in joints:
-        other = found.get(joint.ends)
+        other = joints_by_ends.get(joint.ends)
         if other is None:
-            found[joint.ends] = joint
+            joints_by_ends[joint.ends] = joint
             continue
         phases = "".join(sorted(set(other.phases + joint.phases)))
         added = {field: rounded(other.values[field] + joint.values[field]) for field in _SIZES}
@@ -182,12 +182,12 @@ def merged(joints: list[Joint], report: Report) -> list[Joint]:
             other.values["kva"] / len(other.phases), joint.values["kva"] / len(joint.phases)
         )
         if other.values | _SIZES != joint.values | _SIZES or not (parallel or beside):
-            found[joint.name] = joint
+            joints_by_ends[joint.name] = joint
             continue
         text = "beside each other between two buses: one row that is both"
         report.add("nothing lost", "transformer", f"{other.name} and {joint.name}", text)
-        found[joint.ends] = replace(
+        joints_by_ends[joint.ends] = replace(
             other, name=f"{other.name}+{joint.name}", phases=phases, values=joint.values | added,
             members=(*other.members, *joint.members),
         )  # fmt: skip
-    return list(found.values())
+    return list(joints_by_ends.values())

@@ -48,19 +48,19 @@ class Letters:
 
     def __post_init__(self) -> None:
         numbers = sorted(set(self.numbers) - {0})
-        self._of = {number: LETTERS[number - 1] for number in numbers if number <= len(LETTERS)}
-        free = [letter for letter in LETTERS[3:] if letter not in self._of.values()]
+        self._letters = {number: LETTERS[number - 1] for number in numbers if number <= len(LETTERS)}
+        free = [letter for letter in LETTERS[3:] if letter not in self._letters.values()]
         self.beyond = [number for number in numbers if number > len(LETTERS)]
         if len(self.beyond) > len(free):
             raise FeederError(f"the circuit numbers its nodes {numbers}; at most {len(LETTERS)} can be represented")
-        self._of |= dict(zip(self.beyond, free, strict=False))
+        self._letters |= dict(zip(self.beyond, free, strict=False))
 
     def __getitem__(self, number: int) -> str:
-        return self._of[number]
+        return self._letters[number]
 
-    def of(self, nodes: Iterable[int]) -> str:
+    def text(self, nodes: Iterable[int]) -> str:
         """Letters of nodes as a text in the order of the alphabet, ground left out."""
-        return "".join(sorted(self._of[node] for node in nodes if node))
+        return "".join(sorted(self._letters[node] for node in nodes if node))
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Supply:
         """Whether all these nodes have supply."""
         return all(letter in self.phases.get(bus, "") for bus, letter in nodes)
 
-    def fed(self, joint: Joint) -> bool:
+    def is_fed(self, joint: Joint) -> bool:
         """Whether a joint has supply at all nodes of one of its groups."""
         return any(map(self.has, joint.node_groups))
 
@@ -87,23 +87,23 @@ def supply_of(source: str, joints: Sequence[Joint], legs: Sequence[Sequence[Node
     ``legs`` are the nodes of each leg that draws. A leg with supply at one node supplies the other, if this is no phase
     or no joint reaches it. The neutral of a star is such a node.
     """
-    groups_of_node: dict[Node, list[Sequence[Node]]] = {}
+    node_groups: dict[Node, list[Sequence[Node]]] = {}
     reached: set[Node] = set()
     for joint in joints:
         for group in joint.node_groups:
             reached.update(group)
             for node in group if joint.closed else ():
-                groups_of_node.setdefault(node, []).append(group)
+                node_groups.setdefault(node, []).append(group)
     depth: dict[Node, int] = {(source, phase): 0 for phase in "abc"}
     reached.update(depth)
     for nodes in legs:
         carried = [node for node in nodes if node not in reached or node[1] > "c"]
         for node in nodes if carried else ():
-            groups_of_node.setdefault(node, []).append(carried)
+            node_groups.setdefault(node, []).append(carried)
     used: set[int] = set()
     queue = list(depth)
     for node in queue:
-        for group in groups_of_node.get(node, ()):
+        for group in node_groups.get(node, ()):
             if id(group) in used:
                 continue
             used.add(id(group))
@@ -116,4 +116,4 @@ def supply_of(source: str, joints: Sequence[Joint], legs: Sequence[Sequence[Node
     for (bus, letter), hops in depth.items():
         of_bus[bus] = min(hops, of_bus.get(bus, hops))
         letters.setdefault(bus, set()).add(letter)
-    return Supply(of_bus, {bus: "".join(sorted(found)) for bus, found in letters.items()})
+    return Supply(of_bus, {bus: "".join(sorted(phases)) for bus, phases in letters.items()})

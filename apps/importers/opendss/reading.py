@@ -26,7 +26,7 @@ from dcgrid_env.apps.importers.opendss.dss_generation import KINDS as GENERATION
 from dcgrid_env.apps.importers.opendss.dss_generation import read_generation
 from dcgrid_env.apps.importers.opendss.dss_lines import read_lines, report_admittance
 from dcgrid_env.apps.importers.opendss.dss_loads import Row, core_rows, legs_between, read_loads
-from dcgrid_env.apps.importers.opendss.dss_losses import LossEffect, Solved, effects_of_losses, solved
+from dcgrid_env.apps.importers.opendss.dss_losses import LossEffect, Solved, loss_effects, solved
 from dcgrid_env.apps.importers.opendss.dss_ratings import ScriptRatings
 from dcgrid_env.apps.importers.opendss.dss_regulators import (
     Regulation,
@@ -41,9 +41,9 @@ from dcgrid_env.apps.importers.opendss.dss_source import ALLOWABLE, read_source,
 from dcgrid_env.apps.importers.opendss.dss_switching import switch_as_asked
 from dcgrid_env.apps.importers.opendss.dss_transformers import (
     Unit,
+    fed_side_rating,
     merged,
     oriented,
-    rating_of_fed_side,
     read_units,
     transformer_joint,
 )
@@ -136,8 +136,8 @@ def read_circuit(
         )
         for kind, _, name in (full.partition(".") for full in raised):
             report.add("nothing lost", kind, name, text)
-    names = _names_of_nodes(circuit, network)
-    effects, after = effects_of_losses(circuit, report.findings, before, names) if before else ((), None)
+    names = _node_names(circuit, network)
+    effects, after = loss_effects(circuit, report.findings, before, names) if before else ((), None)
     return Imported(
         network,
         report.findings,
@@ -150,24 +150,24 @@ def read_circuit(
     )
 
 
-def _names_of_nodes(circuit: DssCircuit, network: Network) -> dict[str, tuple[str, float]]:
+def _node_names(circuit: DssCircuit, network: Network) -> dict[str, tuple[str, float]]:
     """Name and base voltage to ground, V, of the nodes that the tables and OpenDSS have, by OpenDSS's name."""
     letters, node = Letters(circuit.node_numbers()), network.node
     ours = {
         f"{bus}.{LETTERS[phase - 1]}": 1000.0 * kv
         for bus, phase, kv in zip(node.bus, node.phase, node.base_kv_ln, strict=True)
     }
-    found = {}
+    names = {}
     for full in circuit.volts():
         bus, _, number = full.rpartition(".")
         name = f"{bus}.{letters[int(number)]}"
         if name in ours:
-            found[full] = (name, ours[name])
-    return found
+            names[full] = (name, ours[name])
+    return names
 
 
-def _per_unit(found: Solved | None, names: dict[str, tuple[str, float]]) -> dict[str, complex]:
-    volts = found.volts if found else {}
+def _per_unit(solution: Solved | None, names: dict[str, tuple[str, float]]) -> dict[str, complex]:
+    volts = solution.volts if solution else {}
     v_pu = {name: volts[full] / base_v for full, (name, base_v) in names.items() if full in volts}
     return v_pu if all(math.isfinite(abs(v)) for v in v_pu.values()) else {}
 
@@ -220,7 +220,7 @@ class _Reading:
         steps = capacitor_steps(circuit, letters, generic)
         lines += capacitor_admittances(circuit, report, letters, steps)
         joints = [*lines, *_unit_joints(circuit, letters, units)]
-        supply = supply_of(source_bus, joints, list(_nodes_of_legs(circuit, letters, steps)))
+        supply = supply_of(source_bus, joints, list(_leg_nodes(circuit, letters, steps)))
         lines = _with_supply(lines, supply, report)
         tables = _Tables(circuit, report, supply, letters, ratings)
         for name, unit in units.items():
@@ -231,8 +231,8 @@ class _Reading:
         generation = read_generation(circuit, report, supply, letters)
         loads = [*read_loads(circuit, report, supply, letters, self._shapes), *generation]
         self.profiles = self._shapes.profiles()
-        capacitors, rows_of_steps = read_capacitors(circuit, report, supply, steps, fixed_capacitors(circuit, report))
-        capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, rows_of_steps)
+        capacitors, step_rows = read_capacitors(circuit, report, supply, steps, fixed_capacitors(circuit, report))
+        capacitor_controls = read_capacitor_controls(circuit, report, supply, letters, lines, step_rows)
         transformers = merged(tables.transformers, report)
         report_the_rest(circuit, report)
         report.refuse_unless(circuit.name, self._allow)
@@ -266,9 +266,7 @@ class _Reading:
         return with_further_ratings(network, circuit, ratings, report), unlike
 
 
-def _nodes_of_legs(
-    circuit: DssCircuit, letters: Letters, steps: Mapping[str, list[Legs] | None]
-) -> Iterable[list[Node]]:
+def _leg_nodes(circuit: DssCircuit, letters: Letters, steps: Mapping[str, list[Legs] | None]) -> Iterable[list[Node]]:
     """Nodes of each leg of what draws or injects."""
     for kind in ("load", *GENERATION):
         for name in circuit.names(kind):
@@ -297,7 +295,7 @@ def _unit_joints(circuit: DssCircuit, letters: Letters, units: dict[str, Unit | 
 def _with_supply(lines: Sequence[Joint], supply: Supply, report: Report) -> list[Joint]:
     kept = []
     for line in lines:
-        if supply.fed(line):
+        if supply.is_fed(line):
             kept.append(part_with_supply(line, supply, report) if line.kind == "admittance" else line)
         else:
             for kind, _, name in (full.partition(".") for full in line.members):
@@ -359,22 +357,22 @@ class _Tables:
             self.transformers.append(joint)
             report.add("taken", "transformer", unit.name, "in transformers.csv")
         else:
-            held = "at its fixed tap" if regulation and regulation.is_fixed else "with its control"
-            report.add("taken", "transformer", unit.name, f"in regulators.csv, {held}")
+            manner = "at its fixed tap" if regulation and regulation.is_fixed else "with its control"
+            report.add("taken", "transformer", unit.name, f"in regulators.csv, {manner}")
         row = regulator_row(unit, regulation, joint.ends[1] if joint else first.bus, report) if regulation else None
         self.regulators += [row] if row else []
 
     def _add_admittance(self, name: str, reason: str, regulation: Regulation | None) -> None:
         """Take a transformer as an admittance; its tap is fixed unless a regulator can represent it."""
         report, circuit = self.report, self.circuit
-        rating_a = rating_of_fed_side(circuit, self.ratings, name, self.supply.depth)
+        rating_a = fed_side_rating(circuit, self.ratings, name, self.supply.depth)
         if regulation:
             circuit.activate("transformer", name)
             ends, k = circuit.terminals(), regulation.winding - 1
             between = f"{ends[0 if k else -1].bus}-{ends[k].bus}"
-            made = regulated_admittance(circuit, self.letters, name, regulation, between)
-            if not isinstance(made, str):
-                joint, unit, connection = made
+            representation = regulated_admittance(circuit, self.letters, name, regulation, between)
+            if not isinstance(representation, str):
+                joint, unit, connection = representation
                 unit = replace(unit, rating_kva=self.ratings.of_transformer(name))
                 row = regulator_row(unit, regulation, between, report, connection)
                 if row:
@@ -384,7 +382,7 @@ class _Tables:
                     self.admittances.append(joint)
                     report.add("taken", "transformer", name, f"in admittances.csv: {reason}")
                 return
-            report.add("lost", "regcontrol", regulation.name, f"{made}: its tap is fixed")
+            report.add("lost", "regcontrol", regulation.name, f"{representation}: its tap is fixed")
         joint = admittance_joint(circuit, self.letters, "transformer", name, rating_a)
         report_admittance(report, "transformer", name, joint, reason)
         self.admittances += [part_with_supply(joint, self.supply, report)] if isinstance(joint, Joint) else []
@@ -408,8 +406,8 @@ def _admittance_rows(joints: Iterable[Joint]) -> list[Row]:
 
 def _nodes(circuit: DssCircuit, supply: Supply, between: dict[str, tuple[str, str]], letters: Letters) -> NodeTable:
     rows: list[tuple[Any, ...]] = []
-    fed = {bus: (phases, bus) for bus, phases in supply.phases.items()}
-    for bus, (phases, like) in (fed | between).items():
+    fed_buses = {bus: (phases, bus) for bus, phases in supply.phases.items()}
+    for bus, (phases, like) in (fed_buses | between).items():
         base_kv, (x, y) = circuit.base_kv_ln(like), circuit.coordinates(like)
         if not base_kv > 0:
             raise FeederError(

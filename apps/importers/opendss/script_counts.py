@@ -49,8 +49,8 @@ class Counts:
         order, place = list(whole), -1
         for word in words:
             name = word.name.lower()
-            begun = [k for k, other in enumerate(order) if other.startswith(name)] if name else [place + 1]
-            place = order.index(name) if name in whole else next(iter(begun), len(order))
+            matching = [k for k, other in enumerate(order) if other.startswith(name)] if name else [place + 1]
+            place = order.index(name) if name in whole else next(iter(matching), len(order))
             if place < len(order) and whole[order[place]]:
                 _check(order[place], word.text)
 

@@ -18,10 +18,10 @@ def file_beneath(root: Path, folder: Path, name: str) -> Path:
     ValueError
         If the path is outside ``root``, also through links, or is not a file.
     """
-    plain = name.strip().replace("\\", "/")
-    if not plain or plain.startswith("~") or ":" in plain:
+    path_text = name.strip().replace("\\", "/")
+    if not path_text or path_text.startswith("~") or ":" in path_text:
         raise ValueError(f"{name!r} is no path of a file beneath the folder {root}")
-    path = _found(folder, plain)
+    path = _locate(folder, path_text)
     real = path.resolve()
     if not real.is_relative_to(root):
         raise ValueError(
@@ -36,9 +36,9 @@ def file_beneath(root: Path, folder: Path, name: str) -> Path:
     return real
 
 
-def _found(folder: Path, plain: str) -> Path:
-    path = Path("/") if plain.startswith("/") else folder
-    for part in Path(plain.lstrip("/")).parts:
+def _locate(folder: Path, path_text: str) -> Path:
+    path = Path("/") if path_text.startswith("/") else folder
+    for part in Path(path_text.lstrip("/")).parts:
         there = path / part
         if not there.exists() and part != ".." and path.is_dir():
             there = next((one for one in sorted(path.iterdir()) if one.name.lower() == part.lower()), there)

@@ -17,12 +17,12 @@ FILES = ("redirect", "compile", "buscoords", "latlongcoords")
 """Commands that name one file to read."""
 OPTIONS = ("set", "solve")
 """Commands that set options."""
-PLAIN = (
+ELEMENT_COMMANDS = (
     "clear", "clearall", "select", "enable", "disable", "open", "close", "calcvoltagebases", "setkvbase",
     "makebuslist", "reprocessbuses", "allocateloads", "setbusxy",
 )  # fmt: skip
 """Commands that name elements and figures alone."""
-COMMANDS = (*DEFINING, *FILES, *OPTIONS, *PLAIN)
+COMMANDS = (*DEFINING, *FILES, *OPTIONS, *ELEMENT_COMMANDS)
 SKIPPED = (
     "show", "plot", "export", "dump", "summary", "visualize", "addbusmarker", "clearbusmarkers", "currents", "voltages",
     "powers", "losses", "phaselosses", "cktlosses", "seqvoltages", "seqcurrents", "seqpowers", "nodelist", "totals",
@@ -82,14 +82,14 @@ def resolved(word: str, ours: Sequence[str], theirs: Sequence[str]) -> str:
     """
     word = word.lower()
     known = {name.lower() for name in theirs}
-    begun = [word] if word in known else sorted(name for name in known if name.startswith(word))
-    if not begun:
+    matching = [word] if word in known else sorted(name for name in known if name.startswith(word))
+    if not matching:
         raise ValueError(f"{word!r} is not known to OpenDSS")
-    if len(begun) > 1:
-        raise ValueError(f"{word!r} may be {', '.join(begun[:4])}; write it out")
-    if begun[0] not in ours:
-        raise ValueError(f"{begun[0]!r} is not part of a model's definition")
-    return begun[0]
+    if len(matching) > 1:
+        raise ValueError(f"{word!r} may be {', '.join(matching[:4])}; write it out")
+    if matching[0] not in ours:
+        raise ValueError(f"{matching[0]!r} is not part of a model's definition")
+    return matching[0]
 
 
 def check_option(word: Word, theirs: Sequence[str]) -> Word:
@@ -139,9 +139,9 @@ def check_property(kind: str, word: Word, is_first: bool) -> str:
         if word.text.lower() not in _ACTIONS:
             raise ValueError(f"{str(word)!r} acts; the actions {', '.join(_ACTIONS)} are harmless")
     elif (kind, name) not in _ONE_LETTER and (
-        (begun := [other for other in _DANGEROUS if other.startswith(name)]) or _SUSPECT.search(name)
+        (matching := [other for other in _DANGEROUS if other.startswith(name)]) or _SUSPECT.search(name)
     ):
-        why = f"may be {begun[0]}" if begun else "may name a file or a program"
+        why = f"may be {matching[0]}" if matching else "may name a file or a program"
         raise ValueError(f"the property {word.name!r} {why}; leave it out")
     if "=" in word.text and (name not in _BUSES or _NAMED.search(word.text)):
         if word.quote not in ("(", "[") or not FILE_WITHIN.match(word.text):

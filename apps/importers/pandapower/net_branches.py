@@ -112,20 +112,20 @@ def _elements(net: PandapowerNet) -> Iterator[tuple[int, str, str]]:
 
 def _ratings(net: PandapowerNet, rows: ModelRows) -> dict[tuple[str, str], float]:
     """Largest current of lines and transformers, per unit of their to bus, where it is known."""
-    base_mva, found = float(net.sn_mva), {}
+    base_mva, ratings = float(net.sn_mva), {}
     line, trafo = net.line, net.trafo
     kv = dict(zip(net.bus.index.tolist(), net.bus.vn_kv.tolist(), strict=True))
     if "max_i_ka" in line.columns:
         columns = zip(line.index, line.to_bus, line.max_i_ka, _or_one(line, "df"), line.parallel, strict=True)
         for i, bus, limit_ka, derating, parallel in columns:
             if limit_ka is not None and limit_ka == limit_ka:
-                found["line", str(i)] = limit_ka * derating * parallel * math.sqrt(3.0) * kv[bus] / base_mva
+                ratings["line", str(i)] = limit_ka * derating * parallel * math.sqrt(3.0) * kv[bus] / base_mva
     columns = zip(
         trafo.index, trafo.lv_bus, trafo.sn_mva, trafo.vn_lv_kv, _or_one(trafo, "df"), trafo.parallel, strict=True
     )
     for i, bus, sn_mva, vn_kv, derating, parallel in columns:
-        found["trafo", str(i)] = sn_mva * derating * parallel / base_mva * kv[bus] / vn_kv
-    return found
+        ratings["trafo", str(i)] = sn_mva * derating * parallel / base_mva * kv[bus] / vn_kv
+    return ratings
 
 
 def _or_one(table: Any, column: str) -> Any:

@@ -41,8 +41,8 @@ def _profiles_of(file: str, name: str, member: dict[str, Any]) -> Any:
     """A table of profiles, whose cells are checked where they are used."""
     import pandas
 
-    plain = _table(file, f"profiles.{name}", member)
-    return pandas.DataFrame(plain["data"], columns=plain["columns"])
+    table = _table(file, f"profiles.{name}", member)
+    return pandas.DataFrame(table["data"], columns=table["columns"])
 
 
 def _members(path: Path) -> dict[str, Any]:
@@ -66,12 +66,12 @@ def _table(file: str, name: str, member: dict[str, Any]) -> dict[str, Any]:
     where = f"{file}, table {name}"
     if member.get("orient", "split") != "split":
         raise FeederError(f"{where}: its orient is {member['orient']!r}; write the net anew by pandapower.to_json")
-    plain = member.get("_object")
-    if isinstance(plain, str):
-        plain = parse_json(plain, where, FeederError, _REMEDY)
-    if not isinstance(plain, dict) or not {"columns", "index", "data"} <= set(plain):
+    content = member.get("_object")
+    if isinstance(content, str):
+        content = parse_json(content, where, FeederError, _REMEDY)
+    if not isinstance(content, dict) or not {"columns", "index", "data"} <= set(content):
         raise FeederError(f"{where}: it has no columns, index and data")
-    columns, index, data = plain["columns"], plain["index"], plain["data"]
+    columns, index, data = content["columns"], content["index"], content["data"]
     if not all(isinstance(part, list) for part in (columns, index, data)) or len(index) != len(data):
         raise FeederError(f"{where}: index and data are no lists of one length")
     if not all(isinstance(column, str) for column in columns) or len(set(columns)) < len(columns):
@@ -99,17 +99,17 @@ def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, A
     options = members.get("user_pf_options")
     if isinstance(options, dict):
         net["user_pf_options"] = {str(name): None for name in options}
-    for name, plain in tables.items():
-        if not plain["index"]:
+    for name, table in tables.items():
+        if not table["index"]:
             continue
-        frame = pandas.DataFrame(plain["data"], index=plain["index"], columns=plain["columns"], dtype=object)
+        frame = pandas.DataFrame(table["data"], index=table["index"], columns=table["columns"], dtype=object)
         like = net[name] if name in net else pandas.DataFrame()
         columns = {column: _column(file, name, column, frame[column], like) for column in frame.columns}
-        made = pandas.DataFrame(columns, index=pandas.Index(plain["index"], dtype="int64"))
+        typed = pandas.DataFrame(columns, index=pandas.Index(table["index"], dtype="int64"))
         for column in like.columns:
-            if column not in made.columns and column not in SCHEMA.get(name, {}):
-                made[column] = pandas.Series([None] * len(made), index=made.index, dtype=object)
-        net[name] = made
+            if column not in typed.columns and column not in SCHEMA.get(name, {}):
+                typed[column] = pandas.Series([None] * len(typed), index=typed.index, dtype=object)
+        net[name] = typed
     version = members.get("format_version")
     if isinstance(version, str) and version != str(net.get("format_version")):
         net["format_version"] = version
@@ -123,29 +123,29 @@ def _assembled(file: str, members: dict[str, Any], tables: dict[str, dict[str, A
 def _column(file: str, table: str, column: str, cells: Any, like: Any) -> Any:
     """A column with the type that pandapower gives it; objects and lists in it are not made."""
     kind = SCHEMA.get(table, {}).get(column, "")
-    plain: list[Any] = [None if isinstance(cell, dict | list) else cell for cell in cells]
+    values: list[Any] = [None if isinstance(cell, dict | list) else cell for cell in cells]
     right = {bool} if kind == "bool" else {float}
-    if kind and not set(map(type, plain)) <= right:
+    if kind and not set(map(type, values)) <= right:
         wanted = bool if kind == "bool" else (int, float)
         for i, cell in zip(cells.index, cells, strict=True):
             empty = cell is None and kind.endswith("?")
             if not empty and (not isinstance(cell, wanted) or isinstance(cell, bool) != (kind == "bool")):
-                what = "true or false" if kind == "bool" else "a number"
-                raise FeederError(f"{file}, table {table}, index {i}: {column} is {str(cell)[:60]!r}; give {what}")
+                expected = "true or false" if kind == "bool" else "a number"
+                raise FeederError(f"{file}, table {table}, index {i}: {column} is {str(cell)[:60]!r}; give {expected}")
             if isinstance(cell, int) and abs(cell) > 2**62:
                 raise FeederError(f"{file}, table {table}, index {i}: {column} is {str(cell)[:60]}; it is too large")
-    series = cells.__class__(plain, index=cells.index, dtype=object)
+    series = cells.__class__(values, index=cells.index, dtype=object)
     if kind == "bool":
         return series.astype(bool)
     whole = kind == "bus" or (table, column) == ("switch", "element")
-    if whole and all(math.isfinite(cell) and cell == int(cell) for cell in plain):
+    if whole and all(math.isfinite(cell) and cell == int(cell) for cell in values):
         return series.astype("int64")
     if kind:
         return series.astype(float)
     like_type = like[column].dtype.kind if column in like.columns else "O"
-    if like_type == "b" and all(cell is None or isinstance(cell, bool) for cell in plain):
+    if like_type == "b" and all(cell is None or isinstance(cell, bool) for cell in values):
         return series.map(bool).astype(bool)
-    if like_type in "iuf" and all(cell is None or type(cell) in (int, float) for cell in plain):
+    if like_type in "iuf" and all(cell is None or type(cell) in (int, float) for cell in values):
         return series.map(lambda cell: math.nan if cell is None else cell).astype(float)
     return series
 

@@ -20,7 +20,7 @@ import numpy as np
 from dcgrid_env.apps.importers.import_report import Report
 from dcgrid_env.grid.topology import FeederError
 from dcgrid_env.traces import ProfileTable, TraceError
-from dcgrid_env.traces.profile_file import REACTIVE, seconds_of_dates
+from dcgrid_env.traces.profile_file import REACTIVE, date_seconds
 from dcgrid_env.traces.profile_table import checked_table
 
 STEP_S = 900.0
@@ -41,33 +41,33 @@ class NetProfiles:
         if not isinstance(profiles, dict):
             return
         for kind, table, sign in (("load", "load", 1.0), ("sgen", "renewables", -1.0), ("storage", "storage", 1.0)):
-            given = profiles.get(table)
-            if given is None or "profile" not in net[kind].columns or not len(given):
+            profile_table = profiles.get(table)
+            if profile_table is None or "profile" not in net[kind].columns or not len(profile_table):
                 continue
-            self._add(net, kind, given, sign, report)
+            self._add(net, kind, profile_table, sign, report)
 
-    def _add(self, net: Any, kind: str, given: Any, sign: float, report: Report) -> None:
+    def _add(self, net: Any, kind: str, profile_table: Any, sign: float, report: Report) -> None:
         elements = net[kind]
-        shares_of_z = [c for c in ("const_z_p_percent", "const_z_q_percent") if kind == "load" and c in elements]
+        z_shares = [c for c in ("const_z_p_percent", "const_z_q_percent") if kind == "load" and c in elements]
         live = elements.in_service.to_numpy(dtype=bool) & elements.bus.map(net.bus.in_service).to_numpy(dtype=bool)
         for i, row in elements[live].iterrows():
             name = row["profile"]
             if name is None or name != name or not str(name).strip():
                 continue
             p_name, q_name = (f"{name}_pload", f"{name}_qload") if kind == "load" else (str(name), None)
-            if p_name not in given.columns:
+            if p_name not in profile_table.columns:
                 raise FeederError(
                     f"{self._called}: {kind} {i} has the profile {name!r}, but net.profiles has no column {p_name!r}"
                 )
-            if any(row[column] for column in shares_of_z):
+            if any(row[column] for column in z_shares):
                 text = "its profile is left out: it has a share of constant impedance"
                 report.add("nothing lost", kind, str(i), text)
                 continue
             scale = 1000.0 * sign * float(row["scaling"])
-            p_share = _column(self._called, given, p_name) - 1.0
+            p_share = _column(self._called, profile_table, p_name) - 1.0
             q_share = 0.0 * p_share
-            if q_name in given.columns:
-                q_share = _column(self._called, given, str(q_name)) - 1.0
+            if q_name in profile_table.columns:
+                q_share = _column(self._called, profile_table, str(q_name)) - 1.0
             p, q = self.changes.get(row["bus"], (0.0, 0.0))
             try:
                 p = p + scale * float(row["p_mw"]) * p_share
@@ -76,8 +76,8 @@ class NetProfiles:
                 raise FeederError(f"{self._called}: the tables of net.profiles differ in length") from None
             self.changes[row["bus"]] = (p, q)
             report.add("taken", f"profile of {kind}", str(i), "in load_profiles.csv, summed by bus")
-        if "time" in given.columns and self._times is None:
-            self._times = [str(time) for time in given["time"]]
+        if "time" in profile_table.columns and self._times is None:
+            self._times = [str(time) for time in profile_table["time"]]
 
     def table(self, buses: dict[Any, str], loads: dict[str, tuple[float, float]]) -> ProfileTable | None:
         """Return kW and kvar of each bus of the feeder with a profile; None if there are none.
@@ -104,7 +104,7 @@ class NetProfiles:
         try:
             times_s, day = STEP_S * np.arange(len(values)), ""
             if self._times is not None:
-                times_s, day = seconds_of_dates(file, self._times)
+                times_s, day = date_seconds(file, self._times)
             return checked_table(
                 file, times_s, [*columns], values, lambda i: f"row {i}", lambda i, j: values[i, j], day
             )
@@ -112,9 +112,9 @@ class NetProfiles:
             raise FeederError(str(error)) from None
 
 
-def _column(called: str, given: Any, name: str) -> np.ndarray:
+def _column(called: str, profile_table: Any, name: str) -> np.ndarray:
     try:
-        values = given[name].to_numpy(dtype=float)
+        values = profile_table[name].to_numpy(dtype=float)
     except (TypeError, ValueError):
         values = np.array([np.nan])
     if not np.isfinite(values).all():

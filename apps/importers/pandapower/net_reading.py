@@ -100,14 +100,14 @@ def read_pandapower(
         voltages = {grid.buses[rows.of_bus[bus]]: volt for bus, volt in volts.items()}
         facts = f"pandapower net {grid.name}"
         profiles = NetProfiles(called, net, report)
-        found = imported(
+        result = imported(
             grid, report, lambda: voltages, solver="pandapower.runpp", source=at, allow=allow, source_of_facts=facts
         )
         names = {bus: grid.buses[rows.of_bus[bus]] for bus in net.bus.index}
-        buses = {bus: found.bus_of[name] for bus, name in names.items() if name in found.bus_of}
-        load = found.network.load
+        buses = {bus: result.bus_of[name] for bus, name in names.items() if name in result.bus_of}
+        load = result.network.load
         loads = {bus: (p, q) for bus, p, q in zip(load.bus, load.p_kw, load.q_kvar, strict=True)}
-        return dataclasses.replace(found, profiles=profiles.table(buses, loads))
+        return dataclasses.replace(result, profiles=profiles.table(buses, loads))
 
 
 def _solve(called: str, net: PandapowerNet) -> bool:
@@ -179,11 +179,13 @@ def _place(net: PandapowerNet, bus: int, row: int) -> tuple[float, float]:
 
 
 def _report_what_is_refused(net: PandapowerNet, report: Report) -> None:
-    for name, what in REFUSED.items():
+    for name, meaning in REFUSED.items():
         table = net.get(name, ())
         if len(table):
             live = table.in_service.to_numpy(dtype=bool) if "in_service" in table.columns else np.ones(len(table), bool)
-            report.add_all("refused", name, map(str, table.index[live]), f"{what}, which a balanced feeder has none of")
+            report.add_all(
+                "refused", name, map(str, table.index[live]), f"{meaning}, which a balanced feeder has none of"
+            )
             report.add_all("nothing lost", name, map(str, table.index[~live]), "out of service: it is left out")
 
 
@@ -274,9 +276,9 @@ def _add_sources(net: PandapowerNet, grid: BusBranchGrid, rows: ModelRows, repor
             elif slack:
                 grid.sources.append(Source(kind, str(i), rows.of_bus[bus], float(v_pu)))
             elif fix:
-                found = net.res_gen.loc[i]
-                grid.p_kw[rows.of_bus[bus]] -= 1000.0 * float(found.p_mw)
-                grid.q_kvar[rows.of_bus[bus]] -= 1000.0 * float(found.q_mvar)
+                solved = net.res_gen.loc[i]
+                grid.p_kw[rows.of_bus[bus]] -= 1000.0 * float(solved.p_mw)
+                grid.q_kvar[rows.of_bus[bus]] -= 1000.0 * float(solved.q_mvar)
                 report.add("taken", kind, str(i), "a negative load, of the power that pandapower's power flow gives it")
             else:
                 text = "it keeps a voltage, which no load does: --fix-generators makes it a constant power"

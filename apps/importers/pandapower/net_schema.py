@@ -19,7 +19,7 @@ _TAP = {
     "tap_neutral": "number?", "tap_min": "number?", "tap_max": "number?", "tap_pos": "number?",
     "tap_step_percent": "number?", "tap_step_degree": "number?",
 }  # fmt: skip
-_SHARE = {f"const_{kind}_{of}_percent": "share" for kind in "zi" for of in "pq"}
+_SHARE = {f"const_{kind}_{power}_percent": "share" for kind in "zi" for power in "pq"}
 SCHEMA: dict[str, dict[str, str]] = {
     "bus": {"vn_kv": "positive", "in_service": "bool"},
     "ext_grid": {"bus": "bus", "vm_pu": "positive", "va_degree": "number?", "in_service": "bool"},
@@ -177,27 +177,29 @@ def _is_good(kind: str, cell: object, buses: set[int]) -> bool:
 
 
 def _check_index(source: str, name: str, index: Any) -> None:
-    seen: set[int] = set()
+    visited: set[int] = set()
     for i in index.tolist():
         if isinstance(i, bool) or not isinstance(i, int) or not 0 <= i <= LARGEST_INDEX:
             raise FeederError(f"{source}, table {name}: the index {i!r} is no whole number of 0 to {LARGEST_INDEX}")
-        if i in seen:
+        if i in visited:
             raise FeederError(f"{source}, table {name}: the index {i} is there twice")
-        seen.add(i)
+        visited.add(i)
 
 
 def _check_switches(source: str, net: PandapowerNet) -> None:
     table = net.switch
-    of = {"b": ("bus", ()), "l": ("line", ("from_bus", "to_bus")), "t": ("trafo", ("hv_bus", "lv_bus")),
+    end_columns = {"b": ("bus", ()), "l": ("line", ("from_bus", "to_bus")), "t": ("trafo", ("hv_bus", "lv_bus")),
           "t3": ("trafo3w", ("hv_bus", "mv_bus", "lv_bus"))}  # fmt: skip
-    ends = {et: net[name][list(columns)].to_dict("index") for et, (name, columns) in of.items()}
+    ends = {et: net[name][list(columns)].to_dict("index") for et, (name, columns) in end_columns.items()}
     for i, bus, element, et in zip(table.index, table.bus, table.element, table.et, strict=True):
-        if et not in of:
+        if et not in end_columns:
             raise FeederError(f"{source}, table switch, index {i}: et is empty; it is b, l, t or t3")
         if element not in ends[et]:
-            raise FeederError(f"{source}, table switch, index {i}: element is {element!r}, no index of {of[et][0]}")
+            raise FeederError(
+                f"{source}, table switch, index {i}: element is {element!r}, no index of {end_columns[et][0]}"
+            )
         if et != "b" and bus not in ends[et][element].values():
-            text = f"bus is {bus!r}, at which {of[et][0]} {element} does not end"
+            text = f"bus is {bus!r}, at which {end_columns[et][0]} {element} does not end"
             raise FeederError(f"{source}, table switch, index {i}: {text}")
 
 

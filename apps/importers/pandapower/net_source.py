@@ -34,7 +34,7 @@ def loaded_net(source: object, arguments: Mapping[str, Any], trust: bool, report
             if arguments:
                 raise FeederError("arguments are of networks that functions make; a file has none")
             return text, _from_file(Path(text), trust, report)
-        return text, _made(text, arguments)
+        return text, _build_net(text, arguments)
     if not isinstance(source, pandapower.pandapowerNet):
         raise FeederError(
             f"{type(source).__name__} is no pandapower net; give a net, the name of an example or a .json path"
@@ -54,7 +54,7 @@ def _from_file(path: Path, trust: bool, report: Report) -> PandapowerNet:
         raise FeederError(f"{path}: pandapower cannot read it ({type(error).__name__}: {str(error)[:200]})") from None
 
 
-def _made(name: str, arguments: Mapping[str, Any]) -> PandapowerNet:
+def _build_net(name: str, arguments: Mapping[str, Any]) -> PandapowerNet:
     """The network that a function of ``pandapower.networks`` makes, or SimBench's of a code."""
     import pandapower.networks
 
@@ -71,17 +71,17 @@ def _made(name: str, arguments: Mapping[str, Any]) -> PandapowerNet:
         if argument not in known and not takes_any:
             raise FeederError(f"{name} has no argument {argument!r}; it has {', '.join(known) or 'none'}")
     try:
-        made = make(**arguments)
+        net = make(**arguments)
     except Exception as error:
         raise FeederError(f"{name} makes no network ({type(error).__name__}: {str(error)[:200]})") from None
     import pandapower
 
-    if not isinstance(made, pandapower.pandapowerNet):
+    if not isinstance(net, pandapower.pandapowerNet):
         raise FeederError(
-            f"{name} makes {type(made).__name__}, not one network; write one by pandapower.to_json and import that"
+            f"{name} makes {type(net).__name__}, not one network; write one by pandapower.to_json and import that"
         )
-    made["name"] = made.name or name.removeprefix("create_")
-    return made
+    net["name"] = net.name or name.removeprefix("create_")
+    return net
 
 
 def _functions(module: ModuleType) -> dict[str, Any]:

@@ -20,7 +20,7 @@ _SQRT3 = math.sqrt(3.0)
 
 def read_lines(data: Data, rows: dict[int, int], u_rated: np.ndarray, frequency_hz: float) -> list[Branch]:
     """Lines: series impedance, and half of the charging at either end."""
-    made = []
+    branches = []
     for line in data.get("line", ()):
         u = u_rated[rows[int(line["from_node"])]]
         base_ohm = u**2 / _BASE_VA
@@ -29,13 +29,13 @@ def read_lines(data: Data, rows: dict[int, int], u_rated: np.ndarray, frequency_
         limit = float(line["i_n"])
         rating = limit * _SQRT3 * u / _BASE_VA if math.isfinite(limit) else math.nan
         z_pu = complex(line["r1"], line["x1"]) / base_ohm
-        made.append(_branch("line", line, rows, z_pu, charging, 1.0, 0.0, rating))
-    return made
+        branches.append(_branch("line", line, rows, z_pu, charging, 1.0, 0.0, rating))
+    return branches
 
 
 def read_generic_branches(data: Data, rows: dict[int, int], u_rated: np.ndarray) -> list[Branch]:
     """Branches of free parameters, given at their to side."""
-    made = []
+    branches = []
     for one in data.get("generic_branch", ()):
         u = u_rated[rows[int(one["to_node"])]]
         base_ohm = u**2 / _BASE_VA
@@ -44,14 +44,14 @@ def read_generic_branches(data: Data, rows: dict[int, int], u_rated: np.ndarray)
         z_pu, ratio = complex(one["r1"], one["x1"]) / base_ohm, _or(one["k"], 1.0)
         shift = math.degrees(_or(one["theta"], 0.0))
         rating = sn / _BASE_VA if math.isfinite(sn) and sn > 0 else math.nan
-        made.append(_branch("generic_branch", one, rows, z_pu, charging, ratio, shift, rating))
-    return made
+        branches.append(_branch("generic_branch", one, rows, z_pu, charging, ratio, shift, rating))
+    return branches
 
 
 def read_transformers(data: Data, rows: dict[int, int], u_rated: np.ndarray) -> list[Branch]:
     """Transformers: short-circuit impedance and half of the magnetising admittance at either end, taps within
     limits."""
-    made = []
+    branches = []
     for one in data.get("transformer", ()):
         u_from, u_to = (float(u_rated[rows[int(one[end])]]) for end in ("from_node", "to_node"))
         u1, u2, uk, pk = _tapped(one)
@@ -63,20 +63,20 @@ def read_transformers(data: Data, rows: dict[int, int], u_rated: np.ndarray) -> 
         ratio = (u1 / u2) / (u_from / u_to)
         z_pu, rating = complex(r_ohm, x_ohm) / base_ohm, sn / _BASE_VA * u_to / u2
         shift = 30.0 * int(one["clock"])
-        made.append(_branch("transformer", one, rows, z_pu, magnetising, ratio, shift, rating))
-    return made
+        branches.append(_branch("transformer", one, rows, z_pu, magnetising, ratio, shift, rating))
+    return branches
 
 
 def read_links(data: Data, rows: dict[int, int], report: Report) -> list[ClosedSwitch]:
     """Links that are closed at both ends, as switches."""
-    made = []
+    switches = []
     for one in data.get("link", ()):
         name = f"link {int(one['id'])}"
         if one["from_status"] and one["to_status"]:
-            made.append(ClosedSwitch(name, rows[int(one["from_node"])], rows[int(one["to_node"])]))
+            switches.append(ClosedSwitch(name, rows[int(one["from_node"])], rows[int(one["to_node"])]))
         else:
             report.add("nothing lost", "link", str(int(one["id"])), "open: it is left out")
-    return made
+    return switches
 
 
 def _branch(

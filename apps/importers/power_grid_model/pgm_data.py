@@ -137,9 +137,9 @@ def _validate(file: str, data: Data) -> None:
     component, field, ids = (getattr(first, name, "") for name in ("component", "field", "ids"))
     shown = ", ".join(str(one[1] if isinstance(one, tuple) else one) for one in list(ids)[:5])
     more = f" (and {len(errors) - 1} more errors)" if len(errors) > 1 else ""
-    raise FeederError(f"{file}: {_plain(component)} {shown}: {_plain(field)}: {first}{more}")
+    raise FeederError(f"{file}: {_shown(component)} {shown}: {_shown(field)}: {first}{more}")
 
 
-def _plain(part: Any) -> str:
+def _shown(part: Any) -> str:
     parts = part if isinstance(part, list | tuple) else [part]
     return ", ".join(str(getattr(one, "value", one)) for one in parts)

@@ -124,7 +124,7 @@ def _grid(path: Path, data: Data, names: dict[int, str], bus_names: bool) -> tup
             raise FeederError(f"{path}: node {node['id']}: u_rated is {node['u_rated']:g}; give the rated voltage in V")
     ids = [int(node["id"]) for node in nodes]
     rows = {i: k for k, i in enumerate(ids)}
-    weak = [s for s in sources if _given(s["sk"], _SK_VA) < IDEAL_SK_VA]
+    weak = [s for s in sources if _value_or_default(s["sk"], _SK_VA) < IDEAL_SK_VA]
     called = [names.get(i, str(i)) if bus_names else str(i) for i in ids]
     behind = [f"source-{int(s['id'])}" for s in weak]
     base_kv = [float(node["u_rated"]) / 1000.0 for node in nodes]
@@ -135,8 +135,8 @@ def _grid(path: Path, data: Data, names: dict[int, str], bus_names: bool) -> tup
         name = str(int(s["id"]))
         if f"source-{name}" in behind:
             bus = len(nodes) + behind.index(f"source-{name}")
-            z_pu = BASE_MVA * 1e6 / _given(s["sk"], _SK_VA)
-            ratio = _given(s["rx_ratio"], _RX_RATIO)
+            z_pu = BASE_MVA * 1e6 / _value_or_default(s["sk"], _SK_VA)
+            ratio = _value_or_default(s["rx_ratio"], _RX_RATIO)
             x_pu = z_pu / math.sqrt(1.0 + ratio**2)
             grid.branches.append(Branch("source", name, bus, node, complex(ratio * x_pu, x_pu)))
         grid.sources.append(Source("source", name, bus, float(s["u_ref"])))
@@ -193,12 +193,12 @@ def _add_rest(data: Data, report: Report) -> None:
     for one in data.get("source", ()):
         if not one["status"]:
             report.add("nothing lost", "source", str(int(one["id"])), "out of service: it is left out")
-        elif _given(one["u_ref_angle"], 0.0):
+        elif _value_or_default(one["u_ref_angle"], 0.0):
             report.add(
                 "nothing lost", "source", str(int(one["id"])), "its angle turns all voltages alike: it is left out"
             )
-    for kind, what in _REFUSED.items():
-        report.add_all("refused", kind, [str(int(one["id"])) for one in data.get(kind, ())], what)
+    for kind, meaning in _REFUSED.items():
+        report.add_all("refused", kind, [str(int(one["id"])) for one in data.get(kind, ())], meaning)
     for kind in _NO_MATTER:
         ids = [str(int(one["id"])) for one in data.get(kind, ())]
         report.add_all("nothing lost", kind, ids, "the power flow has no use for it")
@@ -207,5 +207,5 @@ def _add_rest(data: Data, report: Report) -> None:
         report.add(fate, "transformer_tap_regulator", str(int(one["id"])), "the tap stays as it is")
 
 
-def _given(value: Any, default: float) -> float:
+def _value_or_default(value: Any, default: float) -> float:
     return default if np.isnan(value) else float(value)

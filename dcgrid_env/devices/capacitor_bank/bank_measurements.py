@@ -113,8 +113,8 @@ def bank_settings(feeder: ThreePhaseFeeder, control: CapacitorControl, controlle
     rows = dict(zip(table.capacitor, range(len(table)), strict=True))
     names = feeder.network.capacitor.name
     banks = [
-        _of_table(feeder, rows[name]) if own and name in rows else _of_scenario(feeder, k, control)
-        for k, (name, own) in enumerate(zip(names, controlled, strict=True))
+        _of_table(feeder, rows[name]) if is_controlled and name in rows else _of_scenario(feeder, k, control)
+        for k, (name, is_controlled) in enumerate(zip(names, controlled, strict=True))
     ]
     k = lcm(*(len(places) for bank in banks for places in (bank.legs, bank.meter_node)))
     legs = [np.tile(np.array(bank.legs, np.int64).reshape(-1, 2), (k // len(bank.legs), 1)) for bank in banks]
@@ -133,8 +133,8 @@ def bank_settings(feeder: ThreePhaseFeeder, control: CapacitorControl, controlle
     units = [base_kv[bank.meter_node[0]] * len(bank.meter_node) / bank.kvar_unit for bank in banks]
     position = {name: row for row, name in enumerate(names)}
     before = np.arange(len(banks))
-    for name, after, own in zip(names, _after(feeder), controlled, strict=True):
-        if after and own:
+    for name, after, is_controlled in zip(names, _after(feeder), controlled, strict=True):
+        if after and is_controlled:
             before[position[name]] = position[after]
     behind = np.arange(len(banks))
     for row in np.flatnonzero(before != behind):
@@ -266,11 +266,11 @@ def _through(settings: BankSettings, solution: ThreePhaseSolution, on: Array, v_
         for values in (solution.i_re_a, solution.i_im_a)
     )
     if bool((settings.charging_a_per_pu != 0.0).any()):
-        at = tuple(
+        charging = tuple(
             sum_last(settings.charging_a_per_pu * take_last(values, settings.charging_node).reshape((*v_re.shape, 3)))
             for values in (solution.v_re_pu, solution.v_im_pu)
         )
-        i_re, i_im = i_re - at[1], i_im + at[0]
+        i_re, i_im = i_re - charging[1], i_im + charging[0]
     k = v_re.shape[-1]
     kvar = (v_im * i_re - v_re * i_im).sum(-1) / k * settings.kvar_per_pu_a
     kw = (v_re * i_re + v_im * i_im).sum(-1) / k * settings.kvar_per_pu_a
@@ -290,8 +290,8 @@ def _through(settings: BankSettings, solution: ThreePhaseSolution, on: Array, v_
 def _of_places(values: Array, statistic: Array) -> Array:
     """Mean, largest or smallest of the places of each bank, (row, n_capacitor), of values (row, n_capacitor, k)."""
     xp = namespace(values)
-    found = values.sum(-1) / values.shape[-1]
+    combined = values.sum(-1) / values.shape[-1]
     if bool((statistic > 0.0).any()):
-        found = xp.where(statistic == 1.0, -min_last(-values)[..., 0], found)
-        found = xp.where(statistic == 2.0, min_last(values)[..., 0], found)
-    return found
+        combined = xp.where(statistic == 1.0, -min_last(-values)[..., 0], combined)
+        combined = xp.where(statistic == 2.0, min_last(values)[..., 0], combined)
+    return combined

@@ -89,7 +89,7 @@ class CapacitorBanks(GridEquipment):
         parameters: CapacitorBankParams,
         state: CapacitorBankState,
         setpoints: tuple[Array, ...],
-        given: object,
+        device_input: object,
         dt_s: float,
     ) -> tuple[CapacitorBankState, Array]:
         """Switch as asked for."""

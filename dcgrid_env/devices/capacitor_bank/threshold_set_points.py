@@ -136,7 +136,7 @@ class ThresholdSetPoints(GridEquipment):
         parameters: ThresholdParams,
         state: ThresholdState,
         setpoints: tuple[Array, ...],
-        given: object,
+        device_input: object,
         dt_s: float,
     ) -> tuple[ThresholdState, Array]:
         """Take over what is requested where the thresholds in force are old enough."""

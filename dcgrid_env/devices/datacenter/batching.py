@@ -31,7 +31,7 @@ from dcgrid_env.core.arrays import Array, positive_part
 from dcgrid_env.core.checked import number, refuse, settle
 from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.devices.datacenter.site_features import Given, Load, PassesBy, SiteState
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, Load, PassiveFeature, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -112,7 +112,7 @@ METRICS = (
 
 
 @dataclass(frozen=True)
-class BatchedSites(PassesBy):
+class BatchedSites(PassiveFeature):
     """Sites with these batches."""
 
     rule: Batching
@@ -162,7 +162,7 @@ class BatchedSites(PassesBy):
         feature_state: BatchState,
         load: Load,
         setpoints: tuple[Array, ...],
-        given: Work,
+        work: Work,
         dt_s: float,
     ) -> tuple[BatchState, Load]:
         """Set the batch, see ``SiteFeature.admit``."""
@@ -179,7 +179,7 @@ class BatchedSites(PassesBy):
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[BatchState, DataCenterState, Array]:
         """Account for the wait of what was served, see ``SiteFeature.step``."""

@@ -17,7 +17,7 @@ from dcgrid_env.core.arrays import Array, namespace, sum_last
 from dcgrid_env.core.checked import number, settle
 from dcgrid_env.core.metric import Metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.devices.datacenter.site_features import Given, SiteState
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -106,7 +106,7 @@ class CooledSite:
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[CoolingState, DataCenterState, Array]:
         """Advance by one interval, see ``SiteFeature.step``."""

@@ -20,7 +20,7 @@ from dcgrid_env.devices.datacenter.feature_settings import check_settings, check
 from dcgrid_env.devices.datacenter.plain_laws import clock_law
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
 from dcgrid_env.devices.datacenter.service_levels import ServiceLevels
-from dcgrid_env.devices.datacenter.site_features import Given, SiteFeature, SiteState
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, SiteFeature, SiteState
 from dcgrid_env.devices.datacenter.site_metrics import site_metrics
 from dcgrid_env.devices.datacenter.site_steps import SiteSteps
 from dcgrid_env.devices.datacenter.site_storage import SiteStorage
@@ -228,14 +228,15 @@ class DataCenters(PickledByFields):
         parameters: DataCenterParams,
         state: DeviceState,
         setpoints: tuple[Array, ...],
-        given: DeviceInput,
+        device_input: DeviceInput,
         dt_s: float,
     ) -> tuple[Any, Array]:
         """Serve work at the speed of the clock, see ``datacenter.step``; features act on it, see ``site_features``."""
         if not self.features:
-            return self._steps.plain(parameters, state, setpoints[0], given, dt_s)
-        given = Given(given, None) if self.ride_through is None else Given(given.given, given)
-        return self._steps.with_features(parameters, state, setpoints, given, dt_s)
+            return self._steps.without_features(parameters, state, setpoints[0], device_input, dt_s)
+        supply = None if self.ride_through is None else device_input
+        work = device_input if supply is None else supply.device_input
+        return self._steps.with_features(parameters, state, setpoints, FeatureInputs(work, supply), dt_s)
 
     def connected(self, state: DeviceState) -> Array:
         """Return the share of each site's power that is on the grid, see ``device.may_leave``."""
@@ -247,15 +248,15 @@ class DataCenters(PickledByFields):
 
     def observe(self, parameters: DataCenterParams, state: DeviceState, given_next: Work) -> tuple[Array, ...]:
         """Return the raw figures of the fields, kW and kW s."""
-        coming, waiting = given_next.p_ref_kw, state.backlog_kws
+        arriving, waiting = given_next.p_ref_kw, state.backlog_kws
         of_features = []
         for feature, feature_state in self._with_states(state):
             ahead = (given_next,) if getattr(feature, "looks_ahead", False) else ()
             of_features += feature.observe(parameters, feature_state, *ahead)
         if self.work_classes == 1:
-            return (coming, waiting, *of_features)
-        compute = positive_part(coming - parameters.p_idle_kw) * given_next.compute_share
-        return coming, waiting, compute, state.class_backlog_kws[..., 0], *of_features
+            return (arriving, waiting, *of_features)
+        compute = positive_part(arriving - parameters.p_idle_kw) * given_next.compute_share
+        return arriving, waiting, compute, state.class_backlog_kws[..., 0], *of_features
 
     def amount(self, name: str, parameters: DataCenterParams, state: DeviceState) -> Array:
         """Return queued work, kW s, the clock's movement as a share of its range, or a feature's amount."""

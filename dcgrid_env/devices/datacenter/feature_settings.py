@@ -64,9 +64,9 @@ def check_settings(sites: Any) -> None:
 def check_step(sites: Any, dt_s: float) -> None:
     """Raise FieldError for settings that cannot be in steps of this length."""
     for name in SETTINGS:
-        given = getattr(sites, name)
-        if hasattr(given, "check_step"):
-            given.check_step(dt_s)
+        settings = getattr(sites, name)
+        if hasattr(settings, "check_step"):
+            settings.check_step(dt_s)
 
 
 def features_of(sites: Any) -> tuple[SiteFeature, ...]:

@@ -39,7 +39,7 @@ def lateness(
         _of_site((arrived - moved, moved), served, slack, interactive_share, by_deadline)
         for arrived, moved, served in zip(arrived_kw.T, moved_kw.T, served_kw.T, strict=True)
     ]
-    by_kind = [tuple(np.concatenate([of[what][kind] for of in of_sites]) for what in (0, 1)) for kind in (0, 1)]
+    by_kind = [tuple(np.concatenate([site[part][kind] for site in of_sites]) for part in (0, 1)) for kind in (0, 1)]
     return late_figures(by_kind, dt_s)
 
 
@@ -89,9 +89,9 @@ def serve_in_line(
     """
     left = line.amount.copy()
     for step, capacity in enumerate(served, first):
-        here = np.where(line.came <= step, left, 0.0)
-        before = np.cumsum(here) - here
-        taken = np.clip(capacity + rounding - before, 0.0, here)
+        present = np.where(line.came <= step, left, 0.0)
+        before = np.cumsum(present) - present
+        taken = np.clip(capacity + rounding - before, 0.0, present)
         left = left - taken
         note(step, taken)
     return left
@@ -115,7 +115,7 @@ class Line(NamedTuple):
     def in_order(self) -> Line:
         """Those in line, in the order in which they are served."""
         order = np.lexsort((self.came, self.group, self.place))
-        return Line(*(of[..., order] for of in self))
+        return Line(*(column[..., order] for column in self))
 
     def lateness(self, step: int, taken: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Steps late and work, by kind, of what a step takes."""

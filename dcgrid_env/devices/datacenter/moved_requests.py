@@ -44,9 +44,9 @@ def by_site(
         inside = (step >= 0) & (step < len(sent))
         step = np.clip(step, 0, len(sent) - 1)
         number = np.arange(len(step))
-        goes = inside & ((number * _EVENLY[0]) % 1.0 < gone[step, site])
+        is_moved = inside & ((number * _EVENLY[0]) % 1.0 < gone[step, site])
         level = ((number * _EVENLY[1]) % 1.0) * to[step, -1]
-        served_at = np.where(goes, np.minimum((to[step] <= level[:, None]).sum(axis=1), sent.shape[1] - 1), site)
+        served_at = np.where(is_moved, np.minimum((to[step] <= level[:, None]).sum(axis=1), sent.shape[1] - 1), site)
         for other in np.union1d(served_at[inside], [site]):
             taken = inside & (served_at == other)
             yield RequestTimes(*(of_each[taken] for of_each in times)), begin_s, int(other), site

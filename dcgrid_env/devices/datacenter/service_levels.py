@@ -25,7 +25,7 @@ from dcgrid_env.core.formula import compiled_as
 from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.lateness import lateness
-from dcgrid_env.devices.datacenter.site_features import Given, PassesBy, SiteState
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, PassiveFeature, SiteState
 from dcgrid_env.devices.datacenter.streaming_lateness import StreamingLateness
 from dcgrid_env.devices.device import CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -97,7 +97,7 @@ METRICS = (
 
 
 @dataclass(frozen=True)
-class ServedSites(PassesBy):
+class ServedSites(PassiveFeature):
     """Sites with these service levels; behind all other features, so that it sees what was served in the end."""
 
     rule: ServiceLevels
@@ -141,13 +141,13 @@ class ServedSites(PassesBy):
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[ServiceState, DataCenterState, Array]:
         """Take what was served out of the queue, see ``SiteFeature.step``."""
         soon, later = self.rule.slack(dt_s)
         queue = feature_state.slack_kws
-        moved = given.load.moved_kw if given.load is not None and self.moves_late else None
+        moved = inputs.load.moved_kw if inputs.load is not None and self.moves_late else None
         if queue.shape[-1] != later + 1:
             queue = namespace(queue).concat((queue,) * (later + 1), axis=-1)
         share, first = self.rule.interactive_share, self.rule.order == "edf"
@@ -233,11 +233,11 @@ def serve_by_slack(
         due_step = slack + 1 if by_deadline else later + 1
         bins[0, due_step] += share
         bins[1, max(due_step - 1, 1)] += share
-    here, less = (as_like(row, queue_kws) for row in bins)
+    arrived_share, moved_share = (as_like(row, queue_kws) for row in bins)
     local_kw = arrived_kw if moved_kw is None else arrived_kw - moved_kw
-    x = xp.concat((queue_kws, 0.0 * queue_kws[..., :1]), axis=-1) + (local_kw * dt_s)[..., None] * here
+    x = xp.concat((queue_kws, 0.0 * queue_kws[..., :1]), axis=-1) + (local_kw * dt_s)[..., None] * arrived_share
     if moved_kw is not None:
-        x = x + (moved_kw * dt_s)[..., None] * less
+        x = x + (moved_kw * dt_s)[..., None] * moved_share
     before = x.cumsum(-1) - x
     left = positive_part(x - positive_part((served_kw * dt_s)[..., None] - before))
     queue = xp.concat((left[..., :1] + left[..., 1:2], left[..., 2:]), axis=-1)
@@ -250,5 +250,5 @@ def _due(queue: Array, soon: int, later: int, share: float, by_deadline: bool) -
         return queue[..., 0], queue[..., 1] + 0.0
     old, young = later - soon, 1.0 - share
     overdue = young * queue[..., 0] + share * sum_last(queue[..., : old + 1])
-    next_of_soon = queue[..., old + 1] if old + 1 <= later else 0.0 * overdue
-    return overdue, young * queue[..., 1] + share * next_of_soon
+    next_due = queue[..., old + 1] if old + 1 <= later else 0.0 * overdue
+    return overdue, young * queue[..., 1] + share * next_due

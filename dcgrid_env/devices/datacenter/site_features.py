@@ -66,7 +66,7 @@ class Load(NamedTuple):
     """Arriving work that comes from another site, kW; None for no such work."""
 
 
-class Given(NamedTuple):
+class FeatureInputs(NamedTuple):
     """Exogenous inputs of the features of a group of sites over an interval."""
 
     work: Work
@@ -76,7 +76,7 @@ class Given(NamedTuple):
     """Work as changed by features before it was served; None if unchanged."""
 
 
-class PassesBy:
+class PassiveFeature:
     """A feature that leaves alone what sites serve and draw; a base of those that do no more than their own methods."""
 
     def channels(self, params: DataCenterParams) -> tuple[Channel, ...]:
@@ -90,7 +90,7 @@ class PassesBy:
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[Any, DataCenterState, Array]:
         """Change nothing, see ``SiteFeature.step``."""
@@ -132,7 +132,7 @@ class SiteFeature(Protocol):
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[Any, DataCenterState, Array]:
         """Advance by one interval.
@@ -148,7 +148,7 @@ class SiteFeature(Protocol):
             have left them.
         setpoints
             What each of its channels is set to, (row, slot) each.
-        given
+        inputs
             What comes from outside.
         dt_s
             Length of the interval, s.
@@ -189,7 +189,7 @@ class AdmittingFeature(SiteFeature, Protocol):
         feature_state: FeatureState,
         load: Load,
         setpoints: tuple[Array, ...],
-        given: Work,
+        work: Work,
         dt_s: float,
     ) -> tuple[Any, Load]:
         """Make of the work of an interval what the sites are to do.
@@ -202,7 +202,7 @@ class AdmittingFeature(SiteFeature, Protocol):
             The work as the features before it have left it.
         setpoints
             What each of its channels is set to, (row, slot) each.
-        given
+        work
             The work as it came.
         dt_s
             Length of the interval, s.

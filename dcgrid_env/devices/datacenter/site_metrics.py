@@ -58,7 +58,7 @@ def site_metrics(
     arrived, served = (w[1:].reshape(len(w) - 1, -1) for w in (history.class_arrived_kw, history.class_served_kw))
     figures = delay_figures(fcfs_delays(arrived, served, dt_s)) | {"clock_mean_pct": mean_clock_pct(params, history)}
     if requests:
-        figures |= figures_of_requests(params, clock_law, history, dt_s, requests, latency_s)
+        figures |= request_figures(params, clock_law, history, dt_s, requests, latency_s)
     return figures
 
 
@@ -80,7 +80,7 @@ def mean_clock_pct(params: DataCenterParams, history: DeviceState) -> float:
     return 100.0 * clock
 
 
-def figures_of_requests(
+def request_figures(
     params: DataCenterParams,
     clock_law: Dvfs,
     history: DeviceState,

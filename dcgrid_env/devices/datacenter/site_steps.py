@@ -9,7 +9,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace
 from dcgrid_env.devices.datacenter.clock_law import Dvfs, work_classes_of
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState, DataCenterStep, serve_arrived, step
-from dcgrid_env.devices.datacenter.site_features import Given, Load, SiteState
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, Load, SiteState
 from dcgrid_env.devices.datacenter.site_work import arriving, idle_draw, top_power
 from dcgrid_env.devices.device import Work
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -45,33 +45,38 @@ class SiteSteps:
         self.admitting = tuple(i for i, feature in enumerate(features) if hasattr(feature, "admit"))
         """The features that act on work before it is served."""
 
-    def plain(
-        self, params: DataCenterParams, state: DataCenterState, f_mhz: Array, given: Work, dt_s: float
+    def without_features(
+        self, params: DataCenterParams, state: DataCenterState, f_mhz: Array, work: Work, dt_s: float
     ) -> tuple[DataCenterState, Array]:
         """State and draw of sites whose work no feature has touched."""
-        share = given.compute_share if self.has_two_classes else None
+        share = work.compute_share if self.has_two_classes else None
         boosts, queued = self.boost_share > 1.0, state.class_backlog_kws
-        done = step(params, self.clock_law, queued, given.p_ref_kw, f_mhz, dt_s, share, boost=boosts)
+        done = step(params, self.clock_law, queued, work.p_ref_kw, f_mhz, dt_s, share, boost=boosts)
         return _after(done, state, f_mhz)
 
     def with_features(
-        self, params: DataCenterParams, state: SiteState, setpoints: tuple[Array, ...], given: Given, dt_s: float
+        self,
+        params: DataCenterParams,
+        state: SiteState,
+        setpoints: tuple[Array, ...],
+        inputs: FeatureInputs,
+        dt_s: float,
     ) -> tuple[SiteState, Array]:
         """State and draw after all features have acted."""
         owns = list(state.features)
         if self.admitting:
-            load = _load(params, given.work)
+            load = _load(params, inputs.work)
             for i in self.admitting:
                 set_to = setpoints[self.channels_at[i]]
-                owns[i], load = self.features[i].admit(params, state, owns[i], load, set_to, given.work, dt_s)
-            given = given._replace(load=load)
+                owns[i], load = self.features[i].admit(params, state, owns[i], load, set_to, inputs.work, dt_s)
+            inputs = inputs._replace(load=load)
             site, p_kw = self._admitted(params, state.site, setpoints[0], load, dt_s)
         else:
-            site, p_kw = self.plain(params, state.site, setpoints[0], given.work, dt_s)
+            site, p_kw = self.without_features(params, state.site, setpoints[0], inputs.work, dt_s)
         for i in self.order:
             set_to = setpoints[self.channels_at[i]]
             before_kw = p_kw
-            owns[i], site, p_kw = self.features[i].step(params, owns[i], site, p_kw, set_to, given, dt_s)
+            owns[i], site, p_kw = self.features[i].step(params, owns[i], site, p_kw, set_to, inputs, dt_s)
             for j in self.drawing.get(i, ()):
                 owns[j] = self.features[j].with_supply(owns[j], self.features[i].supplied(owns[i], before_kw))
         return SiteState._make((*site, tuple(owns))), p_kw

@@ -17,7 +17,7 @@ from dcgrid_env.core.arrays import Array, as_like, namespace, positive_part
 from dcgrid_env.core.cache import PickledByFields, cached_on_owner
 from dcgrid_env.core.checked import settle
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.devices.datacenter.site_features import Given, SiteState
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
 from dcgrid_env.devices.storage import energy_balance, figures
@@ -77,14 +77,14 @@ class SiteStorage(figures.StorageFigures, PickledByFields):
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[SiteStorageState, DataCenterState, Array]:
         """Charge or discharge as far as there is room, energy and rating, see ``SiteFeature.step``."""
         xp = namespace(p_kw)
         highest, lowest = positive_part(params.p_rated_kw - p_kw), -params.p_rated_kw - p_kw
         asked_kw = xp.maximum(xp.minimum(setpoints[0], highest), lowest)
-        after = energy_balance.step(self._like(p_kw), feature_state.storage, asked_kw, given.work.available, dt_s)
+        after = energy_balance.step(self._like(p_kw), feature_state.storage, asked_kw, inputs.work.available, dt_s)
         return SiteStorageState(after), site, p_kw + after.storage_kw
 
     def observe(self, params: DataCenterParams, feature_state: SiteStorageState) -> tuple[Array, ...]:

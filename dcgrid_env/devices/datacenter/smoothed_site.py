@@ -20,7 +20,7 @@ from dcgrid_env.core.arrays import Array, as_like, namespace, sum_last
 from dcgrid_env.core.metric import Metric, cost_metric
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
 from dcgrid_env.devices.datacenter.power_smoothing import PowerSmoothing
-from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, SiteState, with_share_served
 from dcgrid_env.devices.device import Channel, CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -125,7 +125,7 @@ class SmoothedSite:
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[SmoothingState, DataCenterState, Array]:
         """Advance by one interval, see ``SiteFeature.step``."""
@@ -133,8 +133,8 @@ class SmoothedSite:
         began = feature_state.smoothed_kw < 0.0
         feature_state = self._set(params, feature_state, setpoints, dt_s)
         busy = p_kw >= feature_state.floor_kw
-        wanted = xp.where(busy | self._held(feature_state), xp.maximum(p_kw, feature_state.floor_kw), p_kw)
-        idle_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw)
+        wanted = xp.where(busy | self._keeps_floor(feature_state), xp.maximum(p_kw, feature_state.floor_kw), p_kw)
+        idle_kw = xp.minimum(inputs.work.p_ref_kw, params.p_idle_kw)
         lowest = feature_state.smoothed_kw - feature_state.ramp_down_kw_per_s * dt_s
         highest = feature_state.smoothed_kw + feature_state.ramp_up_kw_per_s * dt_s
         within = xp.maximum(xp.minimum(xp.maximum(wanted, lowest), highest), idle_kw)
@@ -161,7 +161,7 @@ class SmoothedSite:
     def observe(self, params: DataCenterParams, feature_state: SmoothingState) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
         held_kw = namespace(feature_state.quiet_s).where(
-            self._held(feature_state), feature_state.floor_kw, 0.0 * feature_state.floor_kw
+            self._keeps_floor(feature_state), feature_state.floor_kw, 0.0 * feature_state.floor_kw
         )
         common = (feature_state.smoothed_kw, held_kw, feature_state.quiet_s)
         if not self.by_agent:
@@ -197,7 +197,7 @@ class SmoothedSite:
             else 0.0,
         }
 
-    def _held(self, feature_state: SmoothingState) -> Array:
+    def _keeps_floor(self, feature_state: SmoothingState) -> Array:
         """Whether the floor outlasts the work over the coming interval."""
         return feature_state.quiet_s < self.settings.hysteresis_s
 

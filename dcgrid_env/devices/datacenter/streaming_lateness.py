@@ -39,7 +39,7 @@ class StreamingLateness:
 
             left = serve_in_line(line, served, self.steps, rounding, note)
             waits = left > 0.0
-            self._lines[i] = Line(*(of[..., waits] for of in line._replace(amount=left)))
+            self._lines[i] = Line(*(column[..., waits] for column in line._replace(amount=left)))
         self.steps += len(arrived_kw)
 
     def figures(self) -> dict[str, float]:
@@ -53,8 +53,8 @@ class StreamingLateness:
         return late_figures([(np.arange(len(work), dtype=np.float64), work) for work in late], self.dt_s)
 
 
-def _joined(waiting: Line | None, coming: Line) -> Line:
+def _joined(waiting: Line | None, arriving: Line) -> Line:
     """Those in line and those that join it, in the order in which they are served."""
     if waiting is None or not len(waiting.amount):
-        return coming
-    return Line(*(np.concatenate(parts, axis=-1) for parts in zip(waiting, coming, strict=True))).in_order()
+        return arriving
+    return Line(*(np.concatenate(parts, axis=-1) for parts in zip(waiting, arriving, strict=True))).in_order()

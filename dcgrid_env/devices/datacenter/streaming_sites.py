@@ -14,7 +14,7 @@ import numpy as np
 from dcgrid_env.core.metric import Combined
 from dcgrid_env.devices.datacenter.clock_law import Dvfs
 from dcgrid_env.devices.datacenter.feature_settings import METRICS as OF_FEATURES
-from dcgrid_env.devices.datacenter.site_metrics import METRICS, delay_figures, figures_of_requests, mean_clock_pct
+from dcgrid_env.devices.datacenter.site_metrics import METRICS, delay_figures, mean_clock_pct, request_figures
 from dcgrid_env.devices.datacenter.streaming_waiting import WaitingTimes
 from dcgrid_env.devices.device import DeviceState, Requests
 from dcgrid_env.devices.ratings import DataCenterParams
@@ -50,7 +50,7 @@ class StreamingSites:
         self.params, self.clock_law, self.features = params, clock_law, features
         self.latency_s, self.dt_s, self.requests = latency_s, dt_s, requests
         self._waiting, self._combined = WaitingTimes(dt_s), Combined((*METRICS, *OF_FEATURES))
-        self._own = [getattr(feature, "streaming", lambda *_: None)(params, dt_s) for feature in features]
+        self._feature_metrics = [getattr(feature, "streaming", lambda *_: None)(params, dt_s) for feature in features]
         self._kept: dict[str, list[np.ndarray]] = {}
 
     def add(self, history: DeviceState, steps: int) -> None:
@@ -59,7 +59,7 @@ class StreamingSites:
         self._waiting.add(arrived, served)
         figures = {"clock_mean_pct": mean_clock_pct(self.params, history)}
         for feature, feature_metrics, state in zip(
-            self.features, self._own, getattr(history, "features", ()), strict=True
+            self.features, self._feature_metrics, getattr(history, "features", ()), strict=True
         ):
             if feature_metrics is None:
                 figures |= feature.metrics(self.params, history, state, self.dt_s)
@@ -79,8 +79,8 @@ class StreamingSites:
         figures = delay_figures(self._waiting.delays()) | self._combined.figures()
         if self.requests:
             whole = SimpleNamespace(**{name: np.concatenate(parts) for name, parts in self._kept.items()})
-            figures |= figures_of_requests(self.params, self.clock_law, whole, self.dt_s, self.requests, self.latency_s)
-        for feature_metrics in self._own:
+            figures |= request_figures(self.params, self.clock_law, whole, self.dt_s, self.requests, self.latency_s)
+        for feature_metrics in self._feature_metrics:
             if feature_metrics is not None:
                 figures |= feature_metrics.figures()
         return figures

@@ -37,9 +37,9 @@ class _Queue:
         edges = np.unique(np.concatenate(([0.0], level, done)))
         middle, width = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
         taken = (middle < done[-1]) & (width > rounding)
-        of = np.searchsorted(level, middle[taken], side="left")
+        entry = np.searchsorted(level, middle[taken], side="left")
         left = first + np.searchsorted(done, middle[taken], side="left")
-        self.served_by_wait = added(self.served_by_wait, np.maximum(left - came[of], 0), width[taken])
+        self.served_by_wait = added(self.served_by_wait, np.maximum(left - came[entry], 0), width[taken])
         rest = np.minimum(amount, np.maximum(level - done[-1], 0.0))
         waits = rest > 0.0
         self.came, self.amount = came[waits], rest[waits]

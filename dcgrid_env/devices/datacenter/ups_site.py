@@ -14,7 +14,7 @@ from dcgrid_env.core.arrays import Array, namespace, sum_last
 from dcgrid_env.core.metric import Combined, Metric, cost_metric
 from dcgrid_env.devices.datacenter.cooled_site import Cooling
 from dcgrid_env.devices.datacenter.datacenter import DataCenterState
-from dcgrid_env.devices.datacenter.site_features import Given, SiteState, with_share_served
+from dcgrid_env.devices.datacenter.site_features import FeatureInputs, SiteState, with_share_served
 from dcgrid_env.devices.device import Channel, CostTerm, Field
 from dcgrid_env.devices.ratings import DataCenterParams
 from dcgrid_env.devices.ride_through import connection, connection_surrogate, ups_battery
@@ -108,11 +108,11 @@ class UpsSite:
         site: DataCenterState,
         p_kw: Array,
         setpoints: tuple[Array, ...],
-        given: Given,
+        inputs: FeatureInputs,
         dt_s: float,
     ) -> tuple[UpsState, DataCenterState, Array]:
         """Advance by one interval, see ``SiteFeature.step``."""
-        xp, rule, supply = namespace(p_kw), self.rule, given.supply
+        xp, rule, supply = namespace(p_kw), self.rule, inputs.supply
         assert supply is not None
         pace: Any = connection.by_rule(rule, dt_s)
         if rule.release == "agent":
@@ -121,7 +121,7 @@ class UpsSite:
             if supply.widths is not None:
                 pace = connection_surrogate.smoothed_pace(pace, rate, 1.0 / rule.walk_in_s, dt_s, supply.widths)
         ups = connection.advance(rule, feature_state.ups, supply, pace, dt_s)
-        idle_kw, rated_kw = xp.minimum(given.work.p_ref_kw, params.p_idle_kw), params.p_rated_kw
+        idle_kw, rated_kw = xp.minimum(inputs.work.p_ref_kw, params.p_idle_kw), params.p_rated_kw
         if self.cooling is not None:
             idle_kw = (1.0 + self.cooling.cooling_share) * idle_kw + self.cooling.auxiliary_share * rated_kw
             rated_kw = rated_kw * self._site_share

@@ -25,7 +25,7 @@ import numpy as np
 from dcgrid_env.core.arrays import Array, namespace, positive_part, sum_last
 from dcgrid_env.core.checked import FieldError, number, settle
 from dcgrid_env.core.metric import Metric, cost_metric
-from dcgrid_env.devices.datacenter.site_features import Load, PassesBy, SiteState
+from dcgrid_env.devices.datacenter.site_features import Load, PassiveFeature, SiteState
 from dcgrid_env.devices.device import Channel, CostTerm, Field, Work
 from dcgrid_env.devices.ratings import DataCenterParams
 
@@ -80,7 +80,7 @@ METRICS = (
 
 
 @dataclass(frozen=True)
-class RoutedSites(PassesBy):
+class RoutedSites(PassiveFeature):
     """Sites with this routing."""
 
     rule: Routing
@@ -130,12 +130,12 @@ class RoutedSites(PassesBy):
         feature_state: RoutingState,
         load: Load,
         setpoints: tuple[Array, ...],
-        given: Work,
+        work: Work,
         dt_s: float,
     ) -> tuple[RoutingState, Load]:
         """Move work, see ``SiteFeature.admit``."""
         xp, arrived, route = namespace(load.arrived_kw), load.arrived_kw, setpoints[0]
-        on_grid = self._on_grid(state, given)
+        on_grid = self._on_grid(state, work)
         share = load.compute_share
         give = positive_part(-route) * self.rule.movable_share * arrived
         room = positive_part(route) * params.p_dynamic_kw
@@ -154,20 +154,20 @@ class RoutedSites(PassesBy):
             arrived_kw=after, compute_share=share, moved_kw=received
         )
 
-    def _on_grid(self, state: SiteState, given: Work) -> Array | None:
+    def _on_grid(self, state: SiteState, work: Work) -> Array | None:
         """Share of each site that is on the grid, None where all are for certain."""
         ups = next((fields.ups for fields in state.features if "ups" in fields._fields), None)
         if ups is None:
-            return given.available
-        return ups.share if given.available is None else ups.share * given.available
+            return work.available
+        return ups.share if work.available is None else ups.share * work.available
 
     def observe(
         self, params: DataCenterParams, feature_state: RoutingState, given_next: Work | None = None
     ) -> tuple[Array, ...]:
         """Raw figures of ``fields``."""
         assert given_next is not None  # which a feature that looks ahead is always given
-        coming = positive_part(given_next.p_ref_kw - params.p_idle_kw)
-        return feature_state.work_share, 0.0 * coming + sum_last(coming)[..., None]
+        arriving = positive_part(given_next.p_ref_kw - params.p_idle_kw)
+        return feature_state.work_share, 0.0 * arriving + sum_last(arriving)[..., None]
 
     def amount(self, name: str, params: DataCenterParams, feature_state: RoutingState) -> Array:
         """Work that came from elsewhere, by how long it took, kW s."""

@@ -32,7 +32,7 @@ _MINUTE_S = 60.0
 class Supply(NamedTuple):
     """Input of a device with a ride-through rule over an interval."""
 
-    given: DeviceInput
+    device_input: DeviceInput
     """Usual input of the device, see ``Device.input``."""
     v_lowest_pu: Array
     """Voltage of its lowest phase before the interval, p.u., (row, slot)."""
@@ -178,8 +178,8 @@ def _advanced(
     )
     if widths is None:
         return after
-    asked = (before.locked <= 0.0) | (before.wait_s + soon >= release_s)
-    may_return = ready & asked & ~out_of_order
+    is_requested = (before.locked <= 0.0) | (before.wait_s + soon >= release_s)
+    may_return = ready & is_requested & ~out_of_order
     fell = event & ~slow
     return connection_surrogate.with_derivatives(
         before, after, v, threshold, time_s, fell, may_return, pace, dt_s, widths

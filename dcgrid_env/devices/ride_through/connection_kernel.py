@@ -67,9 +67,9 @@ def advance_rows(before, low, high, sags, pace, figures, widths, dt_s):
             start = not connected and not event and not is_locked and waited and may_go and allowed
             if start:
                 _note(returns[i, j], 0.0, 0.0)
-            here = (connected or start) and not event
+            present = (connected or start) and not event
             grown = share_in[i, j] + pace[i, j]
-            share[i, j] = 0.0 if not here else 1.0 if grown > ALL_BACK else grown
+            share[i, j] = 0.0 if not present else 1.0 if grown > ALL_BACK else grown
             wait[i, j] = min(since, longest_s)
             locked[i, j] = 1.0 if is_locked else 0.0
             tripped[i, j] = 1.0 if event and connected else 0.0

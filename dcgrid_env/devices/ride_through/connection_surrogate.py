@@ -95,11 +95,11 @@ def with_derivatives(
     timer_s = before.timer_s + dt_s
     spent_s = timer_s - xp.where(time_s < _NEVER_S, time_s, 0.0 * time_s + _NEVER_S)
     stays = (1.0 - beyond * smooth_step(spent_s, widths.time_s)).prod(-1)
-    here, out = (xp.astype(flag, v.dtype) for flag in (before.share > 0.0, fell))
-    kept = here * (1.0 - out) * before.share.detach() * no_value(stays)
+    present, out = (xp.astype(flag, v.dtype) for flag in (before.share > 0.0, fell))
+    kept = present * (1.0 - out) * before.share.detach() * no_value(stays)
     whole = xp.astype((after.share >= 1.0) & (before.share > 0.0), v.dtype) * no_value(before.share)
     back = xp.astype(may_return & (after.share <= 0.0), v.dtype) * no_value(before.share + pace)
-    tripped = out * before.share + (1.0 - out) * here * (1.0 - stays)
+    tripped = out * before.share + (1.0 - out) * present * (1.0 - stays)
     return after._replace(
         share=after.share + kept + whole + back,
         timer_s=after.timer_s.detach() + no_value(beyond * timer_s),

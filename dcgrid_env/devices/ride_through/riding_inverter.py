@@ -53,8 +53,8 @@ def step(
     after = connection.advance(rule, before, supply, connection.by_rule(rule, dt_s), dt_s)
     if supply.available is not None:  # what a fault has taken already is not lost again
         after = after._replace(tripped=after.tripped * supply.available)
-    after = after._replace(lost_kw=-after.tripped * before.share * supply.given)
-    return RidingInverterState(after), -after.share * supply.given
+    after = after._replace(lost_kw=-after.tripped * before.share * supply.device_input)
+    return RidingInverterState(after), -after.share * supply.device_input
 
 
 def observe(rule: RideThrough, state: RidingInverterState) -> tuple[Array, ...]:

@@ -80,8 +80,8 @@ class RideThrough(PickledByFields):
     def check_slots(self, slots: int) -> None:
         """Raise FieldError if there are several curves, but not one for each slot."""
         if isinstance(self.curve, tuple) and len(self.curve) != slots:
-            given = f"has {len(self.curve)} curves"
-            raise FieldError(type(self).__name__, "curve", ..., f"{given}; give one, or one for each of {slots}")
+            problem = f"has {len(self.curve)} curves"
+            raise FieldError(type(self).__name__, "curve", ..., f"{problem}; give one, or one for each of {slots}")
 
     @cached_on_owner
     def elements(self, slots: int) -> Elements:

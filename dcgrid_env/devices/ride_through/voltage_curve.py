@@ -50,26 +50,26 @@ class RideThroughCurve:
             raise FieldError("RideThroughCurve", "under", self.under, "give a threshold here or in over")
 
 
-def _table(name: str, given: Any, sign: float) -> tuple[Threshold, ...]:
+def _table(name: str, values: Any, sign: float) -> tuple[Threshold, ...]:
     """Return a table as a tuple of pairs; FieldError for other values, or a table that is not monotone."""
     side = "falling from below 1 p.u." if sign < 0 else "rising from above 1 p.u."
-    given = given.tolist() if isinstance(given, np.ndarray) else given
-    if not isinstance(given, list | tuple) or not all(isinstance(p, list | tuple) and len(p) == 2 for p in given):
-        raise FieldError("RideThroughCurve", name, given, "give pairs of a voltage in p.u. and seconds")
-    table = tuple(tuple(pair) for pair in given)
+    values = values.tolist() if isinstance(values, np.ndarray) else values
+    if not isinstance(values, list | tuple) or not all(isinstance(p, list | tuple) and len(p) == 2 for p in values):
+        raise FieldError("RideThroughCurve", name, values, "give pairs of a voltage in p.u. and seconds")
+    table = tuple(tuple(pair) for pair in values)
     for v_pu, time_s in table:
         if not finite(v_pu, 0.0, 10.0) or sign * (v_pu - 1.0) <= 0.0:
-            raise FieldError("RideThroughCurve", name, given, f"the voltage {v_pu!r} cannot be; give them {side}")
+            raise FieldError("RideThroughCurve", name, values, f"the voltage {v_pu!r} cannot be; give them {side}")
         if not finite(time_s, 0.0, 1e9):
             raise FieldError(
-                "RideThroughCurve", name, given, f"the time {time_s!r} cannot be; give seconds of at least 0"
+                "RideThroughCurve", name, values, f"the time {time_s!r} cannot be; give seconds of at least 0"
             )
     for (v_before, s_before), (v_pu, time_s) in pairwise(table):
         if sign * (v_pu - v_before) <= 0.0:
-            raise FieldError("RideThroughCurve", name, given, f"{v_pu!r} follows {v_before!r}; give voltages {side}")
+            raise FieldError("RideThroughCurve", name, values, f"{v_pu!r} follows {v_before!r}; give voltages {side}")
         if time_s > s_before:
             remedy = f"{time_s!r} s follows {s_before!r} s; what is farther from 1 p.u. cannot be ridden through longer"
-            raise FieldError("RideThroughCurve", name, given, remedy)
+            raise FieldError("RideThroughCurve", name, values, remedy)
     return tuple((float(v_pu), float(time_s)) for v_pu, time_s in table)
 
 

@@ -70,14 +70,16 @@ def fields(params: StorageParams) -> tuple[Field, ...]:
     )
 
 
-def cost_terms(params: StorageParams, of: str = "") -> tuple[CostTerm, ...]:
-    """Return the cost terms, throughput and missing energy at the end, with the prefix ``of`` in their names."""
+def cost_terms(params: StorageParams, prefix: str = "") -> tuple[CostTerm, ...]:
+    """Return the cost terms, throughput and missing energy at the end, with ``prefix`` in their names."""
     rated, of_all = params.p_rated_kw, float(params.p_rated_kw.sum()) or 1.0
     ageing = float(params.ageing_price.max(initial=0.0))
     missing = float((params.missing_price * params.returned_kwh * 3600.0 / rated).max(initial=0.0))
     return (
-        CostTerm(f"{of}ageing", f"{of}ageing", rated, of_all, ageing, weight=1.0),
-        CostTerm(f"{of}missing", f"{of}missing", rated / 3600.0, of_all / 3600.0, missing, at_end=True, weight=1.0),
+        CostTerm(f"{prefix}ageing", f"{prefix}ageing", rated, of_all, ageing, weight=1.0),
+        CostTerm(
+            f"{prefix}missing", f"{prefix}missing", rated / 3600.0, of_all / 3600.0, missing, at_end=True, weight=1.0
+        ),
     )
 
 
@@ -88,48 +90,48 @@ def amount(name: str, params: StorageParams, state: StorageState) -> Array:
     return namespace(state.storage_kw).abs(state.storage_kw) * params.ageing_price
 
 
-def totals(state: StorageState, of: str = "") -> dict[str, Array]:
+def totals(state: StorageState, prefix: str = "") -> dict[str, Array]:
     """Return the stored energy, throughput, losses and missing energy of all storages, kWh, (row,) each.
 
-    Their names begin with ``of``.
+    Their names begin with ``prefix``.
     """
     return {
-        f"{of}stored_kwh": sum_last(state.stored_kwh),
-        f"{of}storage_throughput_kwh": sum_last(state.throughput_kwh),
-        f"{of}storage_loss_kwh": sum_last(state.storage_loss_kwh),
-        f"{of}storage_missing_kwh": sum_last(state.missing_kwh),
+        f"{prefix}stored_kwh": sum_last(state.stored_kwh),
+        f"{prefix}storage_throughput_kwh": sum_last(state.throughput_kwh),
+        f"{prefix}storage_loss_kwh": sum_last(state.storage_loss_kwh),
+        f"{prefix}storage_missing_kwh": sum_last(state.missing_kwh),
     }
 
 
-def metrics_of(of: str = "", behind: str = "") -> tuple[Metric, ...]:
-    """Return the metrics of storages, whose names begin with ``of`` and whose labels end with ``behind``."""
+def metrics_of(prefix: str = "", behind: str = "") -> tuple[Metric, ...]:
+    """Return the metrics of storages, whose names begin with ``prefix`` and whose labels end with ``behind``."""
     return (
-        cost_metric(f"{of}ageing", f"ageing cost of storage{behind}"),
-        cost_metric(f"{of}missing", f"cost of missing energy{behind}"),
-        Metric(f"{of}stored_end_pct", f"stored at the end{behind}", "%", 1, "neither",
+        cost_metric(f"{prefix}ageing", f"ageing cost of storage{behind}"),
+        cost_metric(f"{prefix}missing", f"cost of missing energy{behind}"),
+        Metric(f"{prefix}stored_end_pct", f"stored at the end{behind}", "%", 1, "neither",
             "stored energy at the end, as a share of the capacity of all storages", "last"),
-        Metric(f"{of}stored_lowest_pct", f"least stored{behind}", "%", 1, "neither",
+        Metric(f"{prefix}stored_lowest_pct", f"least stored{behind}", "%", 1, "neither",
             "least stored energy, as the same share", "min", over_episodes="min"),
-        Metric(f"{of}storage_throughput_kwh", f"throughput of storage{behind}", "kWh", 2, "lower",
+        Metric(f"{prefix}storage_throughput_kwh", f"throughput of storage{behind}", "kWh", 2, "lower",
             "energy charged and energy discharged, at the grid, over the steps 1 .. T", "sum", tables=("run",)),
-        Metric(f"{of}storage_loss_kwh", f"energy lost in storage{behind}", "kWh", 2, "lower",
+        Metric(f"{prefix}storage_loss_kwh", f"energy lost in storage{behind}", "kWh", 2, "lower",
             "energy drawn that is neither given back nor stored at the end", "sum"),
-        Metric(f"{of}storage_missing_kwh", f"energy missing in storage{behind}", "kWh", 2, "lower",
+        Metric(f"{prefix}storage_missing_kwh", f"energy missing in storage{behind}", "kWh", 2, "lower",
             "energy that is missing at the end of what is to be returned", "last", tables=("run",)),
     )  # fmt: skip
 
 
-def metrics(params: StorageParams, history: StorageState, of: str = "") -> dict[str, float]:
+def metrics(params: StorageParams, history: StorageState, prefix: str = "") -> dict[str, float]:
     """Return the energy at the end, its minimum, the throughput, the losses and the missing energy.
 
-    Their names begin with ``of``.
+    Their names begin with ``prefix``.
     """
     energy = float(params.energy_kwh.sum()) or 1.0
     throughput, loss = (sum_last(total[-1] - total[0]) for total in (history.throughput_kwh, history.storage_loss_kwh))
     return {
-        f"{of}stored_end_pct": 100.0 * sum_last(history.stored_kwh[-1]) / energy,
-        f"{of}stored_lowest_pct": 100.0 * sum_last(history.stored_kwh).min() / energy,
-        f"{of}storage_throughput_kwh": throughput,
-        f"{of}storage_loss_kwh": loss,
-        f"{of}storage_missing_kwh": sum_last(history.missing_kwh[-1]),
+        f"{prefix}stored_end_pct": 100.0 * sum_last(history.stored_kwh[-1]) / energy,
+        f"{prefix}stored_lowest_pct": 100.0 * sum_last(history.stored_kwh).min() / energy,
+        f"{prefix}storage_throughput_kwh": throughput,
+        f"{prefix}storage_loss_kwh": loss,
+        f"{prefix}storage_missing_kwh": sum_last(history.missing_kwh[-1]),
     }

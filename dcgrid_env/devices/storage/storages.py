@@ -140,11 +140,16 @@ class Storages(figures.StorageFigures, PickledByFields):
         return energy_balance.initial(parameters, zero)
 
     def step(
-        self, parameters: StorageParams, state: StorageState, setpoints: tuple[Array, ...], given: object, dt_s: float
+        self,
+        parameters: StorageParams,
+        state: StorageState,
+        setpoints: tuple[Array, ...],
+        device_input: object,
+        dt_s: float,
     ) -> tuple[StorageState, Array]:
         """Charge or discharge within the free capacity or stored energy, see ``energy_balance``."""
         (asked_kw,) = setpoints
-        after = energy_balance.step(parameters, state, asked_kw, given, dt_s)
+        after = energy_balance.step(parameters, state, asked_kw, device_input, dt_s)
         return after, after.storage_kw
 
     def grid_change(self, parameters: StorageParams, state: StorageState) -> GridChange:

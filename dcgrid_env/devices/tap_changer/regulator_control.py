@@ -69,8 +69,9 @@ class RegulatorControl:
         for column, schedule in enumerate(self._by_row(table)):
             if isinstance(schedule, tuple):
                 hours, volts = np.array(schedule).T
-                at = np.searchsorted(hours, (hour + _ROUNDING_H) % 24.0, side="right") - 1  # -1: the last of yesterday
-                offset_v[:, column] = volts[at]
+                # -1 is the last one of yesterday.
+                last = np.searchsorted(hours, (hour + _ROUNDING_H) % 24.0, side="right") - 1
+                offset_v[:, column] = volts[last]
         return offset_v
 
     def _by_row(self, table: RegulatorTable) -> list[float | Schedule]:

@@ -146,7 +146,7 @@ class RegulatorSetPoints(GridEquipment):
         parameters: RegulatorSetPointParams,
         state: RegulatorSetPointState,
         setpoints: tuple[Array, ...],
-        given: object,
+        device_input: object,
         dt_s: float,
     ) -> tuple[RegulatorSetPointState, Array]:
         """Take over what is requested where the set point in force is old enough."""

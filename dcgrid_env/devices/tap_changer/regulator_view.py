@@ -55,11 +55,11 @@ def upstream_regulators(feeder: ThreePhaseFeeder) -> np.ndarray:
 
     It is the number of regulators for a node without one. A regulator is upstream of the bus that it feeds.
     """
-    found = np.full(feeder.n_node, feeder.n_regulator, np.int64)
+    rows = np.full(feeder.n_node, feeder.n_regulator, np.int64)
     for node in range(feeder.n_node):
         upstream = node
         while upstream >= 0 and feeder.node_regulator[upstream] < 0:
             upstream = feeder.node_parent[upstream]
         if upstream >= 0:
-            found[node] = feeder.node_regulator[upstream]
-    return found
+            rows[node] = feeder.node_regulator[upstream]
+    return rows

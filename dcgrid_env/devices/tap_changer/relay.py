@@ -94,12 +94,12 @@ def relay_settings(feeder: ThreePhaseFeeder) -> RelaySettings:
 
 def _other_ends(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
     """Node at the other end of the winding that each relay measures, -1 if it is grounded."""
-    table, found = feeder.network.regulator, np.full(len(node), -1, np.int64)
+    table, other_nodes = feeder.network.regulator, np.full(len(node), -1, np.int64)
     for row, (bus, phase) in enumerate(zip(table.to_bus, table.sensed_phase, strict=True)):
         winding = next((at_to for _, at_to in table.windings(row) if phase in at_to), "")
         if len(winding) > 1 and table.relay_bus(row) == bus:
-            found[row] = feeder.nodes_of(bus, winding.replace(phase, ""))[0]
-    return found
+            other_nodes[row] = feeder.nodes_of(bus, winding.replace(phase, ""))[0]
+    return other_nodes
 
 
 def _feeds(feeder: ThreePhaseFeeder, node: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def _relay_volts(settings: RelaySettings, v_re_pu: Array, v_im_pu: Array, i_re_a
     """See ``relay_volts``; voltages and currents of all nodes, (..., n_node)."""
     v_re, v_im, i_re, i_im = (take_last(values, settings.node) for values in (v_re_pu, v_im_pu, i_re_a, i_im_a))
     v_re, v_im = (
-        v - settings.is_between * take_last(at, settings.other) for v, at in ((v_re, v_re_pu), (v_im, v_im_pu))
+        v - settings.is_between * take_last(node_v, settings.other) for v, node_v in ((v_re, v_re_pu), (v_im, v_im_pu))
     )
     re = v_re * settings.volts_per_pu - settings.r_ohm * i_re + settings.x_ohm * i_im
     im = v_im * settings.volts_per_pu - settings.r_ohm * i_im - settings.x_ohm * i_re

@@ -120,7 +120,7 @@ class TapChangers(GridEquipment):
         parameters: TapChangerParams,
         state: TapChangerState,
         setpoints: tuple[Array, ...],
-        given: object,
+        device_input: object,
         dt_s: float,
     ) -> tuple[TapChangerState, Array]:
         """Go towards the tap that is asked for, as far as the drive does in ``dt_s``."""

@@ -258,21 +258,21 @@ def differences(
     targets, steps_left
         Useful taps, and the steps of the episode after this one, (row,); None where no tap is paid.
     """
-    params, of, saved = parameters(scenario, default), changes(scenario), np.zeros(default.shape)
-    drawn_kw = np.zeros((len(default), len(of.agent)))
+    params, change, saved = parameters(scenario, default), changes(scenario), np.zeros(default.shape)
+    drawn_kw = np.zeros((len(default), len(change.agent)))
     for run in runs(scenario):
-        given = [setpoints[:, column] for column in action_layout(scenario).columns[run.device]]
-        given[run.channel] = given[run.channel].copy()
-        given[run.channel][:, run.slots] = default[:, run.entries]
-        state, drawn_kw[:, run.changes] = device_step(scenario, params, before, run.device, tuple(given), exogenous)
+        replaced = [setpoints[:, column] for column in action_layout(scenario).columns[run.device]]
+        replaced[run.channel] = replaced[run.channel].copy()
+        replaced[run.channel][:, run.slots] = default[:, run.entries]
+        state, drawn_kw[:, run.changes] = device_step(scenario, params, before, run.device, tuple(replaced), exogenous)
         more = _more_charged(scenario, run.device, params, state, after.devices[run.device])
         saved[:, run.entries] = more.sum(-1, keepdims=True) if run.is_coupled else more
-    slopes, coming = _NO_SLOPES, _NO_TAPS
+    slopes, taps_ahead = _NO_SLOPES, _NO_TAPS
     if targets is not None:
         slopes = (targets.by_p, targets.by_q)
-        coming = coming_taps(scenario, targets, after, steps_left, exogenous.offset_v)
+        taps_ahead = coming_taps(scenario, targets, after, steps_left, exogenous.offset_v)
     group = groups(scenario, buses)
-    add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, group, slopes, coming, saved)
+    add_saved_costs(scenario, after, setpoints, default, drawn_kw, exogenous, group, slopes, taps_ahead, saved)
     if scenario.cost.weights.grid_request:
         saved += _saved_requests(scenario, after, drawn_kw, exogenous.available)
     return saved
@@ -356,7 +356,7 @@ def add_saved_costs(
     exogenous: Exogenous,
     group: np.ndarray,
     slopes: tuple[np.ndarray, np.ndarray],
-    coming: ComingTaps,
+    taps_ahead: ComingTaps,
     saved: np.ndarray,
 ) -> None:
     """Add the voltage, violation and effort costs that each entry saves to ``saved``, (row, n_action), and taps.
@@ -384,27 +384,27 @@ def add_saved_costs(
     from dcgrid_env.core.threads import over_rows  # brings the compiler with it, so not on import
     from dcgrid_env.engine.cost.difference_kernel import add_saved_costs_rows
 
-    by, charged, of = sensitivities(scenario), charges(scenario), changes(scenario)
+    by, charged, change = sensitivities(scenario), charges(scenario), changes(scenario)
     cost, params = scenario.cost, parameters(scenario, default)
     available = np.empty((0, 0)) if exogenous.available is None else np.ascontiguousarray(exogenous.available)
-    given = (
+    arguments = (
         np.ascontiguousarray(state.v_pu), group, by.by_p, by.by_q, by.is_squared, charged.targets_pu,
-        float(cost.uncharged_pu), float(cost.band_pu), charged.voltage, charged.violation, charged.effort, *of,
+        float(cost.uncharged_pu), float(cost.band_pu), charged.voltage, charged.violation, charged.effort, *change,
         params.converter_kva, params.q_scale_kvar, setpoints, default, np.ascontiguousarray(state.p_kw),
-        np.ascontiguousarray(state.q_kvar), drawn_kw, available, *slopes, *coming, saved,
+        np.ascontiguousarray(state.q_kvar), drawn_kw, available, *slopes, *taps_ahead, saved,
     )  # fmt: skip
-    over_rows(lambda begin, end: add_saved_costs_rows(begin, end, *given), len(saved))
+    over_rows(lambda begin, end: add_saved_costs_rows(begin, end, *arguments), len(saved))
 
 
 def _saved_requests(scenario: Scenario, state: State, drawn_kw: np.ndarray, available: np.ndarray | None) -> np.ndarray:
     """Return the cost of the utility's requests that each entry saves, (row, n_action); see ``add_saved_costs``."""
-    of, asked, cut = changes(scenario), load_requests.columns(state.request), sites(scenario)
-    is_draw = ~of.is_reactive & (of.agent >= cut.start) & (of.agent < cut.stop)
-    p_kw = drawn_kw if available is None else drawn_kw * available[:, of.agent]
-    moved_kw = np.add.reduceat(np.where(is_draw, p_kw - state.p_kw[:, of.agent], 0.0), of.first[:-1], axis=1)
+    change, request, cut = changes(scenario), load_requests.columns(state.request), sites(scenario)
+    is_draw = ~change.is_reactive & (change.agent >= cut.start) & (change.agent < cut.stop)
+    p_kw = drawn_kw if available is None else drawn_kw * available[:, change.agent]
+    moved_kw = np.add.reduceat(np.where(is_draw, p_kw - state.p_kw[:, change.agent], 0.0), change.first[:-1], axis=1)
     draw = load_requests.sites_share(scenario, state.p_kw)[:, None]
     with_default = draw + moved_kw / load_requests.rated_kw(scenario)
-    lower, upper = asked.lower[:, None], asked.upper[:, None]
+    lower, upper = request.lower[:, None], request.upper[:, None]
     more = load_requests.missed_share(with_default, lower, upper) - load_requests.missed_share(draw, lower, upper)
     return scenario.cost.weights.grid_request * more
 
@@ -419,19 +419,24 @@ def _saved_costs_arrays(
     group: np.ndarray,
 ) -> np.ndarray:
     """What ``add_saved_costs`` adds without taps, as array operations and for every form of the voltage cost."""
-    by, judged, cost, of = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
+    by, judged, cost, change = sensitivities(scenario), terms(scenario).judged, scenario.cost, changes(scenario)
     charged = charges(scenario)
-    params, p_now, q_now = parameters(scenario, default), state.p_kw[:, of.agent], state.q_kvar[:, of.agent]
-    p_kw = np.where(of.is_reactive, p_now, drawn_kw)
-    asked = np.where(of.is_reactive, default[:, of.reactive_entry], setpoints[:, of.reactive_entry]) * of.has_reactive
-    q_kvar, _ = converter.dispatch(params.converter_kva[of.agent], params.q_scale_kvar[of.agent], p_kw, asked)
+    params, p_now, q_now = parameters(scenario, default), state.p_kw[:, change.agent], state.q_kvar[:, change.agent]
+    p_kw = np.where(change.is_reactive, p_now, drawn_kw)
+    requested_kvar = (
+        np.where(change.is_reactive, default[:, change.reactive_entry], setpoints[:, change.reactive_entry])
+        * change.has_reactive
+    )
+    q_kvar, _ = converter.dispatch(
+        params.converter_kva[change.agent], params.q_scale_kvar[change.agent], p_kw, requested_kvar
+    )
     if exogenous.available is not None:
-        available = exogenous.available[:, of.agent]
+        available = exogenous.available[:, change.agent]
         p_kw, q_kvar = p_kw * available, q_kvar * available
-    by_p, by_q = by.by_p[group[:, of.agent]], by.by_q[group[:, of.agent]]
+    by_p, by_q = by.by_p[group[:, change.agent]], by.by_q[group[:, change.agent]]
     moved = (q_kvar - q_now)[..., None] * by_q - (p_kw - p_now)[..., None] * by_p
-    more = (np.abs(q_kvar) - np.abs(q_now)) * charged.effort[of.agent]
-    moved, more = (np.add.reduceat(values, of.first[:-1], axis=1) for values in (moved, more))
+    more = (np.abs(q_kvar) - np.abs(q_now)) * charged.effort[change.agent]
+    moved, more = (np.add.reduceat(values, change.first[:-1], axis=1) for values in (moved, more))
     v = state.v_pu[:, None, judged]
 
     def costs(v_pu: np.ndarray) -> np.ndarray:

@@ -57,22 +57,22 @@ def add_saved_costs_rows(
             more, is_summed, is_one = 0.0, False, first_change[entry + 1] == first_change[entry] + 1
             moved_v[:] = 0.0
             for change in range(first_change[entry], first_change[entry + 1]):
-                i, p_now, asked = agent[change], p_kw[row, agent[change]], 0.0
+                i, p_now, requested = agent[change], p_kw[row, agent[change]], 0.0
                 p = p_now if is_reactive[change] else drawn_kw[row, change]
                 if has_reactive[change]:
-                    given = default if is_reactive[change] else setpoints
-                    asked = given[row, reactive_entry[change]]
-                q, _ = dispatch(s_rated_kva[i], q_max_kvar[i], p, asked)
+                    source = default if is_reactive[change] else setpoints
+                    requested = source[row, reactive_entry[change]]
+                q, _ = dispatch(s_rated_kva[i], q_max_kvar[i], p, requested)
                 if len(available):
                     p, q = p * available[row, i], q * available[row, i]
                 more += effort[i] * (abs(q) - abs(q_kvar[row, i]))
-                p, q, at = p - p_now, q - q_kvar[row, i], group[row, i]
+                p, q, node_group = p - p_now, q - q_kvar[row, i], group[row, i]
                 for k in range(n_relay):
-                    moved_v[k] += relay_by_q[at, k] * q - relay_by_p[at, k] * p
+                    moved_v[k] += relay_by_q[node_group, k] * q - relay_by_p[node_group, k] * p
                 if p == 0.0 and q == 0.0:
                     continue
                 if is_one and (p == 0.0 or q == 0.0):
-                    by, power = (by_q[at], q) if p == 0.0 else (by_p[at], -p)
+                    by, power = (by_q[node_group], q) if p == 0.0 else (by_p[node_group], -p)
                     more += (
                         _cost_with(v, per_v, by, power, targets, uncharged_pu, band_pu, w_voltage, w_violation) - now
                     )
@@ -80,7 +80,7 @@ def add_saved_costs_rows(
                 if not is_summed:
                     moved[:], is_summed = 0.0, True
                 for j in range(n_seen):
-                    moved[j] += by_q[at, j] * q - by_p[at, j] * p
+                    moved[j] += by_q[node_group, j] * q - by_p[node_group, j] * p
             if is_summed:
                 more += _cost_with(v, per_v, moved, 1.0, targets, uncharged_pu, band_pu, w_voltage, w_violation) - now
             for k in range(n_relay):

@@ -213,14 +213,17 @@ def _filters(lamp: str, step_s: float) -> tuple[np.ndarray, float, Any]:
     """Sections of block 3, the scale of block 4, and its low-pass, for steps of ``step_s``."""
     from scipy import signal
 
-    of = LAMPS[lamp]
-    damping, w1, w2, w3, w4, high_pass, seen = 2.0 * np.pi * np.array([*of[1:6], _HIGH_PASS_HZ, _SEEN_AT_HZ])
+    lamp_filter = LAMPS[lamp]
+    damping, w1, w2, w3, w4, high_pass, reference = (
+        2.0 * np.pi * np.array([*lamp_filter[1:6], _HIGH_PASS_HZ, _SEEN_AT_HZ])
+    )
     zeros = np.array([0.0, 0.0, -w2])
     poles = np.array([-high_pass, *np.roots([1.0, 2.0 * damping, w1 * w1]), -w3, -w4])
-    gain = of.k * w1 * w3 * w4 / w2
-    response = gain * abs(np.prod(1j * seen - zeros) / np.prod(1j * seen - poles))
-    amplitude = response * of.seen_pct / 200.0
-    ripple = 1.0 / math.hypot(1.0, 2.0 * seen * _SMOOTHING_S)  # what the low-pass leaves of the square's other half
+    gain = lamp_filter.k * w1 * w3 * w4 / w2
+    response = gain * abs(np.prod(1j * reference - zeros) / np.prod(1j * reference - poles))
+    amplitude = response * lamp_filter.seen_pct / 200.0
+    # What the low-pass leaves of the square's other half.
+    ripple = 1.0 / math.hypot(1.0, 2.0 * reference * _SMOOTHING_S)
     sections = signal.zpk2sos(*signal.bilinear_zpk(zeros, poles, gain, 1.0 / step_s))
     smoothing = signal.bilinear([1.0], [_SMOOTHING_S, 1.0], 1.0 / step_s)
     return sections, 2.0 / (amplitude * amplitude * (1.0 + ripple)), smoothing

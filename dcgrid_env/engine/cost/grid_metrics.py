@@ -12,7 +12,7 @@ from dcgrid_env.core.arrays import Array
 from dcgrid_env.core.metric import Combined, Metric, cost_metric
 from dcgrid_env.devices.grid_equipment import is_equipment
 from dcgrid_env.engine.cost.fluctuation import StreamingFluctuation
-from dcgrid_env.engine.physics.disconnection import leaving
+from dcgrid_env.engine.physics.disconnection import disconnectable_devices
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.powerflow import nema_unbalance, three_phase_nodes
 from dcgrid_env.scenario.costs import load_requests, overload
@@ -177,7 +177,7 @@ def after_loss(scenario: Scenario, histories: Sequence[Any], v_pu: Array) -> dic
     v_pu
         Voltages of the steps 1 .. T at nodes but the substation's, p.u., (T, node).
     """
-    leaving_devices = leaving(scenario)
+    leaving_devices = disconnectable_devices(scenario)
     if not leaving_devices:
         return {}
     shares = [scenario.devices[i].connected(histories[i])[1:] for i in leaving_devices]  # pyright: ignore

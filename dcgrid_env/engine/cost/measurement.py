@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dcgrid_env.core.arrays import Array, namespace
-from dcgrid_env.engine.physics.node_figures import extremes_of_nodes, from_nodes
+from dcgrid_env.engine.physics.node_figures import from_nodes, node_extremes
 from dcgrid_env.engine.physics.state import State
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.scenario.scenario import Scenario
@@ -45,7 +45,7 @@ def of_agents(scenario: Scenario, measured_pu: Array, nodes: Array) -> tuple[Arr
         return from_nodes(measured_pu, nodes) if whole else measured_pu, None
     if not whole:
         return measured_pu[:, :n], measured_pu[:, n:]
-    extremes = extremes_of_nodes(measured_pu, nodes)
+    extremes = node_extremes(measured_pu, nodes)
     return from_nodes(measured_pu, nodes), namespace(measured_pu).concat(extremes, axis=-1)
 
 

@@ -36,7 +36,7 @@ _LARGEST_LOADING = 4.0
 _LARGEST_RELAY = 20.0
 
 
-class Seen(NamedTuple):
+class ObservationInputs(NamedTuple):
     """Input of the fields of the grid."""
 
     scenario: Scenario
@@ -58,7 +58,7 @@ class ObservationField(NamedTuple):
 
     name: str
     unit: str
-    raw: Callable[[Seen], Array]
+    raw: Callable[[ObservationInputs], Array]
     """The figure before scaling, (row, n_agent)."""
     scale: Callable[[Scenario], Any]
     """Factor of it, (n_agent,) or a number."""
@@ -102,15 +102,15 @@ def _has_requests(scenario: Scenario) -> bool:
 def _request_field(name: str, unit: str, column: str, bounds: Callable[[Scenario], tuple[float, float]]) -> Any:
     """Return the record of a column of ``State.request``."""
 
-    def raw(seen: Seen) -> Array:
-        return _to_all(getattr(columns(seen.state.request), column), seen)
+    def raw(inputs: ObservationInputs) -> Array:
+        return _to_all(getattr(columns(inputs.state.request), column), inputs)
 
     return ObservationField(name, unit, raw, lambda _: 1.0, bounds, _has_requests, of_sites=True)
 
 
-def _to_all(values: Array, seen: Seen) -> Array:
+def _to_all(values: Array, inputs: ObservationInputs) -> Array:
     """Return figures of an environment, (row,), for each agent, (row, n_agent)."""
-    return 0.0 * seen.state.p_kw + values[..., None]
+    return 0.0 * inputs.state.p_kw + values[..., None]
 
 
 _IN_BANDS = "(V - 1) / band, 1 is the edge of the band"
@@ -137,19 +137,19 @@ FIELDS = (
         lambda scenario: (0.0, max(_largest_distance(scenario)[1], 1e-6)),
     ),
     ObservationField(
-        "v_lowest", f"{_IN_BANDS}, of the lowest phase", lambda seen: seen.phases_pu[..., : seen.n_agents] - 1.0,
-        _per_band,
+        "v_lowest", f"{_IN_BANDS}, of the lowest phase",
+        lambda inputs: inputs.phases_pu[..., : inputs.n_agents] - 1.0, _per_band,
         _band_edges, _has_phases,
     ),
     ObservationField(
-        "v_highest", f"{_IN_BANDS}, of the highest phase", lambda seen: seen.phases_pu[..., seen.n_agents :] - 1.0,
-        _per_band,
+        "v_highest", f"{_IN_BANDS}, of the highest phase",
+        lambda inputs: inputs.phases_pu[..., inputs.n_agents :] - 1.0, _per_band,
         _band_edges, _has_phases,
     ),
     ObservationField(
         "loading", "loading of the branch that feeds the bus, of its most loaded phase; 0 where it is not known",
-        lambda seen: loading_of_agents(seen.state, seen.placed.nodes), lambda _: 1.0, lambda _: (0.0, _LARGEST_LOADING),
-        lambda scenario: scenario.sensing.loading,
+        lambda inputs: loading_of_agents(inputs.state, inputs.placed.nodes),
+        lambda _: 1.0, lambda _: (0.0, _LARGEST_LOADING), lambda scenario: scenario.sensing.loading,
     ),
     ObservationField(
         "upstream_tap", "tap of the upstream regulator, share of its farthest tap; 0 without such a regulator",
@@ -165,7 +165,7 @@ FIELDS = (
     ),
     ObservationField(
         "request_draw", "total draw of all sites, share of the sum of their ratings",
-        lambda seen: _to_all(sites_share(seen.scenario, seen.state.p_kw), seen), lambda _: 1.0, draw_range,
+        lambda inputs: _to_all(sites_share(inputs.scenario, inputs.state.p_kw), inputs), lambda _: 1.0, draw_range,
         _has_requests, of_sites=True,
     ),
     _request_field(
@@ -238,8 +238,7 @@ def device_fields(scenario: Scenario) -> tuple[tuple[Field, ...], ...]:
             if name in of_grid:
                 raise ScenarioError(f"{device.kind!r} calls something {name!r}, which is the grid's; rename it")
     return tuple(
-        tuple(_in_bands(field, band) if field.of_band else field for field in fields_of_device)
-        for fields_of_device in of_devices
+        tuple(_in_bands(field, band) if field.of_band else field for field in one_device) for one_device in of_devices
     )
 
 
@@ -292,7 +291,7 @@ def _largest_distance(scenario: Scenario) -> tuple[float, float]:
 class Layout(NamedTuple):
     """How raw figures become the joint observation."""
 
-    raw: tuple[Callable[[Seen], Array], ...]
+    raw: tuple[Callable[[ObservationInputs], Array], ...]
     """Functions of the fields of the grid."""
     scale: Array
     """Factor of each raw figure, (n_raw,)."""
@@ -383,14 +382,16 @@ def _raw(
     if state.regulator_views is not None:
         by_node = upstream_view(scenario.feeder, state.regulator_views[0])  # pyright: ignore[reportArgumentType]
         regulators = RegulatorView(*(from_nodes(figures, placed.nodes) for figures in by_node))
-    seen = Seen(scenario, scenario.n_agents, state, placed, v_now - 1.0, v_now - v_before, phases, regulators)
-    raw = [of_field(seen) for of_field in layout.raw]
+    inputs = ObservationInputs(
+        scenario, scenario.n_agents, state, placed, v_now - 1.0, v_now - v_before, phases, regulators
+    )
+    raw = [of_field(inputs) for of_field in layout.raw]
     for i, its_state in enumerate(state.devices):
         if its_state:
             raw += scenario.devices[i].observe(params.devices[i], its_state, given_next[i])
     if scenario.sensing.observe == "neighbours":
         trio = (
-            seen.deviation_pu * _per_band(scenario),
+            inputs.deviation_pu * _per_band(scenario),
             state.p_kw / params.p_scale_kw,
             state.q_kvar * params.per_q_scale,
         )

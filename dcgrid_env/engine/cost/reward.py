@@ -153,7 +153,7 @@ def terms(scenario: Scenario) -> Terms:
     charged = tuple((i, term, weight, place(term.name)) for i, term, weight in of_devices if weight)
     by_amount = groupby(charged, lambda entry: (entry[0], entry[1].amount, entry[1].team_scale))
     shares = tuple(
-        (*key, tuple((weight, term.at_end, place) for _, term, weight, place in of)) for key, of in by_amount
+        (*key, tuple((weight, term.at_end, place) for _, term, weight, place in group)) for key, group in by_amount
     )
     constraints = {term.name for term in (*TERMS, *(term for _, term, _ in of_devices)) if term.is_constraint}
     judged, n_judged = scenario.feeder.load_slice, len(scenario.feeder.load_nodes)
@@ -206,11 +206,11 @@ def charged_terms(scenario: Scenario) -> tuple[tuple[Any, float], ...]:
 @cache
 def _costs(names: tuple[str, ...]) -> Any:
     kind: Any = namedtuple("Costs", names)
-    kind.__reduce__ = lambda costs: (_made, (names, tuple(costs)))  # a pickle finds no class of this name
+    kind.__reduce__ = lambda costs: (_rebuilt, (names, tuple(costs)))  # a pickle finds no class of this name
     return kind
 
 
-def _made(names: tuple[str, ...], values: tuple[Array, ...]) -> Costs:
+def _rebuilt(names: tuple[str, ...], values: tuple[Array, ...]) -> Costs:
     return _costs(names)._make(values)
 
 

@@ -111,10 +111,10 @@ def _clock_lines(scenario: Scenario) -> Iterator[str]:
     with_dates = midnight_s(scenario) is not None
     if not scenario.follows_day or not (dated or with_dates):
         return
-    whose = "the load profiles" if scenario.load_profiles.file is not None else "the scenario's day"
+    owner = "the load profiles" if scenario.load_profiles.file is not None else "the scenario's day"
     for trace in recordings_of(scenario):
         if clock_of(trace) is None:
-            yield f"trace {trace.name}: has no dates, so it does not run on the clock of {whose}"
+            yield f"trace {trace.name}: has no dates, so it does not run on the clock of {owner}"
         elif scenario.workload.window == "start":
             yield f"trace {trace.name}: begins at its first sample (workload.window = 'start'), not on the clock"
     clocks = row_clocks(scenario)
@@ -123,12 +123,14 @@ def _clock_lines(scenario: Scenario) -> Iterator[str]:
     begins = _begins_h(scenario)
     rows = np.flatnonzero(np.isfinite(clocks.begin_s))
     zeros = np.zeros((len(begins), 1), np.uint64)
-    found = [starts_on_clock(scenario, clocks, np.full_like(zeros, row, np.int64), begins, zeros)[1] for row in rows]
-    if not found:
+    alignments = [
+        starts_on_clock(scenario, clocks, np.full_like(zeros, row, np.int64), begins, zeros)[1] for row in rows
+    ]
+    if not alignments:
         names = ", ".join(trace.name for trace in dated)
-        yield f"trace {names}: does not run on the clock of {whose}, since it is repeated"
+        yield f"trace {names}: does not run on the clock of {owner}, since it is repeated"
         return
-    shares = {way: float(np.mean(np.array(found) == way)) for way in Aligned}
+    shares = {way: float(np.mean(np.array(alignments) == way)) for way in Aligned}
     names = ", ".join(dict.fromkeys(trace.name for trace in dated))
     ways = {
         Aligned.BY_DATE: "at the date and time of day",
@@ -141,7 +143,7 @@ def _clock_lines(scenario: Scenario) -> Iterator[str]:
     zone = ""
     if with_dates and len(known | {scenario.load_profiles.table.utc_offset_h is not None}) > 1:
         zone = "; not all of the files state UTC offsets, so their times count as of one time zone"
-    yield f"trace {names}: {runs} on the clock of {whose}: {', '.join(said)}{zone}"
+    yield f"trace {names}: {runs} on the clock of {owner}: {', '.join(said)}{zone}"
 
 
 def _begins_h(scenario: Scenario) -> np.ndarray:

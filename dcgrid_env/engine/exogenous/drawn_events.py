@@ -48,9 +48,9 @@ def sags_in_interval(scenario: Scenario, sag: np.ndarray, step: np.ndarray) -> n
     if not scenario.sags:
         return None
     begin_s = sag[..., 0]
-    here = np.floor(begin_s / scenario.dt_s) == step[:, None] - 1
-    if not here.any():
+    begins = np.floor(begin_s / scenario.dt_s) == step[:, None] - 1
+    if not begins.any():
         return np.zeros(sag.shape)
     duration_s, retained = sag[..., 1], sag[..., 2]
     rest_s = np.clip(step[:, None] * scenario.dt_s - begin_s, 0.0, scenario.dt_s)
-    return np.stack((here * duration_s, retained, rest_s), axis=-1)
+    return np.stack((begins * duration_s, retained, rest_s), axis=-1)

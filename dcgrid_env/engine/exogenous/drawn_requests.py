@@ -100,10 +100,10 @@ def _in_force(scenario: Scenario, drawn: np.ndarray, t_s: np.ndarray) -> tuple[n
 
     part = np.where(ramp_s > 0.0, np.minimum((now_s - begin_s) / np.where(ramp_s > 0.0, ramp_s, 1.0), 1.0), 1.0)
     part, (lowest, highest) = of_chosen(np.where(on, part, 0.0)), draw_range(scenario)
-    asked, is_cap = of_chosen(value), _caps(scenario)[chosen[:, 0]]
-    lower = np.where(is_cap, lowest, lowest + (asked - lowest) * part)
+    requested, is_cap = of_chosen(value), _caps(scenario)[chosen[:, 0]]
+    lower = np.where(is_cap, lowest, lowest + (requested - lowest) * part)
     end_s = of_chosen(np.where(on, begin_s + duration_s, 0.0))
-    return lower, highest + (asked - highest) * part, end_s
+    return lower, highest + (requested - highest) * part, end_s
 
 
 @cached_on_owner

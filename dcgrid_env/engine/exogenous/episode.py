@@ -18,7 +18,7 @@ from dcgrid_env.engine.exogenous.profile_loads import drawn_start_h, profile_loa
 from dcgrid_env.engine.exogenous.trace_pool import (
     HOURS,
     full_trace_kw,
-    has_rows_of_each_hour,
+    has_hourly_rows,
     sun_rows,
     trace_pool,
     window_steps,
@@ -79,17 +79,17 @@ def prepare(scenario: Scenario, episode: Episode) -> None:
         pool.make(episode.start // pool.p_share.shape[1])
 
 
-def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, given: EpisodeOptions | None = None) -> Episode:
+def draw(scenario: Scenario, seeds: np.ndarray, numbers: np.ndarray, options: EpisodeOptions | None = None) -> Episode:
     """Draw an episode for each row from its seed and the number of episodes since it was seeded, both (row,) uint64.
 
-    The split is part of the key, so two splits never share an episode, whatever their seeds. The values in ``given`` do
-    not change other draws, except for windows of requests that follow the hour.
+    The split is part of the key, so two splits never share an episode, whatever their seeds. The values in ``options``
+    do not change other draws, except for windows of requests that follow the hour.
     """
-    given = given or EpisodeOptions()
+    options = options or EpisodeOptions()
     salt = np.uint64(zlib.crc32(scenario.generator_split.encode()))
     key = random.keys(salt, seeds, numbers)
-    buses = _buses(scenario, key) if given.buses is None else given.buses
-    begin_h = _begin_h(scenario, key) if given.begin_h is None else given.begin_h
+    buses = _buses(scenario, key) if options.buses is None else options.buses
+    begin_h = _begin_h(scenario, key) if options.begin_h is None else options.begin_h
     sun_row, sun_start = random.bits(key, random.SUN, 2).T
     rows, steps = sun_rows(scenario).shape
     sun = sun_row % np.uint64(rows) * np.uint64(steps) + sun_start % np.uint64(steps - scenario.horizon)
@@ -139,7 +139,7 @@ def _windows(scenario: Scenario, key: np.ndarray, begin_h: np.ndarray) -> np.nda
     pool, n_site = trace_pool(scenario), scenario.n_sites
     n_rows, n_steps = pool.p_share.shape
     # Sites take different rows as long as there are enough.
-    hourly = has_rows_of_each_hour(scenario)
+    hourly = has_hourly_rows(scenario)
     n_choices = n_rows // HOURS if hourly else n_rows
     row = np.argsort(random.bits(key, random.TRACE_ROW, n_choices), axis=1, kind="stable")
     row = row[:, np.arange(n_site) % n_choices]

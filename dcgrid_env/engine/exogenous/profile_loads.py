@@ -20,7 +20,7 @@ def profile_loads(scenario: Scenario, hour: np.ndarray) -> tuple[np.ndarray, np.
         Time, h since the midnight before the file's first sample, (row,).
     """
     profiles, weights = scenario.load_profiles, _weights(scenario)
-    values = profiles.table.at(hour, linear=profiles.between == "linear", repeat=profiles.days == "repeat")
+    values = profiles.table.values_at(hour, linear=profiles.between == "linear", repeat=profiles.days == "repeat")
     p_kw, q_kvar = (np.tile(rest, (len(hour), 1)) for rest in (weights.p_rest_kw, weights.q_rest_kvar))
     p_kw[:, weights.legs] = values[:, weights.p_column] * weights.p_weight
     q_kvar[:, weights.legs] = values[:, weights.q_column] * weights.q_weight
@@ -34,9 +34,9 @@ def drawn_start_h(scenario: Scenario, part: np.ndarray) -> np.ndarray:
     ends = np.cumsum(lengths)
     if not ends[-1] > 0.0:
         return low[(part * len(low)).astype(np.int64)]
-    at = part * ends[-1]
-    chosen = np.searchsorted(ends, at, side="right")
-    return high[chosen] - (ends[chosen] - at)
+    position = part * ends[-1]
+    chosen = np.searchsorted(ends, position, side="right")
+    return high[chosen] - (ends[chosen] - position)
 
 
 @cached_on_owner

@@ -33,7 +33,7 @@ ROWS = 24
 LEAST_WINDOWS = 500
 """Windows that one site can draw, of which no two are the same."""
 LEAST_LONG_ROWS = 12
-LEAST_ROWS_OF_AN_HOUR = 4
+LEAST_HOURLY_ROWS = 4
 HOURS = 24
 DAY_S = 86400.0
 
@@ -51,7 +51,7 @@ def trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     return _trace_pool(scenario.family)
 
 
-def has_rows_of_each_hour(scenario: Scenario) -> bool:
+def has_hourly_rows(scenario: Scenario) -> bool:
     """Return whether the pool has rows for each hour of the day, 24 after one another, from which sites choose one."""
     return _by_hour(scenario) and window_steps(scenario) * scenario.dt_s <= ROW_DURATION_S
 
@@ -87,8 +87,8 @@ def _trace_pool(scenario: Scenario) -> TraceRows | RowsOnDemand:
     spare = spare_steps(dt_s)
     count = max(scenario.n_sites, LEAST_LONG_ROWS, math.ceil(LEAST_WINDOWS / (spare + 1)))
     duration_s = (steps + spare + 1) * dt_s
-    if has_rows_of_each_hour(scenario):
-        count = HOURS * max(scenario.n_sites, LEAST_ROWS_OF_AN_HOUR)
+    if has_hourly_rows(scenario):
+        count = HOURS * max(scenario.n_sites, LEAST_HOURLY_ROWS)
         duration_s += DAY_S / HOURS
     elif _by_hour(scenario):
         duration_s += DAY_S

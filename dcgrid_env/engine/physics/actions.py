@@ -116,8 +116,8 @@ def joined_actions(scenario: Scenario, actions: Any) -> np.ndarray:
     try:
         parts = [actions[agent] for agent in layout.agents]
     except (KeyError, TypeError, IndexError):
-        given = list(actions) if hasattr(actions, "keys") else type(actions).__name__
-        raise ActionError(f"actions must map each of {list(layout.agents)} to its action; got {given}") from None
+        received = list(actions) if hasattr(actions, "keys") else type(actions).__name__
+        raise ActionError(f"actions must map each of {list(layout.agents)} to its action; got {received}") from None
     if len(actions) != len(parts):
         extra = sorted(set(actions) - set(layout.agents))
         raise ActionError(f"actions for unknown agents {extra}; the agents are {list(layout.agents)}")

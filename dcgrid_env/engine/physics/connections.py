@@ -91,7 +91,7 @@ def own_distance(scenario: Scenario) -> np.ndarray:
     nodes = nodes_by_bus(scenario)
     if scenario.feeder.n_node > DENSE_MOST:
         return _own_distance_where_agents_may_stand(scenario, nodes)
-    by_pair = partial(_mean_of_pairs, nodes[..., :, None], nodes[..., None, :])
+    by_pair = partial(_pair_mean, nodes[..., :, None], nodes[..., None, :])
     return np.stack([by_pair(matrix) for matrix in believed_sensitivity(scenario)], axis=-1)
 
 
@@ -107,7 +107,7 @@ def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) 
         first += device.count
     agent, bus = np.array(pairs, np.int64).reshape(-1, 2).T
     own_nodes, n_seen = nodes[agent, bus], nodes.shape[-1]
-    found = np.zeros((*nodes.shape[:2], 2))
+    distance = np.zeros((*nodes.shape[:2], 2))
     control = Control(capacitor_on=scenario.capacitor_connected)
     wanted = np.unique(own_nodes)
     for begin in range(0, len(wanted), _ROWS_AT_ONCE):
@@ -120,12 +120,12 @@ def _own_distance_where_agents_may_stand(scenario: Scenario, nodes: np.ndarray) 
             control,
             nodes=source_nodes.tolist(),
         )
-        pair, seen = np.nonzero(np.isin(own_nodes, source_nodes))
-        row = np.searchsorted(source_nodes, own_nodes[pair, seen])
+        pair, place = np.nonzero(np.isin(own_nodes, source_nodes))
+        row = np.searchsorted(source_nodes, own_nodes[pair, place])
         for k, share in enumerate((scenario.sensing.r_model_share, scenario.sensing.x_model_share)):
             rise = share * slopes[k][row[:, None], own_nodes[pair]].sum(-1) / n_seen**2
-            np.add.at(found[..., k], (agent[pair], bus[pair]), rise)
-    return found
+            np.add.at(distance[..., k], (agent[pair], bus[pair]), rise)
+    return distance
 
 
 def believed_sensitivity(scenario: Scenario) -> Sensitivity:
@@ -197,7 +197,7 @@ def sensitivity_between_agents(scenario: Scenario, buses: np.ndarray) -> Sensiti
         return Sensitivity(*(np.moveaxis(_at_agents(by, buses), -1, -2) for by in by_agent))
     nodes = agent_nodes(scenario, buses)
     rows, columns = nodes[:, :, None, :, None], nodes[:, None, :, None, :]
-    return Sensitivity(*(_mean_of_pairs(rows, columns, matrix) for matrix in true_sensitivity(scenario)))
+    return Sensitivity(*(_pair_mean(rows, columns, matrix) for matrix in true_sensitivity(scenario)))
 
 
 def agent_nodes(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
@@ -205,7 +205,7 @@ def agent_nodes(scenario: Scenario, buses: np.ndarray) -> np.ndarray:
     return nodes_by_bus(scenario)[np.arange(scenario.n_agents), buses]
 
 
-def _mean_of_pairs(rows: np.ndarray, columns: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def _pair_mean(rows: np.ndarray, columns: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return matrix[rows, columns].mean((-1, -2))
 
 

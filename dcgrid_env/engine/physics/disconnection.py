@@ -14,12 +14,12 @@ from dcgrid_env.scenario.scenario import Scenario
 
 
 @cached_on_owner
-def leaving(scenario: Scenario) -> tuple[int, ...]:
+def disconnectable_devices(scenario: Scenario) -> tuple[int, ...]:
     """Positions of the groups of devices that may leave the grid."""
     return tuple(i for i, device in enumerate(scenario.devices) if may_leave(device))
 
 
-def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, given: DeviceInput) -> Supply:
+def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice, device_input: DeviceInput) -> Supply:
     """Return the supply of the group with the agents ``agents``: voltages of lowest and highest phase, and sags.
 
     Before t = 0 the voltage is the source's.
@@ -32,13 +32,13 @@ def supply(scenario: Scenario, state: State, exogenous: Exogenous, agents: slice
         phases = state.three_phase
         low, high = phases.v_agent_lowest_pu[..., agents], phases.v_agent_highest_pu[..., agents]
     available = None if exogenous.available is None else exogenous.available[..., agents]
-    return Supply(given, low, high, exogenous.sags, exogenous.trip_widths, available)
+    return Supply(device_input, low, high, exogenous.sags, exogenous.trip_widths, available)
 
 
 def connected_share(scenario: Scenario, states: Sequence[Any], like: Array, cuts: Sequence[slice]) -> Array:
     """Share of each agent's power that is on the grid, (row, n_agent), 1 for those that cannot leave."""
     one = 0.0 * like + 1.0
-    with_ride_through = leaving(scenario)
+    with_ride_through = disconnectable_devices(scenario)
     parts = [
         scenario.devices[i].connected(states[i]) if i in with_ride_through else one[..., cut]  # pyright: ignore
         for i, cut in enumerate(cuts)

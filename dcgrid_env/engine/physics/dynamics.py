@@ -14,7 +14,7 @@ from dcgrid_env.devices import Work, converter
 from dcgrid_env.devices.device import DeviceInput, DeviceParams
 from dcgrid_env.engine.physics import equipment as feeder_equipment
 from dcgrid_env.engine.physics.actions import action_layout
-from dcgrid_env.engine.physics.disconnection import connected_share, leaving, supply
+from dcgrid_env.engine.physics.disconnection import connected_share, disconnectable_devices, supply
 from dcgrid_env.engine.physics.node_figures import PhaseFigures, from_nodes, phase_figures
 from dcgrid_env.engine.physics.parameters import Parameters, parameters
 from dcgrid_env.engine.physics.state import Equipment, Exogenous, GridStep, State, ThreePhaseState, over_arrays
@@ -108,7 +108,7 @@ def _step(
     exogenous: Exogenous,
 ) -> tuple[State, GridStep]:
     xp = namespace(q_setpoint_kvar)
-    may_leave = leaving(scenario)
+    may_leave = disconnectable_devices(scenario)
     devices, draws = [], []
     for i in range(len(scenario.devices)):
         after, p_kw = device_step(scenario, params, state, i, setpoints[i], exogenous)
@@ -233,13 +233,13 @@ def device_step(
     scenario: Scenario, params: Parameters, state: State, i: int, setpoints: Any, exogenous: Exogenous
 ) -> tuple[Any, Array]:
     """Advance the group of devices at position ``i`` by one interval under its set points; see ``Device.step``."""
-    given = _given(scenario, i, exogenous)
-    if i in leaving(scenario):
-        given = supply(scenario, state, exogenous, device_slices(scenario)[i], given)
-    return scenario.devices[i].step(params.devices[i], state.devices[i], setpoints, given, scenario.dt_s)
+    device_input = _device_input(scenario, i, exogenous)
+    if i in disconnectable_devices(scenario):
+        device_input = supply(scenario, state, exogenous, device_slices(scenario)[i], device_input)
+    return scenario.devices[i].step(params.devices[i], state.devices[i], setpoints, device_input, scenario.dt_s)
 
 
-def _given(scenario: Scenario, i: int, exogenous: Exogenous) -> DeviceInput:
+def _device_input(scenario: Scenario, i: int, exogenous: Exogenous) -> DeviceInput:
     """Return the exogenous input of a device, see ``Device.input``."""
     source, available = scenario.devices[i].input, exogenous.available
     if available is not None and source in ("connection", "workload"):
@@ -286,7 +286,9 @@ def _equipment(
     if before is not None:
         return feeder_equipment.advanced(scenario, before, states)
     shunt_kvar = None if control is None else control.shunt_kvar
-    return feeder_equipment.begun(scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on, exogenous.offset_v)
+    return feeder_equipment.initial_equipment(
+        scenario, p_net, q_net, shunt_kvar, exogenous.capacitor_on, exogenous.offset_v
+    )
 
 
 def _with_equipment(control: Control, of_feeder: Control) -> Control:

@@ -90,7 +90,7 @@ Solve = Callable[[Equipment, Array, Array], ThreePhaseSolution]
 """The power flow of some rows: under their equipment, at their positions (k,) int, from their ``restart``."""
 
 
-def begun(
+def initial_equipment(
     scenario: Scenario,
     p_kw: Array,
     q_kvar: Array,
@@ -316,7 +316,7 @@ def remembered_reports(scenario: Scenario) -> int:
 
 
 def as_control(scenario: Scenario, equipment: Equipment, connected: Array | None) -> Control:
-    """Return the equipment as a control of the power flow; ``connected`` banks are as in ``begun``."""
+    """Return the equipment as a control of the power flow; ``connected`` banks are as in ``initial_equipment``."""
     on = equipment.banks.on
     ratio = _feeder(scenario).tap_ratio(equipment.regulators.tap)
     return Control(ratio, None, on if connected is None else on * connected)
@@ -332,29 +332,32 @@ def _plan(scenario: Scenario, like: Array) -> _Plan:
     """The plan as arrays of the kind, precision and device of ``like``; made once for each."""
     if isinstance(like, np.ndarray) and like.dtype == np.float64:
         return _on_numpy(scenario)
-    return _made(scenario, namespace(like), like.dtype, like.device)
+    return _build_plan(scenario, namespace(like), like.dtype, like.device)
 
 
 @cached_on_owner
 def _on_numpy(scenario: Scenario) -> _Plan:
     like = np.empty(0)
-    return _made(scenario, np, like.dtype, like.device)
+    return _build_plan(scenario, np, like.dtype, like.device)
 
 
 @cached_on_owner
-def _made(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> _Plan:
+def _build_plan(scenario: Scenario, xp: ModuleType, dtype: object, device: object) -> _Plan:
     feeder, like = _feeder(scenario), xp.zeros(0, dtype=dtype, device=device)
     kinds = [kind.kind for kind in scenario.devices]
     groups: list[_Group] = []
     control = scenario.grid_control
     of_regulators, of_banks = regulator_deciders(control, feeder), capacitor_deciders(control, feeder)
     banks = bank_settings(feeder, control.capacitor_settings, [by == "controlled" for by in of_banks])
-    for settings, decides, kind, kind_of_setters in (
+    for settings, decides, kind, setter_kind in (
         (scenario_relays(scenario), of_regulators, TapChangers, RegulatorSetPoints),
         (banks, of_banks, CapacitorBanks, ThresholdSetPoints),
     ):
         controlled = np.array([decider in ("controlled", "setpoint") for decider in decides], np.float64)
-        position, setters = (kinds.index(of.kind) if of.kind in kinds else None for of in (kind, kind_of_setters))
+        position, setters = (
+            kinds.index(device_class.kind) if device_class.kind in kinds else None
+            for device_class in (kind, setter_kind)
+        )
         pick, setter = np.arange(len(decides)), np.arange(len(decides))
         if position is not None:
             agents: Any = scenario.devices[position]

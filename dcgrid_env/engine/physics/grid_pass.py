@@ -107,14 +107,14 @@ def grid_pass(
     start = np.zeros((n_row, n - 1)) if restart is None else rows(restart, (n_row, n - 1))
     of_agents = (rows(p_kw, agents), rows(q_kvar, agents), start)
     drawing_and_loads = (*drawing[:4], *load_noise(scenario))
-    given = (*_fixed(scenario), *drawing_and_loads, nodes, *of_agents)
+    arguments = (*_fixed(scenario), *drawing_and_loads, nodes, *of_agents)
     over_buses, after = np.empty((4 if n_row <= FEW else 2, n_row, n)), np.empty((n_row, n - 1))
     per_row, converged = np.empty((7, n_row)), np.empty(n_row, np.bool_)
     out = (over_buses, after, per_row, converged)
     if n_row <= FEW:
-        failed = _few_rows(0, n_row, *given, *out, np.zeros(n_row, np.int64))
+        failed = _few_rows(0, n_row, *arguments, *out, np.zeros(n_row, np.int64))
     else:
-        failed = over_rows(lambda first, last: _many_rows(first, last, *given, *out), n_row)
+        failed = over_rows(lambda first, last: _many_rows(first, last, *arguments, *out), n_row)
     if failed and not np.isfinite(p_kw + q_kvar).all():
         loads = np.empty((3, n_row, n))
         load_step(*drawing_and_loads, *loads)

@@ -40,7 +40,7 @@ def phase_figures(scenario: Scenario, solution: ThreePhaseSolution, nodes: Array
     if type(v_pu) is not np.ndarray or v_pu.dtype != np.float64:
         unbalance = unbalance_factor(three_phase_nodes(feeder), v_re_pu, v_im_pu)
         loading = branch_loading(feeder, solution) if has_ratings(feeder) else None
-        return PhaseFigures(from_nodes(v_pu, nodes), *extremes_of_nodes(v_pu, nodes), unbalance, loading, None)
+        return PhaseFigures(from_nodes(v_pu, nodes), *node_extremes(v_pu, nodes), unbalance, loading, None)
     kernel = step_kernels().phase_figures
     return as_figures(scenario, *kernel(v_pu, v_re_pu, v_im_pu, i_re_a, i_im_a, nodes, *constants(scenario)))
 
@@ -79,7 +79,7 @@ def from_nodes(v_pu: Array, nodes: Array) -> Array:
     return v_nodes[..., 0] if nodes.shape[-1] == 1 else v_nodes.sum(-1) / nodes.shape[-1]
 
 
-def extremes_of_nodes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
+def node_extremes(v_pu: Array, nodes: Array) -> tuple[Array, Array]:
     """Lowest and highest voltage of each agent's nodes, (row, n_agent) each."""
     v_nodes = take_at(v_pu, nodes)
     return (

@@ -35,11 +35,11 @@ def relay_slopes(scenario: Scenario, relays: ActingRelays, moved: np.ndarray) ->
         Changes of powers, kW drawn and in turn kvar injected, (k, n_leg).
     """
     feeder: Any = scenario.feeder
-    none, step = 0.0 * moved, np.eye(len(feeder.base_tap))[relays.rows]
+    zeros, step = 0.0 * moved, np.eye(len(feeder.base_tap))[relays.rows]
     still = np.zeros((1 + len(step), feeder.n_leg))
     p_kw, q_kvar = (
         load + np.concatenate((still, *changes))
-        for load, changes in ((feeder.p_load_kw, (moved, none)), (feeder.q_load_kvar, (none, -moved)))
+        for load, changes in ((feeder.p_load_kw, (moved, zeros)), (feeder.q_load_kvar, (zeros, -moved)))
     )
     taps = np.tile(feeder.base_tap, (len(p_kw), 1))
     taps[1 : 1 + len(step)] += step

@@ -150,7 +150,7 @@ class State(NamedTuple):
     """``Exogenous.request`` of the interval, which is charged and observed."""
 
     def __getattr__(self, name: str) -> Any:
-        return field_of_devices(self.devices, name)
+        return device_field(self.devices, name)
 
     def map(self, function: Callable[[Array], Array]) -> State:
         """The state with every array put through a function."""
@@ -170,7 +170,7 @@ def over_arrays(function: Callable[..., Array], first: Any, *others: Any) -> Any
     return type(first)(*parts) if hasattr(first, "_fields") else tuple(parts)
 
 
-def field_of_devices(devices: tuple[Any, ...], name: str) -> Any:
+def device_field(devices: tuple[Any, ...], name: str) -> Any:
     """The field of this name of the devices that have it, one after the other along the slots; else AttributeError."""
     parts = [getattr(device, name) for device in devices if name in getattr(device, "_fields", ())]
     if not parts:

@@ -10,7 +10,7 @@ import numpy as np
 from dcgrid_env.engine.cost.fluctuation import WorstFlicker, worst_flicker
 from dcgrid_env.engine.cost.grid_metrics import StreamingGrid, after_loss
 from dcgrid_env.engine.exogenous.trace_pool import trace_pool
-from dcgrid_env.engine.physics.state import field_of_devices, over_arrays
+from dcgrid_env.engine.physics.state import device_field, over_arrays
 from dcgrid_env.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class Series:
     def __init__(self, scenario: Scenario, transitions: list[Transition], env_index: int):
         self._take(
             scenario,
-            _course(transitions, lambda values: np.array([values_of_step[env_index] for values_of_step in values])),
+            _course(transitions, lambda values: np.array([step_values[env_index] for step_values in values])),
             env_index,
         )
 
@@ -60,7 +60,7 @@ class Series:
         """A field of a device's state over time, (T, slot), from the reset on where it is an amount at an instant."""
         if name.startswith("_") or name in ("devices", "scenario"):  # asked for before there are any, by copy say
             raise AttributeError(name)
-        over_time = field_of_devices(self.devices, name)
+        over_time = device_field(self.devices, name)
         return over_time if any(name in device.levels for device in self.scenario.devices) else over_time[1:]
 
     def metrics(self) -> dict[str, float]:
@@ -118,8 +118,8 @@ def _course(transitions: list[Transition], stack: Callable[[Sequence[Any]], Any]
     states = [t.state for t in transitions]
     from_reset = [(s.v_pu, s.p_kw, s.devices, s.three_phase, s.loading, s.request) for s in states]
     of_steps = [(t.state.q_kvar, t.loss_kw, t.cost_j, t.converged, t.costs) for t in transitions[1:]]
-    begun = transitions[0]
-    return _Course(over_time(from_reset), over_time(of_steps), (begun.trace_start, begun.buses, begun.fault))
+    initial = transitions[0]
+    return _Course(over_time(from_reset), over_time(of_steps), (initial.trace_start, initial.buses, initial.fault))
 
 
 class Recorder:
@@ -127,16 +127,16 @@ class Recorder:
 
     Parameters
     ----------
-    scenario, begun
+    scenario, initial
         The scenario, and the transition of the reset.
     seeds
         Seed of each row's first episode if feeders are random: its trajectory is then assigned to one feeder.
     """
 
-    def __init__(self, scenario: Scenario, begun: Transition, seeds: Sequence[int] | None = None):
+    def __init__(self, scenario: Scenario, initial: Transition, seeds: Sequence[int] | None = None):
         self.scenario, self._seeds = scenario, seeds
-        self._transitions = [begun]
-        n_env = len(begun.terminated)
+        self._transitions = [initial]
+        n_env = len(initial.terminated)
         self._length = np.zeros(n_env, dtype=np.int64)
         self._over = np.zeros(n_env, dtype=bool)
 

@@ -157,11 +157,11 @@ def _of_each(name: str, each: Any, values: np.ndarray) -> dict[str, np.ndarray]:
     return {f"{name}.{one}": _single(values[:, i]) for i, one in enumerate(each)}
 
 
-def _collect(state: DeviceState, count: int, found: dict[str, np.ndarray]) -> None:
+def _collect(state: DeviceState, count: int, columns: dict[str, np.ndarray]) -> None:
     """Return the fields of a device's state with one number per agent, with features, without the previous step's."""
     for field, values in zip(getattr(state, "_fields", ()), state, strict=False):
         if isinstance(values, tuple):
             for part in (values,) if hasattr(values, "_fields") else values:
-                _collect(part, count, found)
+                _collect(part, count, columns)
         elif getattr(values, "ndim", 0) == 2 and values.shape[1] == count and not field.endswith("_last_mhz"):
-            found.setdefault(field, values)
+            columns.setdefault(field, values)

@@ -53,7 +53,7 @@ class StreamingRecorder:
     ----------
     scenario
         What is run.
-    begun
+    initial
         The transition of the reset.
     sinks
         Receivers of the trajectory.
@@ -62,15 +62,15 @@ class StreamingRecorder:
     """
 
     def __init__(
-        self, scenario: Scenario, begun: Transition, sinks: Sequence[PartSink] = (), part_steps: int | None = None
+        self, scenario: Scenario, initial: Transition, sinks: Sequence[PartSink] = (), part_steps: int | None = None
     ):
         self.scenario, self.sinks = scenario, tuple(sinks)
-        values, arrays = _size(begun)
+        values, arrays = _size(initial)
         fitting = _PART_BYTES // (values + arrays * _ARRAY_BYTES)
         self.part_steps = part_steps or int(np.clip(fitting, *_PART_STEPS))
-        self._waiting = [begun]
+        self._waiting = [initial]
         self._steps = 0
-        n_env = len(begun.terminated)
+        n_env = len(initial.terminated)
         self._part_length = np.zeros(n_env, dtype=np.int64)
         self._over = np.zeros(n_env, dtype=bool)
         self._costs = np.zeros(n_env)

@@ -20,12 +20,12 @@ def is_three_phase(folder: Path) -> bool:
     FeederError
         For a folder with files of both kinds.
     """
-    found = [file.name for file in FILES.values() if (folder / file.name).exists()]
-    if found and (folder / "branches.csv").exists():
+    files = [file.name for file in FILES.values() if (folder / file.name).exists()]
+    if files and (folder / "branches.csv").exists():
         raise FeederError(
-            f"{folder}: branches.csv is of balanced feeders and {found[0]} of three-phase ones; keep one kind"
+            f"{folder}: branches.csv is of balanced feeders and {files[0]} of three-phase ones; keep one kind"
         )
-    return bool(found)
+    return bool(files)
 
 
 def write_files(folder: Path, tables: Mapping[str, str], head: str) -> None:

@@ -51,7 +51,7 @@ def without_stamp(path: Path, head: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in head.items() if key != STAMP}
 
 
-def warn_of_stamp(folder: Path) -> None:
+def warn_about_stamp(folder: Path) -> None:
     """Warn if a folder that was read has a stamp."""
     stamp = tomllib.loads(file_text(folder / _FILE)).get(STAMP)
     if stamp:

@@ -158,15 +158,15 @@ def _read_table(folder: Path, file: File) -> Any:
         return file.table()
     needed = [name for column in file.columns if not column.may_be_missing for name in column.names]
     more = [name for column in file.columns if column.may_be_missing for name in column.names]
-    found: dict[str, list[Any]] = {column.field: [] for column in file.columns}
+    columns: dict[str, list[Any]] = {column.field: [] for column in file.columns}
     for line, row in table_rows(path, needed, more, RESULTS.get(file.name, ())):
         for column in file.columns:
             if column.field in FALLBACKS and column.field not in row:
                 continue
             if column.if_missing is not None and column.field not in row:
                 row[column.field] = column.if_missing
-            found[column.field].append(_read_cells(path, line, row, column))
-    return file.table(**{name: values for name, values in found.items() if not says_nothing(name, found)})
+            columns[column.field].append(_read_cells(path, line, row, column))
+    return file.table(**{name: values for name, values in columns.items() if not says_nothing(name, columns)})
 
 
 def _read_cells(path: Path, line: int, row: dict[str, str], column: Column) -> Any:

@@ -109,8 +109,8 @@ class RandomFeeders(OneNodeABus):
         salt = np.uint64(zlib.crc32(f"feeders of {split}".encode()))
         if split == "train":
             return random.keys(salt, seeds // np.uint64(self.batch), numbers)
-        held = (seeds % np.uint64(HELD_OUT) + numbers % np.uint64(HELD_OUT)) % np.uint64(HELD_OUT)
-        return random.keys(salt, held, np.zeros_like(held))
+        held_out = (seeds % np.uint64(HELD_OUT) + numbers % np.uint64(HELD_OUT)) % np.uint64(HELD_OUT)
+        return random.keys(salt, held_out, np.zeros_like(held_out))
 
     def feeder(self, split: str, key: int) -> Feeder:
         """The member of a key; the last ones asked for are kept."""

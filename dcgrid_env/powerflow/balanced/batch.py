@@ -118,23 +118,23 @@ def _solve_looped(
     )
 
 
-def _looped(*given: Any) -> int:
+def _looped(*arguments: Any) -> int:
     """Solve rows of a feeder with loops, the many in blocks first, as ``_distflow`` does."""
-    n_row, n = given[8].shape
-    if n_row > FEW and n <= MOST_IN_BLOCKS and looped_blocks(*given) == 0:
+    n_row, n = arguments[8].shape
+    if n_row > FEW and n <= MOST_IN_BLOCKS and looped_blocks(*arguments) == 0:
         return 0
-    return looped_rows(*given)
+    return looped_rows(*arguments)
 
 
-def _distflow(*given: Any) -> int:
+def _distflow(*arguments: Any) -> int:
     """Solve rows by ``distflow_rows``, after ``distflow_blocks`` if there are many; return how many have no solution.
 
     Two kernels, so a single environment does not compile code that only many need.
     """
-    n_row, n = given[7].shape
-    if n_row > FEW and n <= MOST_IN_BLOCKS and distflow_blocks(*given) == 0:
+    n_row, n = arguments[7].shape
+    if n_row > FEW and n <= MOST_IN_BLOCKS and distflow_blocks(*arguments) == 0:
         return 0
-    return distflow_rows(*given)
+    return distflow_rows(*arguments)
 
 
 _KERNELS: dict[str, Any] = {"distflow": _distflow, "lindistflow": lindistflow_rows}

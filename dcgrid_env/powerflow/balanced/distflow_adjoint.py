@@ -84,14 +84,15 @@ def _looped_adjoint(
     figures = (np.concatenate((v_pu, v_pu[:, to]), axis=1), *flows)
     of_sum = [values.astype(np.float64, copy=False) for values in weights]
     of_sum[0] = np.concatenate((of_sum[0], np.zeros((len(v_pu), feeder.n_loop))), axis=1)
-    of_gaps = _weights_of_gaps(feeder, loops, figures)
+    of_gaps = _gap_weights(feeder, loops, figures)
     repeats = 1 + 2 * feeder.n_loop
     stacked = tuple(
-        np.concatenate((of[None], gaps)).reshape(-1, *of.shape[1:]) for of, gaps in zip(of_sum, of_gaps, strict=True)
+        np.concatenate((summed[None], gaps)).reshape(-1, *summed.shape[1:])
+        for summed, gaps in zip(of_sum, of_gaps, strict=True)
     )
     repeated = tuple(np.tile(values, (repeats, 1)) for values in figures)
-    found = _adjoint(opened, repeated, stacked, np.tile(converged, repeats))
-    by_p, by_q = (values.reshape(repeats, len(v_pu), opened.n_bus) for values in found[:2])
+    derivatives = _adjoint(opened, repeated, stacked, np.tile(converged, repeats))
+    by_p, by_q = (values.reshape(repeats, len(v_pu), opened.n_bus) for values in derivatives[:2])
     # Derivatives by S, (2 n_loop figures of S, row): it is drawn at the break point and injected on its other side.
     by_power = np.concatenate([by[..., n:] - by[..., to] for by in (by_p, by_q)], axis=-1).transpose(1, 2, 0)
     matrix = np.where(converged[:, None, None], by_power[..., 1:], np.eye(repeats - 1))
@@ -100,10 +101,10 @@ def _looped_adjoint(
     def total(derivative: FloatArray) -> FloatArray:
         return (derivative[0] - np.einsum("kr,kr...->r...", mu, derivative[1:])).astype(dtype, copy=False)
 
-    return total(by_p[..., :n]), total(by_q[..., :n]), total(found[2].reshape(repeats, -1))
+    return total(by_p[..., :n]), total(by_q[..., :n]), total(derivatives[2].reshape(repeats, -1))
 
 
-def _weights_of_gaps(feeder: Feeder, loops: Loops, figures: tuple[FloatArray, ...]) -> list[FloatArray]:
+def _gap_weights(feeder: Feeder, loops: Loops, figures: tuple[FloatArray, ...]) -> list[FloatArray]:
     """Return derivatives of the gaps of squared voltage, then of angle, by the figures of the opened feeder.
 
     They have the shapes of the weights of ``distflow_adjoint`` behind (2 n_loop, row).

@@ -26,8 +26,8 @@ def _of_members(
     whole: list[Any] | None = None
     for member, rows in feeder.members:
         changed = None if control is None else Control(*(None if field is None else field[rows] for field in control))
-        start_of_rows = None if start is None else start[rows]
-        solved = solve(member, p_kw[rows], q_kvar[rows], source_voltage_pu, changed, start_of_rows)
+        row_start = None if start is None else start[rows]
+        solved = solve(member, p_kw[rows], q_kvar[rows], source_voltage_pu, changed, row_start)
         if whole is None:
             whole = [np.empty((len(p_kw), *values.shape[1:]), values.dtype) for values in solved]
         for values, part in zip(whole, solved, strict=True):
@@ -36,7 +36,7 @@ def _of_members(
     return Solution(*whole)
 
 
-distflow_of_members = partial(_of_members, solve_distflow)
+member_distflow = partial(_of_members, solve_distflow)
 """Solves DistFlow on NumPy arrays (row, n_node), each row on its feeder; see ``solver.Solver``."""
-lindistflow_of_members = partial(_of_members, solve_lindistflow)
+member_lindistflow = partial(_of_members, solve_lindistflow)
 """Solves LinDistFlow in the same way."""

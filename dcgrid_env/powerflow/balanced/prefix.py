@@ -115,7 +115,7 @@ def lindistflow_arrays(feeder: Feeder, p_kw: Array, q_kvar: Array, v0_pu: Array)
         sweeps += 1
         flow = _subtree_sums(t, load if t.shunt is None else load + _drawn_by_shunts(t, v_sq))
         new_v_sq = v0_sq - _path_sums(t, 2.0 * xp.sum(z * flow, axis=0))
-        off = 0.0 * v0_pu if t.shunt is None else _change_of_shunts(t, new_v_sq, v_sq)
+        off = 0.0 * v0_pu if t.shunt is None else _shunt_change(t, new_v_sq, v_sq)
         v_sq = new_v_sq
         alive = (xp.min(v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(v_sq, axis=-1) < V_SQ_CEILING)
         if sweeps == LINEAR_SWEEPS or not bool(xp.any(alive & (off > tolerance))):
@@ -140,7 +140,7 @@ def _drawn_by_shunts(t: Tree, v_sq: Array) -> Array:
     return namespace(v_sq).stack((shunt[0] * v_sq, shunt[1] * v_sq))
 
 
-def _change_of_shunts(t: Tree, v_sq: Array, before: Array) -> Array:
+def _shunt_change(t: Tree, v_sq: Array, before: Array) -> Array:
     """Largest change of a shunt's active or reactive power between two voltages, per unit, (...)."""
     xp, shunt = namespace(v_sq), t.shunt
     return xp.max(xp.abs(v_sq - before) * xp.max(xp.abs(shunt), axis=0), axis=-1)
@@ -185,7 +185,7 @@ def _sweeps(
         new_current_sq = xp.sum(new_flow * new_flow, axis=0) / take_last(new_v_sq, t.parent)
         off = xp.max(xp.abs(new_current_sq - current_sq) * z_max, axis=-1)
         if t.shunt is not None:
-            off = xp.maximum(off, _change_of_shunts(t, new_v_sq, v_sq))
+            off = xp.maximum(off, _shunt_change(t, new_v_sq, v_sq))
         off = xp.where(alive, off, xp.inf)
         if bool((active & alive).all()):
             flow, v_sq, current_sq = new_flow, new_v_sq, new_current_sq

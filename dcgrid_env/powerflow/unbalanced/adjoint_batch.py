@@ -21,7 +21,7 @@ _NO_ROWS = np.empty((0, 0))
 
 def derivatives(
     feeder: ThreePhaseFeeder,
-    given: tuple[Any, ...],
+    inputs: tuple[Any, ...],
     solved: tuple[Any, Any],
     weights: tuple[Any, Any, Any, Sequence[Any]],
     converged: np.ndarray,
@@ -47,11 +47,11 @@ def derivatives(
     Returns
     -------
     tuple
-        By p_kw, q_kvar, source_pu, ratio and state, in the shapes that they have in ``given``.
+        By p_kw, q_kvar, source_pu, ratio and state, in the shapes that they have in ``inputs``.
     """
     shape, n = converged.shape, feeder.n_node
     n_row = converged.size
-    rows = tuple(_rows(a, n_row, None if k == 2 else a.shape[-1]) for k, a in enumerate(given))
+    rows = tuple(_rows(a, n_row, None if k == 2 else a.shape[-1]) for k, a in enumerate(inputs))
     solved = (_rows(solved[0], n_row, 2 * feeder.n_unknown), _rows(solved[1], n_row, 2 * n))
     of_row = np.zeros((3, n_row)) if any(w is not None for w in weights[3]) else np.empty((3, 0))
     for k, weight in enumerate(weights[3]):
@@ -97,10 +97,14 @@ def _by_newton(
     from dcgrid_env.powerflow.unbalanced.newton_adjoint import derivative  # brings SciPy with it
 
     n = feeder.n_node
-    given = [w[row] if len(w) else np.zeros(width) for w, width in zip(weights[:3], (n, 2 * n, 2 * n), strict=True)]
+    row_weights = [
+        w[row] if len(w) else np.zeros(width) for w, width in zip(weights[:3], (n, 2 * n, 2 * n), strict=True)
+    ]
     of_row = weights[3][:, row] if weights[3].shape[1] else np.zeros(3)
-    found = derivative(feeder, tuple(a[row] for a in rows), solved[0][row], solved[1][row], (*given, of_row))
-    for derivatives_, of_input in zip(out, found, strict=True):
+    row_derivatives = derivative(
+        feeder, tuple(a[row] for a in rows), solved[0][row], solved[1][row], (*row_weights, of_row)
+    )
+    for derivatives_, of_input in zip(out, row_derivatives, strict=True):
         derivatives_[row] = of_input
 
 

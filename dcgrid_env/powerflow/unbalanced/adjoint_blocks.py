@@ -154,7 +154,7 @@ def clear_inactive(first, count, plan, wide, converged, V, J, P, Q, DP, DQ, G, l
 
 
 @compiled(inner=True)
-def weights_of_currents(first, count, plan, wide, weights, converged, V, J, ratio, loss, K):
+def current_weights(first, count, plan, wide, weights, converged, V, J, ratio, loss, K):
     """Set K to the weights of the branches' currents, taken down the tree: K_m = weight + A K_n."""
     g_amperes, g_row = weights[2], weights[3]
     W, n_node = np.uint64(len(wide)), plan.up.shape[0]

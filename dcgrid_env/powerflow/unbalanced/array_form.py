@@ -63,7 +63,7 @@ class _Forms(NamedTuple):
 
 
 def sweep_arrays(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     """Solve as ``solve_batch`` does, with array operations alone.
 
@@ -80,13 +80,13 @@ def sweep_arrays(
             f"feeder {feeder.name!r}: only radial feeders are solved on this device or by this array library; give "
             "NumPy arrays or torch tensors of the CPU"
         )
-    if start is None or requires_grad(*given):
-        return _sweeps(feeder, given, None, tolerance_pu, max_sweeps)
-    xp = namespace(given[0])
-    warm = _sweeps(feeder, given, start, tolerance_pu, max_sweeps)
+    if start is None or requires_grad(*inputs):
+        return _sweeps(feeder, inputs, None, tolerance_pu, max_sweeps)
+    xp = namespace(inputs[0])
+    warm = _sweeps(feeder, inputs, start, tolerance_pu, max_sweeps)
     if bool(xp.all(warm.converged)):
         return warm
-    cold, keep = _sweeps(feeder, given, None, tolerance_pu, max_sweeps), warm.converged
+    cold, keep = _sweeps(feeder, inputs, None, tolerance_pu, max_sweeps), warm.converged
     pairs = zip(warm, cold, strict=True)
     return ThreePhaseSolution(*(xp.where(keep if a.ndim == keep.ndim else keep[..., None], a, b) for a, b in pairs))
 
@@ -100,12 +100,12 @@ def _forms(feeder: ThreePhaseFeeder, xp: ModuleType, dtype: object, device: obje
         )
     plan, n = plan_of(feeder), feeder.n_node
     complex_dtype = xp.complex64 if dtype == xp.float32 else xp.complex128
-    real = partial(_made, xp, dtype, device)
-    made = partial(_made, xp, complex_dtype, device)
-    index = partial(_made, xp, xp.int64, device)
+    real = partial(_converted, xp, dtype, device)
+    cplx = partial(_converted, xp, complex_dtype, device)
+    index = partial(_converted, xp, xp.int64, device)
     zones = tuple(
         Zone(
-            index(z.nodes), index(z.senders), made(z.enter), made(z.z), made(z.through), made(z.a), made(z.b),
+            index(z.nodes), index(z.senders), cplx(z.enter), cplx(z.z), cplx(z.through), cplx(z.a), cplx(z.b),
             None if z.regulator is None else index(z.regulator),
         )
         for z in zones_of(feeder)
@@ -126,26 +126,26 @@ def _forms(feeder: ThreePhaseFeeder, xp: ModuleType, dtype: object, device: obje
         zones=zones,
         order=index(position),
         sent_from=tuple(index(position[z.senders]) for z in zones_of(feeder)),
-        sent_to=tuple(made(np.eye(n)[z.senders]) for z in zones_of(feeder)),
-        resistance=made(resistance),
+        sent_to=tuple(cplx(np.eye(n)[z.senders]) for z in zones_of(feeder)),
+        resistance=cplx(resistance),
         tapped=real(tapped),
         untapped=real(1.0 - tapped.sum(0)),
-        shunt=made(shunt),
-        legs=made(_incidence(plan.leg_ends, n)[order]),
+        shunt=cplx(shunt),
+        legs=cplx(_incidence(plan.leg_ends, n)[order]),
         law=tuple(real(column) for column in law[order].T),
         is_z=xp.asarray(plan.leg_is_z[order], device=device),
         has_exponents=xp.asarray(powers[order], device=device) if (powers := plan.leg_has_exponents).any() else None,
-        capacitors=made(_incidence(plan.capacitor_ends, n)),
+        capacitors=cplx(_incidence(plan.capacitor_ends, n)),
         banks=index(plan.capacitor_row),
-        capacitor_b=made(1j * plan.capacitor_b),
-        cores=made(_incidence(plan.core_ends, n)),
-        core_y=made(plan.core_g + 1j * plan.core_b),
-        source=made(plan.source[:, 0] + 1j * plan.source[:, 1]),
+        capacitor_b=cplx(1j * plan.capacitor_b),
+        cores=cplx(_incidence(plan.core_ends, n)),
+        core_y=cplx(plan.core_g + 1j * plan.core_b),
+        source=cplx(plan.source[:, 0] + 1j * plan.source[:, 1]),
         ampere=real(plan.ampere),
     )
 
 
-def _made(xp: ModuleType, dtype: object, device: object, values: Array) -> Array:
+def _converted(xp: ModuleType, dtype: object, device: object, values: Array) -> Array:
     return xp.asarray(np.array(values), dtype=dtype, device=device)
 
 
@@ -161,9 +161,9 @@ def _square(v: Array) -> Array:
     return v.real * v.real + v.imag * v.imag
 
 
-def _drawn(f: _Forms, given: tuple[Any, ...], v: Array) -> Array:
+def _drawn(f: _Forms, inputs: tuple[Any, ...], v: Array) -> Array:
     """Return the draw of all connected elements at voltage v, p.u., by node."""
-    p_kw, q_kvar, _, _, state = given
+    p_kw, q_kvar, _, _, state = inputs
     xp, n_load = namespace(p_kw), f.legs.shape[0]
     scale, rated_sq, z_p, i_p, c_p, z_q, i_q, c_q, floor, low, very_low, a_p, b_p, a_q, b_q, n_p, n_q = f.law
     across = v @ f.legs.T
@@ -184,9 +184,9 @@ def _drawn(f: _Forms, given: tuple[Any, ...], v: Array) -> Array:
     return v @ f.shunt + (y * across) @ f.legs + devices + banks @ f.capacitors + cores @ f.cores
 
 
-def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tuple[Array, Array]:
+def _sweep(f: _Forms, inputs: tuple[Any, ...], ideal: Array, drawn: Array) -> tuple[Array, Array]:
     """Voltages, and currents of the branches to each node, that follow from what is drawn at each node."""
-    xp, ratio, n_zone = namespace(given[0]), given[3], len(f.zones)
+    xp, ratio, n_zone = namespace(inputs[0]), inputs[3], len(f.zones)
     within, entering = [drawn] * n_zone, [drawn] * n_zone
     for k in range(n_zone - 1, -1, -1):
         zone = f.zones[k]
@@ -196,18 +196,18 @@ def _sweep(f: _Forms, given: tuple[Any, ...], ideal: Array, drawn: Array) -> tup
             sent = entering[k] @ zone.a
             sent = sent if zone.regulator is None else sent * ratio[..., zone.regulator]
             drawn = drawn + sent @ f.sent_to[k]
-    found: list[Array] = []
+    voltages: list[Array] = []
     for k, zone in enumerate(f.zones):
         drop = entering[k] @ zone.b.T
         if k:
-            head = xp.concat(found, axis=-1)[..., f.sent_from[k]] @ zone.a.T
+            head = xp.concat(voltages, axis=-1)[..., f.sent_from[k]] @ zone.a.T
             r = 1.0 if zone.regulator is None else ratio[..., zone.regulator]
             head = r * (head - r * drop)
         else:
             head = ideal - drop
-        found.append(head @ zone.enter - within[k] @ zone.z.T)
+        voltages.append(head @ zone.enter - within[k] @ zone.z.T)
     currents = [within[k] @ zone.through for k, zone in enumerate(f.zones)]
-    return xp.concat(found, axis=-1)[..., f.order], xp.concat(currents, axis=-1)[..., f.order]
+    return xp.concat(voltages, axis=-1)[..., f.order], xp.concat(currents, axis=-1)[..., f.order]
 
 
 def _error_sq(xp: ModuleType, change: Array, before: Array, rounding: float) -> Array:
@@ -218,9 +218,9 @@ def _error_sq(xp: ModuleType, change: Array, before: Array, rounding: float) -> 
 
 
 def _sweeps(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
-    p_kw, _, source_pu, ratio, _ = given
+    p_kw, _, source_pu, ratio, _ = inputs
     xp = namespace(p_kw)
     f = _forms(feeder, xp, p_kw.dtype, p_kw.device)
     tolerance = max(tolerance_pu, _FLOAT32_PU) if p_kw.dtype == xp.float32 else tolerance_pu
@@ -228,7 +228,7 @@ def _sweeps(
     n = feeder.n_node
     ideal = source_pu[..., None] * f.source
     nothing = xp.zeros((*source_pu.shape, n), dtype=f.source.dtype, device=p_kw.device)
-    v, current = _sweep(f, given, ideal, nothing)
+    v, current = _sweep(f, inputs, ideal, nothing)
     if start is not None:
         given_start = (xp.any(start != 0, axis=-1) & xp.all(xp.isfinite(start), axis=-1))[..., None]
         v = xp.where(given_start, start[..., :n] + 1j * start[..., n:], v)
@@ -236,7 +236,7 @@ def _sweeps(
     good, iterations = ~active, xp.zeros_like(source_pu, dtype=xp.int64)
     before, left = xp.ones_like(source_pu), xp.full_like(source_pu, xp.inf)
     for _ in range(max_sweeps):
-        new_v, new_current = _sweep(f, given, ideal, _drawn(f, given, v))
+        new_v, new_current = _sweep(f, inputs, ideal, _drawn(f, inputs, v))
         v_sq = _square(new_v)
         alive = (xp.min(v_sq, axis=-1) > V_SQ_FLOOR) & (xp.max(v_sq, axis=-1) < V_SQ_CEILING)
         change = xp.max(_square(new_v - v), axis=-1)

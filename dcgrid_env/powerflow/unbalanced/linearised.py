@@ -74,19 +74,19 @@ def linearise(
     if not feeder.is_radial:
         from dcgrid_env.powerflow.unbalanced.newton_adjoint import voltage_slopes  # brings SciPy with it
 
-        at = np.arange(feeder.n_node) if nodes is None else np.array(nodes)
-        by_p, by_q = voltage_slopes(feeder, (p_kw, q_kvar, source_pu, ratio, state), solution, at)
+        positions = np.arange(feeder.n_node) if nodes is None else np.array(nodes)
+        by_p, by_q = voltage_slopes(feeder, (p_kw, q_kvar, source_pu, ratio, state), solution, positions)
         return Linearised(-1000.0 * by_p, -1000.0 * by_q)
     rows = np.eye(feeder.n_node) if nodes is None else np.zeros((len(nodes), feeder.n_node))
     if nodes is not None:
         rows[np.arange(len(nodes)), nodes] = 1.0
     n, n_load = len(rows), feeder.first_device_leg
-    given = tuple(np.broadcast_to(a, (n, *np.shape(a))) for a in (p_kw, q_kvar, source_pu, ratio, state))
+    inputs = tuple(np.broadcast_to(a, (n, *np.shape(a))) for a in (p_kw, q_kvar, source_pu, ratio, state))
     amperes = np.concatenate((solution.i_re_a, solution.i_im_a))
     of_nodes = (n, 2 * feeder.n_node)
     solved = np.broadcast_to(solution.restart, of_nodes), np.broadcast_to(amperes, of_nodes)
     weights, converged = (rows, None, None, ()), np.ones(n, np.bool_)
-    d_p, d_q, *_ = derivatives(feeder, given, solved, weights, converged, _groups(n))
+    d_p, d_q, *_ = derivatives(feeder, inputs, solved, weights, converged, _groups(n))
     return Linearised(-1000.0 * d_p[:, n_load:], -1000.0 * d_q[:, n_load:])
 
 

@@ -89,8 +89,8 @@ class Equations:
         else:
             matrix: Any = nodal_matrix(feeder, coupler_ratios(feeder, ratio)).tocoo()
             self.half, ideal = matrix.shape[0], feeder.nodal.source_y @ ideal
-            own = ((matrix.data, matrix.row, matrix.col), *_shunts(feeder, state))
-            linear = tuple(np.concatenate(one) for one in zip(*own, strict=True))
+            entries = ((matrix.data, matrix.row, matrix.col), *_shunts(feeder, state))
+            linear = tuple(np.concatenate(one) for one in zip(*entries, strict=True))
         self._linear = self._real(*linear)
         right = np.zeros(self.half, np.complex128)
         right[:3] = ideal
@@ -188,9 +188,9 @@ def high_voltage_solution(feeder: ThreePhaseFeeder, inputs: tuple[Any, ...]) -> 
         sign, carried, step = _sign(factors), 0.0, 1.0
         while carried < 1.0:
             step = min(step, 1.0 - carried)
-            found = _newton(equations, x, carried + step, sign)
-            if found is not None:
-                x, carried = found, carried + step
+            solution = _newton(equations, x, carried + step, sign)
+            if solution is not None:
+                x, carried = solution, carried + step
             elif step > LEAST_SHARE:
                 step /= 2.0
             else:
@@ -229,7 +229,7 @@ def _sign(factors: SuperLU) -> float:
     return float(sign)
 
 
-def tap_of_nodes(feeder: ThreePhaseFeeder, ratio: Array) -> FloatArray:
+def node_taps(feeder: ThreePhaseFeeder, ratio: Array) -> FloatArray:
     """Ratio of the regulator that feeds each node, 1 where none does."""
     plan = plan_of(feeder)
     tapped = (plan.kind == REGULATOR)[feeder.node_bus]
@@ -252,15 +252,15 @@ def places(feeder: ThreePhaseFeeder) -> Places:
 def _linear(feeder: ThreePhaseFeeder, ratio: Array, state: Array) -> tuple[Any, Any, Any]:
     """Complex entries of what is linear in V and I, with their rows and columns."""
     plan, n, place = plan_of(feeder), feeder.n_node, places(feeder)
-    tap = tap_of_nodes(feeder, ratio)
+    tap = node_taps(feeder, ratio)
     a = plan.a[place.bus, place.entry] * tap[place.row]
     b = (plan.z_re + 1j * plan.z_im)[place.bus, place.entry] * tap[place.row] * tap[place.column]
-    fed, nodes = place.bus > 0, np.arange(2 * n)
+    receiving, nodes = place.bus > 0, np.arange(2 * n)
     parts = (
         (np.ones(2 * n), nodes, nodes),
-        (-a[fed], place.row[fed], place.above[fed]),
+        (-a[receiving], place.row[receiving], place.above[receiving]),
         (b, place.row, place.column + n),
-        (-a[fed], place.above[fed] + n, place.row[fed] + n),
+        (-a[receiving], place.above[receiving] + n, place.row[receiving] + n),
         (-1j * plan.shunt[place.bus, place.entry], place.row + n, place.column),
         *((-y, row + n, column) for y, row, column in _shunts(feeder, state)),
     )

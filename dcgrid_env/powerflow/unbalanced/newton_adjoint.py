@@ -15,7 +15,7 @@ from dcgrid_env.core.arrays import Array
 from dcgrid_env.grid import ThreePhaseFeeder
 from dcgrid_env.grid.three_phase_matrices import PHASE_BASE_KVA
 from dcgrid_env.powerflow.solution import PowerFlowError
-from dcgrid_env.powerflow.unbalanced.newton import OF_P, OF_Q, TINY, Equations, places, tap_of_nodes
+from dcgrid_env.powerflow.unbalanced.newton import OF_P, OF_Q, TINY, Equations, node_taps, places
 from dcgrid_env.powerflow.unbalanced.nodal import coupler_ratios
 from dcgrid_env.powerflow.unbalanced.plan import REGULATOR, plan_of
 from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolution
@@ -47,7 +47,7 @@ def derivative(
     to_i[:3] += (of_p - 1j * of_q) * v[:3]
     grounded = np.append(v, 0.0)
     if feeder.is_radial:
-        place, tap = places(feeder), tap_of_nodes(feeder, ratio)
+        place, tap = places(feeder), node_taps(feeder, ratio)
         ohms = np.where(place.bus > 0, plan.z_re[place.bus, place.entry], 0.0) * tap[place.row] * tap[place.column]
         np.add.at(to_i, place.row, 2.0 * of_loss * ohms * i[place.column])
         others, of_source = i, to_i[:3]
@@ -91,13 +91,13 @@ def _by_powers(feeder: ThreePhaseFeeder, equations: Equations, v: Array, mu_i: A
     across, to = (a[equations.ends[:, 0]] - a[equations.ends[:, 1]] for a in (v, mu_i))
     both, squared = np.conj(to) * across, np.abs(across) ** 2
     inverse = np.sqrt(plan.leg_law[:, 1] / squared[:n_load])
-    found = []
+    by_power = []
     for of_leg, rows in ((both.real, OF_P), (both.imag, OF_Q)):
         at_legs = of_leg / (PHASE_BASE_KVA * np.maximum(squared, TINY))
         h = equations.shares(inverse, *rows)[0]
         at_legs[plan.leg_order.astype(np.intp)] = plan.leg_law[:, 0] * h * of_leg[:n_load]
-        found.append(at_legs)
-    return found[0], found[1]
+        by_power.append(at_legs)
+    return by_power[0], by_power[1]
 
 
 def _by_ratios(
@@ -109,9 +109,9 @@ def _by_ratios(
     entry = 4 * (nodes - feeder.first_node[bus])
     z, r, current = plan.z_re[bus, entry] + 1j * plan.z_im[bus, entry], ratio[row], i[nodes]
     moved = np.conj(mu_v[nodes]) * (v[above] - 2.0 * r * z * current) + np.conj(mu_i[above]) * current
-    found = np.zeros(feeder.n_regulator)
-    np.add.at(found, row, moved.real + 2.0 * of_loss * r * z.real * np.abs(current) ** 2)
-    return found
+    by_ratio = np.zeros(feeder.n_regulator)
+    np.add.at(by_ratio, row, moved.real + 2.0 * of_loss * r * z.real * np.abs(current) ** 2)
+    return by_ratio
 
 
 def _coupler_currents(feeder: ThreePhaseFeeder, restart: Array) -> Array:
@@ -125,11 +125,11 @@ def _to_unknowns(
 ) -> tuple[Any, Any]:
     """Weights of voltages and of couplers' currents, from those of voltages, of feeding currents and of the loss."""
     nodal, tap = feeder.nodal, coupler_ratios(feeder, ratio)
-    fed = np.flatnonzero(nodal.feed_coupler >= 0)
+    coupled = np.flatnonzero(nodal.feed_coupler >= 0)
     to_v = to_v + nodal.feed.conj().T @ to_i + 2.0 * of_loss * (nodal.y.real @ v)
     to_v[:3] -= np.conj(nodal.source_y).T @ to_i[:3]
     to_couplers = 2.0 * of_loss * (nodal.coupler_z.real * tap**2 * currents + nodal.coupler_mutual.real @ currents)
-    np.add.at(to_couplers, nodal.feed_coupler[fed], nodal.feed_sign[fed] * to_i[fed])
+    np.add.at(to_couplers, nodal.feed_coupler[coupled], nodal.feed_sign[coupled] * to_i[coupled])
     return to_v, to_couplers
 
 
@@ -163,10 +163,10 @@ def _by_couplers(
     feeder: ThreePhaseFeeder, ratio: Array, v: Array, currents: Array, mu_v: Array, mu_c: Array, of_loss: float
 ) -> Array:
     """Derivatives by the ratios of the regulators; the last of ``v`` and ``mu_v`` is ground."""
-    nodal, tap, found = feeder.nodal, coupler_ratios(feeder, ratio), np.zeros(feeder.n_regulator)
+    nodal, tap, by_ratio = feeder.nodal, coupler_ratios(feeder, ratio), np.zeros(feeder.n_regulator)
     tapped = np.flatnonzero(nodal.coupler_regulator >= 0)
     f, g = nodal.coupler_ends[tapped, :2].T
     z, r, i = nodal.coupler_z[tapped], tap[tapped], currents[tapped]
     moved = np.conj(mu_v[f] - mu_v[g]) * i + np.conj(mu_c[tapped]) * (v[f] - v[g] - 2.0 * r * z * i)
-    np.add.at(found, nodal.coupler_regulator[tapped], 2.0 * of_loss * r * z.real * np.abs(i) ** 2 - moved.real)
-    return found
+    np.add.at(by_ratio, nodal.coupler_regulator[tapped], 2.0 * of_loss * r * z.real * np.abs(i) ** 2 - moved.real)
+    return by_ratio

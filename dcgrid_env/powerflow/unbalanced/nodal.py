@@ -126,12 +126,12 @@ def nodal_of(feeder: ThreePhaseFeeder, devices: np.ndarray | None = None) -> Nod
     if devices is None or devices.sum() > MOST_SHARE * len(devices):
         devices = np.ones(feeder.n_node, bool)
     kept, key = _kept(feeder), devices.tobytes()
-    found = kept.get(key)
-    if found is None:
+    equations = kept.get(key)
+    if equations is None:
         if len(kept) >= MOST_KEPT:
             kept.clear()
-        found = kept[key] = _laid_out(feeder, _factors(feeder), devices)
-    return found
+        equations = kept[key] = _laid_out(feeder, _factors(feeder), devices)
+    return equations
 
 
 @cached_on_owner
@@ -191,17 +191,17 @@ def _entries(name: str, matrix: csr_matrix) -> dict[str, np.ndarray]:
 
 def _depending(factors: _Factors, drawing: np.ndarray) -> np.ndarray:
     """Rows of the factors that the unknowns ``drawing`` depend on, or whose right-hand side they change, bool."""
-    found = np.zeros(len(drawing), bool)
-    found[factors.place[drawing]] = True
-    found[factors.column[drawing]] = True
+    depends = np.zeros(len(drawing), bool)
+    depends[factors.place[drawing]] = True
+    depends[factors.column[drawing]] = True
     start, column = factors.lower.indptr, factors.lower.indices
-    for k in range(len(found)):
-        found[k] = found[k] or found[column[start[k] : start[k + 1]]].any()
+    for k in range(len(depends)):
+        depends[k] = depends[k] or depends[column[start[k] : start[k + 1]]].any()
     start, column = factors.upper.indptr, factors.upper.indices
-    for k in range(len(found)):
-        if found[k]:  # also by a row before it
-            found[column[start[k] : start[k + 1]]] = True
-    return found
+    for k in range(len(depends)):
+        if depends[k]:  # also by a row before it
+            depends[column[start[k] : start[k + 1]]] = True
+    return depends
 
 
 @cached_on_owner
@@ -256,9 +256,9 @@ def nodal_matrix(feeder: ThreePhaseFeeder, ratio: np.ndarray) -> csc_matrix:
     """The matrix M under these ratios of the couplers."""
     m, n = feeder.nodal, feeder.n_node
     c, size = np.arange(len(ratio)) + n, n + len(ratio)
-    own = m.y.tocoo()
+    entries = m.y.tocoo()
     three = np.arange(3)
-    parts = [(own.data, own.row, own.col), (m.source_y.ravel(), np.repeat(three, 3), np.tile(three, 3))]
+    parts = [(entries.data, entries.row, entries.col), (m.source_y.ravel(), np.repeat(three, 3), np.tile(three, 3))]
     for end, value in zip(m.coupler_ends.T, (ratio, -ratio, 0.0 * ratio - 1.0, 0.0 * ratio + 1.0), strict=True):
         there = end != GROUND
         parts += [(value[there], end[there], c[there]), (value[there], c[there], end[there])]

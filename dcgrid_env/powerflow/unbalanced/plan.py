@@ -125,9 +125,9 @@ def plan_of(feeder: ThreePhaseFeeder) -> Plan:
 
 
 def _has_voltage(feeder: ThreePhaseFeeder) -> np.ndarray:
-    found = np.full(feeder.n_node, feeder.is_radial)
-    found[feeder.load_legs.node[feeder.load_legs.other < 0]] = True
-    return found
+    has_voltage = np.full(feeder.n_node, feeder.is_radial)
+    has_voltage[feeder.load_legs.node[feeder.load_legs.other < 0]] = True
+    return has_voltage
 
 
 def _of_branches(feeder: ThreePhaseFeeder) -> dict[str, np.ndarray]:
@@ -151,9 +151,9 @@ def _of_branches(feeder: ThreePhaseFeeder) -> dict[str, np.ndarray]:
 def _without_branches(n_node: int) -> dict[str, np.ndarray]:
     """No branches: the nodal equations have them. Only the number of nodes is read."""
     nothing, nodes = np.zeros((0, 9)), _index(np.zeros(n_node))
-    none = _index(np.zeros(0))
+    empty = _index(np.zeros(0))
     matrices = dict.fromkeys(("a", "z_re", "z_im", "shunt"), nothing)
-    return {"first": none, "up": nodes, "kind": none, "regulator": nodes, **matrices}
+    return {"first": empty, "up": nodes, "kind": empty, "regulator": nodes, **matrices}
 
 
 def _index(values: Array) -> np.ndarray:

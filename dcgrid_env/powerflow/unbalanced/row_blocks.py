@@ -32,7 +32,7 @@ PER_KVA = 1.0 / PHASE_BASE_KVA
 
 
 @compiled(inner=True)
-def workspace(plan, nodal, wide, given):
+def workspace(plan, nodal, wide, inputs):
     """Rows for V, J, loads P and Q, devices P and Q, H, ratio, on, T and off, of the block's width each.
 
     Each has as many rows as what is put into it has columns: ``ratio`` one a regulator, and one where there is none;
@@ -42,7 +42,7 @@ def workspace(plan, nodal, wide, given):
     if nodal is not None:
         n += nodal.base_ratio.shape[0]
         scratch += 2 * nodal.place.shape[0]
-    n_leg, n_ratio, n_bank = plan.leg_is_z.shape[0], max(given[3].shape[1], 1), given[4].shape[1]
+    n_leg, n_ratio, n_bank = plan.leg_is_z.shape[0], max(inputs[3].shape[1], 1), inputs[4].shape[1]
     V = np.zeros(2 * n * W)
     J = np.zeros(2 * n * W)
     P, Q = np.zeros(n_leg * W), np.zeros(n_leg * W)
@@ -60,18 +60,18 @@ def active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes):
     for row in range(first, first + count):
         for n in range(n_node):
             drawn[n] += abs(p_kw[row, skip + n]) + abs(q_kvar[row, skip + n])
-    found = 0
+    n_device = 0
     for n in range(n_node):
         if drawn[n] != 0.0:
-            nodes[found] = n
-            found += 1
-    return found
+            nodes[n_device] = n
+            n_device += 1
+    return n_device
 
 
 @compiled(inner=True)
-def load_row(b, row, plan, wide, given, nodes, n_device, work):
+def load_row(b, row, plan, wide, inputs, nodes, n_device, work):
     """Put a row's inputs into column b, and the ideal source's voltage; whether all of them are finite."""
-    p_kw, q_kvar, source_pu, ratios, states = given
+    p_kw, q_kvar, source_pu, ratios, states = inputs
     V, _, P, Q, DP, DQ, _, ratio, on, _, _ = work
     W = np.uint64(len(wide))
     b = np.uint64(b)

@@ -18,11 +18,11 @@ import numpy as np
 from dcgrid_env.core.compiled import compiled
 from dcgrid_env.powerflow.unbalanced.adjoint_blocks import (
     clear_inactive,
+    current_weights,
     hand_over,
     leg_derivatives,
     legs_transposed,
     load_weights,
-    weights_of_currents,
 )
 from dcgrid_env.powerflow.unbalanced.nodal_adjoint import nodal_hand_over, nodal_weights
 from dcgrid_env.powerflow.unbalanced.nodal_kernels import nodal_step
@@ -88,10 +88,10 @@ def _settle(plan, nodal, wide, count, least, N, off_on, ratio, G, Y, X, T, off, 
 
 
 @compiled(nogil=True)
-def sweep_adjoint_rows(plan, nodal, wide, given, solved, weights, converged, least, settled, out):
+def sweep_adjoint_rows(plan, nodal, wide, inputs, solved, weights, converged, least, settled, out):
     """Fill ``out`` with derivatives of sum(weights * figures), in blocks of rows of width ``wide``.
 
-    ``given`` is the argument of ``sweep_rows``; ``solved`` holds ``restart`` and currents in A (row, 2 node).
+    ``inputs`` is the argument of ``sweep_rows``; ``solved`` holds ``restart`` and currents in A (row, 2 node).
     ``weights`` holds those of v_pu (row, node), of volts and currents (row, 2 node) and of loss, source p and q
     (3, row); one without rows is zero. ``out`` holds the derivatives by p_kw, q_kvar (row, leg), source_pu (row,),
     ratio (row, regulator) and state (row, bank). A row without a solution has no derivative and gets 0.
@@ -99,7 +99,7 @@ def sweep_adjoint_rows(plan, nodal, wide, given, solved, weights, converged, lea
     the most sweeps of a block.
     """
     width, n_row, n_node = len(wide), converged.shape[0], plan.up.shape[0]
-    work = workspace(plan, nodal, wide, given)
+    work = workspace(plan, nodal, wide, inputs)
     V, J, P, Q, DP, DQ, H, ratio, on, T, off = work
     rows = V.shape[0]
     X, Y, G, K = np.zeros(rows), np.zeros(rows), np.zeros(rows), np.zeros(rows)
@@ -112,7 +112,7 @@ def sweep_adjoint_rows(plan, nodal, wide, given, solved, weights, converged, lea
         count = min(width, n_row - first)
         for b in range(width):
             row = first + min(b, count - 1)
-            load_row(b, row, plan, wide, given, nodes, n_node, work)
+            load_row(b, row, plan, wide, inputs, nodes, n_node, work)
         for k in range(on.shape[0]):
             off_on[k] = -on[k]
         has_currents = load_weights(first, count, plan, wide, solved, weights, V, J, G, loss)
@@ -123,7 +123,7 @@ def sweep_adjoint_rows(plan, nodal, wide, given, solved, weights, converged, lea
         if nodal is None and has_currents:  # what they weigh goes down the tree once, and from there through the legs
             for k in range(K.shape[0]):
                 X[k] = 0.0
-            weights_of_currents(first, count, plan, wide, weights, converged, V, J, ratio, loss, K)
+            current_weights(first, count, plan, wide, weights, converged, V, J, ratio, loss, K)
             _transposed(plan, nodal, wide, N, off_on, G, K, X)
             for k in range(2 * n_node * width):
                 G[k] = X[k]

@@ -19,15 +19,15 @@ _NO_ROWS = np.empty((0, 0))
 
 
 def solve_batch(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     """Run the sweeps over all rows, on several threads where there are many.
 
-    ``given`` holds p_kw, q_kvar (..., n_leg), source_pu (...), ratios (..., n_regulator), states (..., n_capacitor).
+    ``inputs`` holds p_kw, q_kvar (..., n_leg), source_pu (...), ratios (..., n_regulator), states (..., n_capacitor).
     """
-    shape, dtype, n = given[0].shape[:-1], given[0].dtype, feeder.n_node
-    n_row = given[2].size
-    rows = tuple(_rows(a, (n_row,) if k == 2 else (n_row, a.shape[-1])) for k, a in enumerate(given))
+    shape, dtype, n = inputs[0].shape[:-1], inputs[0].dtype, feeder.n_node
+    n_row = inputs[2].size
+    rows = tuple(_rows(a, (n_row,) if k == 2 else (n_row, a.shape[-1])) for k, a in enumerate(inputs))
     start = _NO_ROWS if start is None else _rows(start, (n_row, 2 * feeder.n_unknown))
     out = (
         np.empty((n_row, n)),
@@ -69,9 +69,9 @@ def _solve_by_newton(
         volts = high_voltage_solution(feeder, tuple(a[row] for a in rows))
         if volts is None:
             continue
-        found = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.zeros(1, int))
-        if sweep_rows(plan, nodal, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, found) == 0:
-            for figures, of_row in zip(_cut(out, one), found, strict=True):
+        solved = (*(np.empty_like(a[one]) for a in out[:3]), np.empty((4, 1)), np.empty(1, np.bool_), np.zeros(1, int))
+        if sweep_rows(plan, nodal, ONE, tuple(a[one] for a in rows), volts[None], tolerance_pu, 1, solved) == 0:
+            for figures, of_row in zip(_cut(out, one), solved, strict=True):
                 figures[...] = of_row
 
 
@@ -89,13 +89,13 @@ def _part(
     cut = slice(first, last)
     part = _cut(out, cut)
     per_row = part[3].copy()  # contiguous, as the kernel takes it
-    given, start, figures = tuple(a[cut] for a in rows), start[cut], (*part[:3], per_row, *part[4:])
+    inputs, start, figures = tuple(a[cut] for a in rows), start[cut], (*part[:3], per_row, *part[4:])
     # Two kernels and not one, so that a single environment does not compile what many need.
     failed = last - first
     if failed > FEW:
-        failed = sweep_blocks(plan, nodal, WIDE, given, start, tolerance, max_sweeps, figures)
+        failed = sweep_blocks(plan, nodal, WIDE, inputs, start, tolerance, max_sweeps, figures)
     if failed:
-        failed = sweep_rows(plan, nodal, ONE, given, start, tolerance, max_sweeps, figures)
+        failed = sweep_rows(plan, nodal, ONE, inputs, start, tolerance, max_sweeps, figures)
     part[3][...] = per_row
     return failed
 

@@ -50,15 +50,15 @@ def _clear(plan, work):
 
 
 @compiled(nogil=True)
-def sweep_blocks(plan, nodal, wide, given, start, tolerance_pu, max_sweeps, out):
+def sweep_blocks(plan, nodal, wide, inputs, start, tolerance_pu, max_sweeps, out):
     """Solve the rows of ``sweep_rows`` from their starts, in blocks of width ``wide``.
 
     Returns the number of rows that did not settle within BLOCK_SWEEPS; their sweeps are then NOT_IN_BLOCKS.
     """
-    p_kw, q_kvar = given[0], given[1]
+    p_kw, q_kvar = inputs[0], inputs[1]
     tolerance_sq = tolerance_pu * tolerance_pu
     width, n_row, n_leg, n_node = len(wide), p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
-    work = workspace(plan, nodal, wide, given)
+    work = workspace(plan, nodal, wide, inputs)
     off = work[10]
     nodes = np.empty(plan.up.shape[0], np.uint64)
     drawn = np.empty(plan.up.shape[0])
@@ -74,7 +74,7 @@ def sweep_blocks(plan, nodal, wide, given, start, tolerance_pu, max_sweeps, out)
         count = min(width, n_row - first)
         n_device = active_devices(p_kw, q_kvar, first, count, n_leg, drawn, nodes)
         for b in range(width):
-            finite[b] = load_row(b, first + min(b, count - 1), plan, wide, given, nodes, n_device, work)
+            finite[b] = load_row(b, first + min(b, count - 1), plan, wide, inputs, nodes, n_device, work)
             done[b] = b >= count
             before[b] = 1.0
         begin(plan, nodal, wide, work)
@@ -125,11 +125,11 @@ def sweep_blocks(plan, nodal, wide, given, start, tolerance_pu, max_sweeps, out)
 
 
 @compiled(inner=True)
-def _one(row, plan, nodal, wide, given, start, tolerance_sq, max_sweeps, nodes, n_device, work):
+def _one(row, plan, nodal, wide, inputs, start, tolerance_sq, max_sweeps, nodes, n_device, work):
     """Sweep one row in a block of width 1 to the tolerance; return the number of sweeps and whether it settled."""
     off, finite = work[10], True
     for b in range(len(wide)):  # no literal 0, for which the compiler would make a second version
-        finite = load_row(b, row, plan, wide, given, nodes, n_device, work)
+        finite = load_row(b, row, plan, wide, inputs, nodes, n_device, work)
     off[0] = np.inf
     if not finite:
         return 0, False
@@ -150,20 +150,20 @@ def _one(row, plan, nodal, wide, given, start, tolerance_sq, max_sweeps, nodes, 
 
 
 @compiled(nogil=True)
-def sweep_rows(plan, nodal, wide, given, start, tolerance_pu, max_sweeps, out):
-    """Solve each row of ``given`` into the arrays of ``out``; return the number of rows without a solution.
+def sweep_rows(plan, nodal, wide, inputs, start, tolerance_pu, max_sweeps, out):
+    """Solve each row of ``inputs`` into the arrays of ``out``; return the number of rows without a solution.
 
-    ``given`` holds p_kw, q_kvar (row, leg), source_pu (row,), the regulators' ratios (row, regulator) and the
+    ``inputs`` holds p_kw, q_kvar (row, leg), source_pu (row,), the regulators' ratios (row, regulator) and the
     capacitors' states (row, bank); ``start`` voltages (row, 2 node), real parts first, or no rows. ``out`` holds
     v_pu (row, node), voltages in p.u. and currents in A (row, 2 node), loss, source power and residual (4, row),
     whether it converged, and sweeps (row,). A row that does not settle from its start is solved again from no load,
     with ``max_sweeps``. A row with positive sweeps has settled already and is skipped. A row with NOT_IN_BLOCKS skips
     its start.
     """
-    p_kw, q_kvar = given[0], given[1]
+    p_kw, q_kvar = inputs[0], inputs[1]
     n_row, n_leg, n_node = p_kw.shape[0], plan.leg_order.shape[0], plan.up.shape[0]
     tolerance_sq = tolerance_pu * tolerance_pu
-    work = workspace(plan, nodal, wide, given)
+    work = workspace(plan, nodal, wide, inputs)
     nodes = np.empty(n_node, np.uint64)
     drawn = np.empty(n_node)
     column = np.zeros(1, np.uint64)
@@ -177,11 +177,11 @@ def sweep_rows(plan, nodal, wide, given, start, tolerance_pu, max_sweeps, out):
         n_device = active_devices(p_kw, q_kvar, row, 1, n_leg, drawn, nodes)
         if start.shape[0] > 0 and out[5][row] != NOT_IN_BLOCKS:
             most = min(BLOCK_SWEEPS, max_sweeps)
-            sweeps, settled = _one(row, plan, nodal, wide, given, start, tolerance_sq, most, nodes, n_device, work)
+            sweeps, settled = _one(row, plan, nodal, wide, inputs, start, tolerance_sq, most, nodes, n_device, work)
             of_row[0] = sweeps
             if settled and store_rows(column, 1, place, plan, nodal, wide, work, of_row, settled, out) == 0:
                 continue
-        sweeps, settled = _one(row, plan, nodal, wide, given, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
+        sweeps, settled = _one(row, plan, nodal, wide, inputs, cold, tolerance_sq, max_sweeps, nodes, n_device, work)
         of_row[0] = sweeps
         if work[10][0] == np.inf:
             _clear(plan, work)

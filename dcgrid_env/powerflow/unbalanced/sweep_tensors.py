@@ -19,10 +19,10 @@ from dcgrid_env.powerflow.unbalanced.three_phase_solution import ThreePhaseSolut
 
 
 def sweep_tensors(
-    feeder: ThreePhaseFeeder, given: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
+    feeder: ThreePhaseFeeder, inputs: tuple[Any, ...], start: Array | None, tolerance_pu: float, max_sweeps: int
 ) -> ThreePhaseSolution:
     """Solve as ``solve_batch`` does; second derivatives are unavailable and raise RuntimeError."""
-    volts, amperes, *rest = _Sweep.apply(*given, feeder, start, tolerance_pu, max_sweeps)  # pyright: ignore
+    volts, amperes, *rest = _Sweep.apply(*inputs, feeder, start, tolerance_pu, max_sweeps)  # pyright: ignore
     v_pu, loss, p, q, converged, iterations, residual = rest
     n = feeder.n_node
     parts = (volts[..., :n], volts[..., n : 2 * n], amperes[..., :n], amperes[..., n:])
@@ -32,15 +32,15 @@ def sweep_tensors(
 class _Sweep(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Any:
-        *given, feeder, start, tolerance_pu, max_sweeps = inputs
-        arrays = tuple(a.detach().numpy() for a in given)
+        *tensor_inputs, feeder, start, tolerance_pu, max_sweeps = inputs
+        arrays = tuple(a.detach().numpy() for a in tensor_inputs)
         start = None if start is None else start.detach().numpy()
         s = solve_batch(feeder, arrays, start, tolerance_pu, max_sweeps)
         amperes = np.concatenate((s.i_re_a, s.i_im_a), axis=-1)
         figures = (s.restart, amperes, s.v_pu, s.loss_kw, s.source_p_kw, s.source_q_kvar)
         tensors = [torch.from_numpy(np.asarray(a)) for a in (*figures, s.converged, s.iterations, s.residual_kva)]
         ctx.feeder, ctx.torch_threads = feeder, torch.get_num_threads()
-        ctx.save_for_backward(*given, tensors[0], tensors[1], tensors[6])
+        ctx.save_for_backward(*tensor_inputs, tensors[0], tensors[1], tensors[6])
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(*tensors[6:])
         return tuple(tensors)
@@ -52,9 +52,9 @@ class _Sweep(torch.autograd.Function):
                 "the derivative of the sweep on CPU tensors has no derivative of its own; leave out create_graph=True"
             )
         rest_of_backward_on(ctx.torch_threads)
-        *given, volts, amperes, converged = (a.detach().numpy() for a in ctx.saved_tensors)
+        *saved_inputs, volts, amperes, converged = (a.detach().numpy() for a in ctx.saved_tensors)
         of_volts, of_amperes, of_magnitude, *of_row = (None if w is None else w.numpy() for w in weights[:6])
         weights = (of_magnitude, of_volts, of_amperes, of_row)
-        found = derivatives(ctx.feeder, tuple(given), (volts, amperes), weights, converged)
+        slopes = derivatives(ctx.feeder, tuple(saved_inputs), (volts, amperes), weights, converged)
         dtype = ctx.saved_tensors[0].dtype
-        return *(torch.from_numpy(d).to(dtype) for d in found), None, None, None, None
+        return *(torch.from_numpy(d).to(dtype) for d in slopes), None, None, None, None

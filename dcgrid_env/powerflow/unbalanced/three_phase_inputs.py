@@ -161,12 +161,12 @@ def raise_leg_not_finite(feeder: ThreePhaseFeeder, p_kw: Array, q_kvar: Array) -
         if len(where[0]):
             index = tuple(int(i[0]) for i in where)
             leg, n_load = index[-1], feeder.first_device_leg
-            what = (
+            subject = (
                 f"the device leg of phase {'abc'[feeder.node_phase[leg - n_load] - 1]}"
                 if leg >= n_load
                 else (f"load {feeder.network.phase_load.name[feeder.load_legs.row[leg]]}")
             )
             raise PowerFlowError(
-                f"feeder {feeder.name!r}: {field} of {what} at bus {feeder.bus_ids[feeder.leg_bus[leg]]} is "
+                f"feeder {feeder.name!r}: {field} of {subject} at bus {feeder.bus_ids[feeder.leg_bus[leg]]} is "
                 f"{values[index]} in scenario {index[:-1]} of the batch; give finite powers"
             )

@@ -100,10 +100,10 @@ def branch_flows(feeder: ThreePhaseFeeder, solution: ThreePhaseSolution, control
     power = np.zeros_like(current)
     branches = feeder.branches
     for k in range(feeder.n_branch):
-        fed = range(feeder.first_node[k + 1], feeder.first_node[k + 2])
-        size, sender, base_kv = len(fed), feeder.node_parent[fed.start : fed.stop], feeder.base_kv_ln
+        receiving = range(feeder.first_node[k + 1], feeder.first_node[k + 2])
+        size, sender, base_kv = len(receiving), feeder.node_parent[receiving.start : receiving.stop], feeder.base_kv_ln
         base_a = PHASE_BASE_KVA / base_kv[feeder.parent[k]]
-        through = i_a[..., fed.start : fed.stop] / (PHASE_BASE_KVA / base_kv[k + 1])
+        through = i_a[..., receiving.start : receiving.stop] / (PHASE_BASE_KVA / base_kv[k + 1])
         tapped = branches.regulator[k + 1, :size]
         if (tapped >= 0).any():
             through = through * ratio[..., tapped]

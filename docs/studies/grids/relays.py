@@ -77,7 +77,7 @@ def engine_taps(
     control = {"grid_control.regulator_settings": {"timer": timer}}
     scenario, taps = make_scenario(name, dt_s=float(dt_s), **control), []
     solve = solve_rows_of(scenario, None, p_kw[:1], q_kvar[:1], None)
-    equipment = feeder_equipment.begun(scenario, p_kw[:1], q_kvar[:1], None, None, None)
+    equipment = feeder_equipment.initial_equipment(scenario, p_kw[:1], q_kvar[:1], None, None, None)
     equipment = feeder_equipment.measured(scenario, equipment, solve(equipment, slice(None), None))
     for second in range(1, len(p_kw), dt_s):
         solve = solve_rows_of(scenario, None, p_kw[second : second + 1], q_kvar[second : second + 1], None)

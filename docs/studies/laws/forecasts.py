@@ -83,7 +83,7 @@ def main() -> None:
     for name in given.presets:
         scenario = make_scenario(name, split=given.split)
         shipped = published(scenario)
-        best = shipped.of(list(seeds)).J if shipped else [hindsight(scenario, seed).J for seed in seeds]
+        best = shipped.select(list(seeds)).J if shipped else [hindsight(scenario, seed).J for seed in seeds]
         droop = cost(scenario, make_controller("droop-tuned", scenario), seeds)
         sun = any(np.ptp(forecast(scenario, seed).p_inverter_kw) > 0.0 for seed in seeds[:3])
         cases = [(scenario, loads, pv) for loads in LOADS for pv in (PV if sun else PV[:1])]

@@ -95,7 +95,7 @@ def _hindsight(name: str, episodes: int | None) -> tuple[Scenario, Published, tu
 def _possible(name: str, episodes: int | None) -> float:
     """Return the saving of hindsight over the tuned droop on a preset's test episodes; None: all published ones."""
     test, costs, seeds = _hindsight(name, episodes)
-    return evaluate(make_controller(REFERENCE, test), test, seeds).means["J"] - float(np.mean(costs.of(seeds).J))
+    return evaluate(make_controller(REFERENCE, test), test, seeds).means["J"] - float(np.mean(costs.select(seeds).J))
 
 
 def _cell(policy: str, scenario: Scenario, seeds: range, droop: float, possible: float) -> Cell:

@@ -140,7 +140,7 @@ def feeder_scores(one: Tried, name: str) -> np.ndarray | None:
     if own is None or best is None or not isinstance(one.scenario.feeder, RandomFeeders):
         return None
     _, of = np.unique(one.scenario.feeder.keys(one.scenario.split, _seeds(own), 0 * _seeds(own)), return_inverse=True)
-    gained, possible = one.droop.J - own.J, one.droop.J - best.of(own.seeds).J
+    gained, possible = one.droop.J - own.J, one.droop.J - best.select(own.seeds).J
     return np.bincount(of, gained) / np.bincount(of, possible)
 
 

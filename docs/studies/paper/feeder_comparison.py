@@ -82,7 +82,7 @@ def orders(balanced: Runs, other: Runs, name: str) -> list[Records]:
 
 def _table_rows(runs: Runs, metric: str) -> dict[str, Rows]:
     rows = {
-        f"({n}, {k_p:g})": runs.of(runs.setting.scenario(n), Law(k_p_mw_per_pu=k_p)).each(metric)
+        f"({n}, {k_p:g})": runs.run(runs.setting.scenario(n), Law(k_p_mw_per_pu=k_p)).each(metric)
         for n in COUNTS
         for k_p in K_P_MW_PER_PU
     }
@@ -91,7 +91,8 @@ def _table_rows(runs: Runs, metric: str) -> dict[str, Rows]:
 
 def _law_rows(runs: Runs, metric: str) -> dict[str, Rows]:
     return {
-        str(n): {LABELS[law]: runs.of(runs.setting.scenario(n), LAWS[law]).each(metric) for law in LAWS} for n in COUNTS
+        str(n): {LABELS[law]: runs.run(runs.setting.scenario(n), LAWS[law]).each(metric) for law in LAWS}
+        for n in COUNTS
     }
 
 
@@ -100,7 +101,7 @@ def causes(runs: Mapping[str, Runs], found: Mapping[str, Records]) -> list[Recor
 
     def over_counts(name: str, law: str, figure: Callable[[Run], float]) -> float:
         case_runs = runs[name]
-        return float(np.mean([figure(case_runs.of(case_runs.setting.scenario(n), LAWS[law])) for n in COUNTS]))
+        return float(np.mean([figure(case_runs.run(case_runs.setting.scenario(n), LAWS[law])) for n in COUNTS]))
 
     def gain(name: str) -> float:
         rows = [r for r in found[name]["gains"] if r["k_p_mw_per_pu"] == 1.0 and r["n_datacenters"] in COUNTS]
@@ -142,7 +143,7 @@ def equipment(runs: Runs, name: str) -> list[Records]:
     """Taps that regulators make, voltage unbalance and the highest voltage with five sites; empty where balanced."""
     records = []
     for law in ("none", "inverters", "both"):
-        run = runs.of(runs.setting.scenario(5), LAWS[law])
+        run = runs.run(runs.setting.scenario(5), LAWS[law])
         if "tap_moves" in run.episodes[0]:
             records.append(
                 {

@@ -12,7 +12,7 @@ from dcgrid_env import Scenario
 from dcgrid_env.apps.reproduction.levers import settled
 from dcgrid_env.apps.reproduction.load_step import CHANGES, SITE, STEP_AT, STEP_LAWS, step_series
 from dcgrid_env.apps.reproduction.paper import PUBLISHED_BUSES
-from dcgrid_env.apps.reproduction.study_runs import BOTH, INVERTERS, NONE, Runs
+from dcgrid_env.apps.reproduction.study_runs import BOTH, INVERTERS, NO_CONTROL, Runs
 from dcgrid_env.apps.reproduction.table1 import LAWS
 from dcgrid_env.core.figure_axes import label_axes, new_figure
 from dcgrid_env.rendering import INK, draw_feeder, positions
@@ -83,7 +83,7 @@ def against_number(runs: Runs) -> Figure:
     for i, (name, law) in enumerate(LAWS.items()):
         if name == "both-one-step":
             continue  # at k_p = 1 it lies on the cumulative form
-        by_count = [runs.of(runs.setting.scenario(n), law) for n in runs.setting.counts]
+        by_count = [runs.run(runs.setting.scenario(n), law) for n in runs.setting.counts]
         mean = [run.deviation_pu for run in by_count]
         spread = [run.mean("voltage_deviation_std_pu") for run in by_count]
         # Beside one another, so that the bars do not cover each other.
@@ -106,7 +106,7 @@ def four_buses(runs: Runs, seed: int) -> Figure:
     scenario = figure_six(runs)
     figure = new_figure(10.0, 6.0)
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
-    for name, law in (("none", NONE), ("inverters", INVERTERS), ("both", BOTH._replace(k_p_mw_per_pu=10.0))):
+    for name, law in (("none", NO_CONTROL), ("inverters", INVERTERS), ("both", BOTH._replace(k_p_mw_per_pu=10.0))):
         series = runs.series(scenario, law, seed)
         t = np.arange(len(series.v_pu)) * scenario.dt_s
         for ax, bus in zip(axes.ravel(), BUSES, strict=True):

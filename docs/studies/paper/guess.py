@@ -120,7 +120,7 @@ def law_of(guess: Guess, k_p: float) -> Law:
 def cells(runs: Runs, guess: Guess) -> list[Records]:
     """Table I under a guess."""
     return [
-        {"n_datacenters": n, "k_p": k_p} | figures(runs.of(scenario_of(runs, guess, n), law_of(guess, k_p)), guess)
+        {"n_datacenters": n, "k_p": k_p} | figures(runs.run(scenario_of(runs, guess, n), law_of(guess, k_p)), guess)
         for n in COUNTS
         for k_p in K_P_MW_PER_PU
     ]
@@ -177,7 +177,7 @@ def _record(runs: Runs, guess: Guess) -> Records:
     """A guess: its settings, its cells, how far they are from Table I, and figures that no search looked at."""
     rows = cells(runs, guess)
     only = INVERTERS._replace(k_q_mvar_per_pu_s=guess.k_q_mvar_per_pu_s)
-    inverters = {n: figures(runs.of(scenario_of(runs, guess, n), only), guess)["deviation_pu"] for n in COUNTS}
+    inverters = {n: figures(runs.run(scenario_of(runs, guess, n), only), guess)["deviation_pu"] for n in COUNTS}
     gains = [100.0 * (1.0 - row["deviation_pu"] / inverters[row["n_datacenters"]]) for row in rows]
     spread = [abs(row["std_pu"] - TABLE_ONE[row["n_datacenters"], row["k_p"]].std_pu) for row in rows]
     return {

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from dcgrid_env import Scenario, forecast
 from dcgrid_env.apps.reproduction.paper import PUBLISHED_BUSES
-from dcgrid_env.apps.reproduction.study_runs import NONE, Law, Runs
+from dcgrid_env.apps.reproduction.study_runs import NO_CONTROL, Law, Runs
 from dcgrid_env.apps.reproduction.table1 import LAWS
 from dcgrid_env.core.figure_axes import label_axes, new_figure
 from dcgrid_env.traces import TRACE_SOURCES
@@ -78,7 +78,7 @@ def before_and_after(runs: Runs, seed: int) -> Figure:
     scenario, site = all_sites(runs), PUBLISHED_BUSES.index(SITE)
     figure = new_figure(11.0, 5.6)
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
-    before = runs.series(scenario, NONE, seed)
+    before = runs.series(scenario, NO_CONTROL, seed)
     t = np.arange(1, len(before.p_kw) + 1) * scenario.dt_s
     for (power, waiting), k_p in zip(axes.T, PANELS, strict=True):
         for name, label in FORMS.items():

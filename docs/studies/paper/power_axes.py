@@ -9,7 +9,7 @@ import numpy as np
 
 from dcgrid_env import Feeder, Scenario, load_feeder, make_scenario, sensitivity
 from dcgrid_env.apps.reproduction.levers import settled
-from dcgrid_env.apps.reproduction.study_runs import BOTH, NONE, REACTIVE, Law, Runs
+from dcgrid_env.apps.reproduction.study_runs import BOTH, NO_CONTROL, REACTIVE, Law, Runs
 from dcgrid_env.apps.reproduction.verdict import DOES_NOT, HOLDS, PARTLY, Records, Row, decide, row
 
 R_TIMES = 3.0
@@ -34,7 +34,7 @@ def axes(runs: Runs) -> list[dict[str, Any]]:
     }
     records = []
     for name, scenario in cases.items():
-        by_axis = {key: runs.of(scenario, law) for key, law in _AXES.items()}
+        by_axis = {key: runs.run(scenario, law) for key, law in _AXES.items()}
         records.append(
             {"feeder": name}
             | _own_slopes(scenario)
@@ -47,7 +47,7 @@ def axes(runs: Runs) -> list[dict[str, Any]]:
 
 
 _AXES = {
-    "none": NONE,
+    "none": NO_CONTROL,
     "active": Law(k_p_mw_per_pu=10.0, k_q_mvar_per_pu_s=0.0),
     "reactive": REACTIVE,
     "both": BOTH._replace(k_p_mw_per_pu=10.0),

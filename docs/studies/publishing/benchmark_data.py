@@ -179,7 +179,7 @@ def _facts(preset: str, digest: str, episodes: int) -> Facts:
         raise ValueError(f"{preset}: its hash is {digest}, now {now}; run dcgrid benchmark again")
     costs = published(scenario)
     assert costs is not None, preset
-    costs = costs.of(range(episodes))
+    costs = costs.select(range(episodes))
     costs.check_episodes(scenario, episodes)
     return Facts(episodes, hindsight_costs(costs), digest)
 

@@ -38,12 +38,12 @@ def power_figures(trace: PowerTrace) -> dict[str, float]:
     The squares of the standard deviations add up to the variance of the means over 0.1 s.
     """
     ramp = np.abs(np.diff(trace.resample(1.0)))
-    found = {
+    quantiles = {
         "1-s ramp, largest" if q == 1.0 else f"1-s ramp, {100 * q:g} %": float(np.quantile(ramp, q))
         for q in RAMP_QUANTILES
     }
     deviations = band_deviations(trace.resample(GRID_S)).tolist()
-    return found | {f"standard deviation, {band}": value for band, value in zip(BANDS_HZ, deviations, strict=True)}
+    return quantiles | {f"standard deviation, {band}": value for band, value in zip(BANDS_HZ, deviations, strict=True)}
 
 
 def band_deviations(share: FloatArray) -> FloatArray:

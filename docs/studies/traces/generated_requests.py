@@ -18,9 +18,9 @@ FIGURES = (
     "Fano factor at 1 s",
     "Fano factor at 60 s",
     *(
-        f"{kind} tokens, {what}"
+        f"{kind} tokens, {statistic}"
         for kind in ("context", "generated")
-        for what in ("50 %", "90 %", "95 %", "99 %", "mean")
+        for statistic in ("50 %", "90 %", "95 %", "99 %", "mean")
     ),
 )
 

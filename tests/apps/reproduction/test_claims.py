@@ -139,14 +139,14 @@ CASES = [
     (lever_claims.interval, intervals(0.01, 0.01), HOLDS, "a shorter one changes nothing"),
     (lever_claims.interval, intervals(0.01, 0.01, fast=0.009), HOLDS, "changes by up to -10.0 %"),
     (lever_claims.interval, intervals(0.01, 0.01, fast=0.011), DOES_NOT, "worse at both gains"),
-    (lever_claims.change_of_load, step(1.01), HOLDS, r"above the substation's 1\.000"),
+    (lever_claims.load_change, step(1.01), HOLDS, r"above the substation's 1\.000"),
     (
-        lever_claims.change_of_load,
+        lever_claims.load_change,
         step(0.99),
         PARTLY,
         r"not above.*as an injection the load would give 1\.0200",
     ),
-    (lever_claims.change_of_load, step(0.96), DOES_NOT, "whether load rises or drops"),
+    (lever_claims.load_change, step(0.96), DOES_NOT, "whether load rises or drops"),
     (table_claims.trend, table_one(as_published), HOLDS, "more load than its converter"),
     (table_claims.trend, table_one(as_published, squared=lambda n, k: -0.01 * n), PARTLY, "for one of V and V²"),
     (

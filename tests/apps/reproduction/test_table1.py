@@ -38,7 +38,7 @@ def test_table_one_and_the_split_of_its_gain(few):
 def test_the_cells_are_those_of_a_run(few):
     scenario = few.setting.scenario(5)
     for law, name in (("none", "none"), ("inverters", "inverters"), ("reactive", "droop-q"), ("both", "droop")):
-        ours = table1.figures(few.of(scenario, table1.LAWS[law]))
+        ours = table1.figures(few.run(scenario, table1.LAWS[law]))
         found = rollout(scenario, make_controller(name), range(3)).metrics()
         mean = sum(m["voltage_deviation_mean_pu"] for m in found) / 3
         assert ours["J"] == pytest.approx(sum(m["J"] for m in found) / 3)
@@ -58,7 +58,7 @@ def test_the_document_holds_what_the_runs_give():
     for law, label in (("none", "no control"), ("inverters", "inverters only"), ("both", "both axes")):
         line = re.search(rf"^\| 5 \| {label} \| (.*) \|$", text, re.MULTILINE)
         assert line is not None
-        found = table1.figures(runs.of(runs.setting.scenario(5), table1.LAWS[law]))
+        found = table1.figures(runs.run(runs.setting.scenario(5), table1.LAWS[law]))
         columns = {"deviation_mean_pu": 4, "deviation_std_pu": 4, "squared_deviation_mean_pu": 4}
         columns |= {"buses_inside_pct": 1, "voltage_min_pu": 3, "delay_mean_s": 2, "J": 3}
         for cell, (key, decimals) in zip(line[1].split(" | "), columns.items(), strict=True):

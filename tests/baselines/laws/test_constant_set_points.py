@@ -62,7 +62,7 @@ def test_reactive_power_settles_on_the_slope_with_the_time_constant():
     law.reset(scenario)
     limit_kvar = law.scenario.q_scale_kvar
     for _ in range(8):
-        local = law._local(observations[..., law._equipment._seen])
+        local = law._local(observations[..., law._equipment._observed])
         _, q_kvar = law.control(local)
         target_kvar = (0.2 - 5.0 * (local.v_pu - 1.0)) * limit_kvar
         moved_kvar = local.q_kvar + (target_kvar - local.q_kvar) / 4.0  # steps of a second

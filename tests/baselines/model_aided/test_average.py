@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dcgrid_env import forecast, make_scenario
-from dcgrid_env.baselines.model_aided.average import Average, weight_of_newest
+from dcgrid_env.baselines.model_aided.average import Average, newest_weight
 from dcgrid_env.baselines.model_aided.commissioning import commission, site_of
 
 
@@ -24,10 +24,10 @@ def test_the_weight_is_where_the_filter_settles():
     for _ in range(200):
         gain = (error + variance) / (error + variance + noise**2)
         error = (1.0 - gain) * (error + variance)
-    assert weight_of_newest(noise, change) == pytest.approx(gain)
+    assert newest_weight(noise, change) == pytest.approx(gain)
     assert error == pytest.approx(gain * noise**2)
-    assert weight_of_newest(1e-9, change) == pytest.approx([1.0, 1.0])
-    assert weight_of_newest(noise, 0.0 * change) == pytest.approx([0.1, 0.1])
+    assert newest_weight(1e-9, change) == pytest.approx([1.0, 1.0])
+    assert newest_weight(noise, 0.0 * change) == pytest.approx([0.1, 0.1])
 
 
 def test_the_first_measurements_count_alike():
@@ -42,7 +42,7 @@ def test_the_first_measurements_count_alike():
 def test_its_error_on_a_random_walk_is_that_of_the_regression():
     rng, noise = np.random.default_rng(1), 5e-3
     change = rng.normal(0.0, 2e-3, (20_000, 1))
-    weight = float(weight_of_newest(noise, change)[0])
+    weight = float(newest_weight(noise, change)[0])
     true = change.cumsum()
     average, known = Average(), cast(Any, Known(weight))
     error = [average(known, np.array([[e + rng.normal(0.0, noise)]])).item() - e for e in true]

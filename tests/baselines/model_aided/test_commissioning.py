@@ -24,12 +24,12 @@ def test_the_regression_is_that_of_its_definition(preset):
     moved = np.random.default_rng(0).normal(0.0, 20.0, draw.shape)
     v = flow.voltages(np.broadcast_to(known.origin_kvar, draw.shape))
     there = v + moved @ known.by_q[0]
-    again = regressed(site, known, there, there @ flow.seen.T, moved)
+    again = regressed(site, known, there, there @ flow.observed_share.T, moved)
     noise = site.scenario.sensing.noise_pu**2 + (0.1 * site.law.floor_pu) ** 2
     for i in (0, site.scenario.n_agents - 1):
         more = draw[:, i : i + 1] - known.mean_kw[0, i]
         e = there - moved[:, i : i + 1] * known.by_q[0, i] + more * known.by_draw[0, i]
-        own = e @ flow.seen[i]
+        own = e @ flow.observed_share[i]
         key = draw[:, i] if site.scheduled[i] else own
         n_level = known.key.shape[2]
         for level, rows in enumerate(np.array_split(np.argsort(key, kind="stable"), n_level)):

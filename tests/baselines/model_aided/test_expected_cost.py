@@ -34,5 +34,5 @@ def test_a_voltage_that_is_known_has_the_slope_of_the_cost_itself():
 
 
 def test_prices_are_the_means_over_buses_taken_apart():
-    price = VoltagePrice.of(make_scenario("ieee33"))
+    price = VoltagePrice.from_scenario(make_scenario("ieee33"))
     assert price == VoltagePrice(100.0 / 32, 1000.0 / 32, 0.05)

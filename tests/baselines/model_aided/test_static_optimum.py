@@ -32,13 +32,13 @@ def test_a_search_without_slopes_by_the_exact_power_flow_finds_nothing_that_cost
     site, buses = site_of(scenario), forecast(scenario, 0).buses
     rest_kvar, w = commission(site, buses[None]).rest_kvar[0, 0], scenario.cost.weights
     rows = np.random.default_rng(1).choice(len(site.points.sun), 12, replace=False)  # as commissioning draws them
-    voltages = MomentFlow(site, buses).of(rows)
+    voltages = MomentFlow(site, buses).at_moments(rows)
     limit_kvar = site.limit_kvar(site.points.p_agent_kw).mean(axis=0)
 
     def cost(q_kvar):
         e = abs(voltages(q_kvar) - 1.0)
         beyond = np.maximum(e - scenario.cost.band_pu, 0.0).mean()
-        return w.voltage * e.mean() + w.violation * beyond + site.effort @ abs(q_kvar / site.share_of_kvar)
+        return w.voltage * e.mean() + w.violation * beyond + site.effort @ abs(q_kvar / site.kvar_share)
 
     bounds = list(zip(-limit_kvar, limit_kvar, strict=True))
     other = minimize(cost, np.zeros_like(rest_kvar), bounds=bounds, method="Powell", options={"maxfev": 1500})

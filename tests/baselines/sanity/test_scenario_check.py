@@ -10,7 +10,7 @@ from dcgrid_env.baselines import NoControl, rollout
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from dcgrid_env.baselines.sanity.batch_search import fitted
 from dcgrid_env.baselines.sanity.scenario_check import check_scenario
-from dcgrid_env.baselines.sanity.verdicts import BARE, CONSTANT, DROOP, HINDSIGHT, NONE, PAPER, PINNED
+from dcgrid_env.baselines.sanity.verdicts import BARE, CONSTANT, DROOP, HINDSIGHT, NO_CONTROL, PAPER, PINNED
 from dcgrid_env.baselines.tuning.search import tune
 from dcgrid_env.grid.network import Network, NodeTable, PhaseLineTable, PhaseLoadTable, SourceTable
 
@@ -39,15 +39,15 @@ def test_who_reaches_what_is_in_order_and_hindsight_is_the_least():
     reached = check.figures.reached
     j = {name: one.mean("J") for name, one in reached.items()}
     assert j[HINDSIGHT] <= min(j[DROOP], j[CONSTANT]) + 1e-6
-    assert max(j[DROOP], j[CONSTANT]) < j[NONE]
+    assert max(j[DROOP], j[CONSTANT]) < j[NO_CONTROL]
     assert j[DROOP] <= j[PAPER] + 1e-6
     assert j[PINNED] >= j[HINDSIGHT] - 1e-6
-    assert j[BARE] < j[NONE]
+    assert j[BARE] < j[NO_CONTROL]
     assert reached[HINDSIGHT].metrics["J"][1] == pytest.approx(hindsight(scenario, 1).J, rel=2e-3)
-    assert stages == [HINDSIGHT, PINNED, NONE, DROOP, CONSTANT]
+    assert stages == [HINDSIGHT, PINNED, NO_CONTROL, DROOP, CONSTANT]
     assert check.figures.lowest_bus in ("18", "33")
     table = check.table
-    assert table.header == ("mean over episodes", NONE, PAPER, DROOP, CONSTANT, HINDSIGHT)
+    assert table.header == ("mean over episodes", NO_CONTROL, PAPER, DROOP, CONSTANT, HINDSIGHT)
     assert table.rows[-1] == ("episodes", "2", "2", "2", "2", "2")
 
 
@@ -99,7 +99,8 @@ def test_hindsight_is_known_without_inverters_data_centres_or_equipment(feeder, 
     reached = check.figures.reached
     assert not check.figures.refused
     assert (
-        reached[HINDSIGHT].mean("J") <= min(reached[name].mean("J") for name in (NONE, PAPER, DROOP, CONSTANT)) + 1e-3
+        reached[HINDSIGHT].mean("J")
+        <= min(reached[name].mean("J") for name in (NO_CONTROL, PAPER, DROOP, CONSTANT)) + 1e-3
     )
     assert not any("more than 0 kvar" in str(verdict) for verdict in check.verdicts)
 

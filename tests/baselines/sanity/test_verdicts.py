@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from dcgrid_env import make_scenario
-from dcgrid_env.baselines.sanity.verdicts import BARE, CONSTANT, DROOP, HINDSIGHT, NONE, PAPER, PINNED, Figures, Reached
+from dcgrid_env.baselines.sanity.verdicts import (
+    BARE,
+    CONSTANT,
+    DROOP,
+    HINDSIGHT,
+    NO_CONTROL,
+    PAPER,
+    PINNED,
+    Figures,
+    Reached,
+)
 from dcgrid_env.baselines.sanity.verdicts import verdicts as said_of
 
 
@@ -13,12 +23,12 @@ def reached(j, outside=0.0, low=0.96, high=1.04, delay=0.0, converged=1.0, n=4):
         "J": j, "outside_bus_seconds_pct": outside, "voltage_min_pu": low, "voltage_max_pu": high,
         "delay_mean_s": delay, "power_flow_converged": converged,
     }  # fmt: skip
-    return Reached.of([figures] * n)
+    return Reached.from_metrics([figures] * n)
 
 
 def said(others, k_q=20.0, refused=""):
-    every = {NONE: reached(5.0), PAPER: reached(4.0), DROOP: reached(3.5), CONSTANT: reached(3.6), **others}
-    found = said_of(make_scenario("ieee33-weak"), Figures(every, "18", refused, k_q, asked=4))
+    every = {NO_CONTROL: reached(5.0), PAPER: reached(4.0), DROOP: reached(3.5), CONSTANT: reached(3.6), **others}
+    found = said_of(make_scenario("ieee33-weak"), Figures(every, "18", refused, k_q, requested_episodes=4))
     return [str(verdict) for verdict in found], any(verdict.is_bar for verdict in found)
 
 
@@ -72,7 +82,7 @@ def test_a_band_that_is_hard_to_keep_gets_another_voltage_or_less_load(low, high
 
 
 def test_a_clock_that_is_worth_nothing_a_low_bound_and_collapses_are_told():
-    pinned = {HINDSIGHT: reached(2.8), PINNED: reached(2.8), NONE: reached(5.0, converged=0.0)}
+    pinned = {HINDSIGHT: reached(2.8), PINNED: reached(2.8), NO_CONTROL: reached(5.0, converged=0.0)}
     lines, _ = said(pinned, k_q=0.3)
     (clock,) = [line for line in lines if line.startswith("the clock hardly matters: it is worth 0.0 % of J")]
     assert "--act q" in clock
@@ -94,6 +104,8 @@ def test_without_hindsight_rules_are_judged_and_fewer_episodes_are_told():
 
 
 def test_a_mean_may_be_of_the_first_episodes():
-    none = Reached.of([{"J": j, "outside_bus_seconds_pct": 0.0, "power_flow_converged": 1.0} for j in (1.0, 2.0, 6.0)])
+    none = Reached.from_metrics(
+        [{"J": j, "outside_bus_seconds_pct": 0.0, "power_flow_converged": 1.0} for j in (1.0, 2.0, 6.0)]
+    )
     assert none.mean("J", 2) == 1.5
     assert np.isclose(none.mean("J"), 3.0)

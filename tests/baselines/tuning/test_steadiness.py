@@ -6,7 +6,7 @@ from dcgrid_env import PRESETS, make_scenario
 from dcgrid_env.baselines import Droop, make_controller
 from dcgrid_env.baselines.laws.stability import ClosedLoops, is_stable, spectral_radius, worst_radius
 from dcgrid_env.baselines.tuning.search import tune
-from dcgrid_env.baselines.tuning.steadiness import drawn_back, has_limit_cycle, with_held_inputs
+from dcgrid_env.baselines.tuning.steadiness import drawn_back, has_limit_cycle, with_constant_inputs
 
 REGULATORS = ("ieee13-3ph", "ieee34-3ph", "ieee123-3ph", "ieee123-3ph-day")
 """Presets with acting regulators, whose gains are tuned with the regulators' own data."""
@@ -34,7 +34,7 @@ def test_a_limit_cycle_is_found_where_the_linear_loop_is_unstable_and_not_where_
 def test_demand_that_alternates_is_no_limit_cycle():
     """On `training` the sites' power falls and rises every few steps by itself; with held inputs nothing moves."""
     scenario = make_scenario("training", split="validation")
-    held = with_held_inputs(scenario)
+    held = with_constant_inputs(scenario)
     assert held.background.load_sigma == held.sensing.noise_pu == 0.0
     droop = make_controller("droop-tuned", scenario)
     assert isinstance(droop, Droop)

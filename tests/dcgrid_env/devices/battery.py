@@ -98,7 +98,12 @@ class Batteries(PickledByFields):
         return BatteryState(zero + 0.5 * parameters.energy_kwh, zero)
 
     def step(
-        self, parameters: BatteryParameters, state: BatteryState, setpoints: tuple[Array, ...], given: Any, dt_s: float
+        self,
+        parameters: BatteryParameters,
+        state: BatteryState,
+        setpoints: tuple[Array, ...],
+        device_input: Any,
+        dt_s: float,
     ) -> tuple[BatteryState, Array]:
         (asked_kw,) = setpoints
         xp, hours = namespace(asked_kw), dt_s / 3600.0

@@ -38,7 +38,7 @@ class _SwitchedShunts(_INVERTERS):
     def initial(self, parameters, zero):
         return _Switched(zero)
 
-    def step(self, parameters, state, setpoints, given, dt_s):
+    def step(self, parameters, state, setpoints, device_input, dt_s):
         on = 0.25 * (4.0 * setpoints[0] / parameters.s_rated_kva).round() * parameters.s_rated_kva
         return _Switched(on), 0.0 * on
 

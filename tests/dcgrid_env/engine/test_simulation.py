@@ -112,11 +112,11 @@ def test_local_rewards_are_minus_each_agents_cost():
 
 def test_what_cannot_be_restored_or_stepped_is_refused():
     simulation = Simulation(make_scenario("toy6"), 2)
-    assert not simulation.begun
+    assert not simulation.has_begun
     with pytest.raises(RuntimeError, match="has not been reset; call reset"):
         simulation.step(np.zeros((2, 4)))
     simulation.reset([0, 1])
-    assert simulation.begun
+    assert simulation.has_begun
     saved = simulation.now
     with pytest.raises(ValueError, match="restore takes what save"):
         simulation.restore({})  # pyright: ignore[reportArgumentType]

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import dcgrid_env
 from dcgrid_env import DcgridEnv, DcgridVectorEnv
-from dcgrid_env.envs.vector import _warn_of_statistics
+from dcgrid_env.envs.vector import _warn_about_statistics
 from dcgrid_env.traces import PowerTrace
 from helpers.forms import WORK_CLASSES, each_preset
 from helpers.in_other_processes import toy
@@ -289,7 +289,7 @@ def test_the_statistics_of_old_releases_of_gymnasium_are_warned_of_once(monkeypa
     def made(**extra):
         return gymnasium.make_vec("dcgrid/Toy6-v0", num_envs=2, **extra)
 
-    _warn_of_statistics.cache_clear()
+    _warn_about_statistics.cache_clear()
     monkeypatch.setattr(gymnasium, "__version__", "1.3.0")
     made(autoreset_mode="next_step")
     with pytest.warns(UserWarning, match=r"in gymnasium 1\.3\.0.*install gymnasium 1\.4 or newer, or .*'next_step'"):

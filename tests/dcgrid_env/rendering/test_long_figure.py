@@ -40,7 +40,7 @@ def test_intervals_hold_every_peak_and_mean(few):
 def test_parts_of_any_length_give_the_same_intervals(few):
     scenario = make_scenario("toy6", split="test")
     series = rollout(scenario, NoControl(), [0]).series(0)
-    whole, parts = Envelope.of(series), Envelope(scenario)
+    whole, parts = Envelope.from_series(series), Envelope(scenario)
     recorder = rollout(scenario, NoControl(), [0])
     transitions = recorder._transitions
     for begin in range(0, 100, 7):

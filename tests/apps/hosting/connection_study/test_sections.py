@@ -6,7 +6,7 @@ import pytest
 from dcgrid_env import load_feeder
 from dcgrid_env.apps.hosting.capacity_study import Study
 from dcgrid_env.apps.hosting.connection_study import sections
-from dcgrid_env.apps.hosting.connection_study.connection_report import answers, page, plain, sections_of
+from dcgrid_env.apps.hosting.connection_study.connection_report import answers, page, report_json, sections_of
 from dcgrid_env.apps.hosting.connection_study.study_job import Job
 from dcgrid_env.apps.hosting.connection_study.study_request import FluctuationLimits, StudyRequest
 from dcgrid_env.apps.hosting.hosting import hosting_capacity
@@ -75,7 +75,7 @@ def test_the_report_is_whole_escaped_and_says_what_was_left_out(job, tmp_path):
     by_name = {c.bus: c for c in found.by_controller["none"]}
     fits = "fits" if by_name["12"].capacity_mw >= 0.5 else "does not fit"
     assert answers(job, found)[0].startswith(f"Without control, 0.5 MW at bus 12 {fits}: the bus carries")
-    record = plain(job, found, made)
+    record = report_json(job, found, made)
     assert set(record["sections"]) == {s.name for s in made}
     assert record["answers"] == answers(job, found)
 

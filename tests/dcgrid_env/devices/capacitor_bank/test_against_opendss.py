@@ -40,7 +40,7 @@ def ours(name, bank, settings, p_kw, q_kvar):
     )
     row, out = scenario.feeder.network.capacitor.name.index(bank), []
     solve = solve_rows_of(scenario, None, p_kw[:1], q_kvar[:1], None)
-    equipment = feeder_equipment.begun(scenario, p_kw[:1], q_kvar[:1], None, None, None)
+    equipment = feeder_equipment.initial_equipment(scenario, p_kw[:1], q_kvar[:1], None, None, None)
     equipment = feeder_equipment.measured(scenario, equipment, solve(equipment, slice(None), None))
     for second in range(1, SECONDS + 1):
         solve = solve_rows_of(scenario, None, p_kw[second : second + 1], q_kvar[second : second + 1], None)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dcgrid_env.engine.physics.node_figures import extremes_of_nodes, from_nodes, phase_figures
+from dcgrid_env.engine.physics.node_figures import from_nodes, node_extremes, phase_figures
 from dcgrid_env.engine.physics.voltage_figures import voltage_figures
 from dcgrid_env.powerflow import ThreePhaseSolution, branch_loading, has_ratings, three_phase_nodes, unbalance_factor
 from dcgrid_env.scenario.presets import make_scenario
@@ -26,7 +26,7 @@ def test_bits_of_the_array_forms(preset, parts):
     figures = phase_figures(scenario, solution, nodes)
     expected = [
         from_nodes(solution.v_pu, nodes),
-        *extremes_of_nodes(solution.v_pu, nodes),
+        *node_extremes(solution.v_pu, nodes),
         unbalance_factor(three_phase_nodes(feeder), re, im),
         branch_loading(feeder, solution),
         *voltage_figures(solution.v_pu, feeder.load_slice.start, scenario.cost.band_pu),

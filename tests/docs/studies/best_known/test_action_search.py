@@ -111,7 +111,7 @@ def test_the_command_keeps_what_can_be_driven_again_and_goes_on_from_it(quick, t
 def test_tables_say_best_known_and_not_hindsight():
     values = published(make_scenario("toy6", split="test"))
     assert values is not None
-    values = values.of(range(3))
+    values = values.select(range(3))
     assert not values.is_best_known
     costs = {"none": values.J + 2.0, "droop-tuned": values.J + 1.0}
     own = {name: [{"J": j} | dict.fromkeys(FIGURES, 0.0) for j in of_name] for name, of_name in costs.items()}

@@ -30,7 +30,7 @@ def test_figures_are_those_of_the_episodes(study):
     assert study.load_kw == pytest.approx(1769.0 + 3 * 450.0)
     costs = published(test)
     assert costs is not None
-    assert named["best known"].figures[0] == pytest.approx(costs.of([0, 1]).J.mean())
+    assert named["best known"].figures[0] == pytest.approx(costs.select([0, 1]).J.mean())
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ def test_each_random_feeder_has_a_score_of_its_own():
     values: Any = published(one.scenario)
     own: Any = [unseen_feeders.feeder_scores(one, name) for name in ("droop-tuned", "droop-q")]
     assert (own[0] == 0.0).all()
-    expected = (one.droop.J - one.others["droop-q"].J) / (one.droop.J - values.of((0, 1)).J)
+    expected = (one.droop.J - one.others["droop-q"].J) / (one.droop.J - values.select((0, 1)).J)
     assert np.sort(own[1]) == pytest.approx(np.sort(expected))
     table: Any = unseen_feeders.feeders_table(one, 1)
     assert table.rows[0][3] == "0 of 2"

@@ -10,7 +10,7 @@ import pytest
 from dcgrid_env import make_scenario
 from dcgrid_env.apps.reproduction import bus13, levers
 from dcgrid_env.apps.reproduction.load import choose_load
-from dcgrid_env.apps.reproduction.study_runs import NONE, Runs, Setting, nodes_of
+from dcgrid_env.apps.reproduction.study_runs import NO_CONTROL, Runs, Setting, nodes_of
 from dcgrid_env.baselines import NoControl, rollout
 from docs.studies.paper.feeder_cases import cases, common_sites, setting_of, without_line_regulators
 from docs.studies.paper.feeder_comparison import LEFT_OUT, PARTS, compare_feeders
@@ -108,7 +108,7 @@ def test_records_are_whole_and_the_same_for_each_form(records):
 @pytest.mark.slow
 def test_figures_of_the_causes_are_those_of_the_runs(records, true):
     rows = {row["figure"]: row["values"] for row in records["causes"]}
-    of_runs = [true.of(true.setting.scenario(n), NONE).deviation_pu for n in range(1, 6)]
+    of_runs = [true.run(true.setting.scenario(n), NO_CONTROL).deviation_pu for n in range(1, 6)]
     assert rows["deviation, no control (p.u.)"]["acting"] == pytest.approx(np.mean(of_runs))
     for row, cells in zip(records["causes"], causes_table(records)[1], strict=True):
         steps = [float(cell) for cell in cells[1:]]

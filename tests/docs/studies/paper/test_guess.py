@@ -20,7 +20,7 @@ from docs.studies.paper.guess import (
 @pytest.mark.slow
 def test_the_default_guess_is_the_study(few):
     for row in cells(few, Guess()):
-        run = few.of(few.setting.scenario(row["n_datacenters"]), Law(k_p_mw_per_pu=row["k_p"]))
+        run = few.run(few.setting.scenario(row["n_datacenters"]), Law(k_p_mw_per_pu=row["k_p"]))
         assert row["deviation_pu"] == table1.figures(run)["deviation_mean_pu"]
         assert row["delay_s"] == table1.figures(run)["delay_mean_s"]
 
@@ -28,7 +28,7 @@ def test_the_default_guess_is_the_study(few):
 @pytest.mark.slow
 def test_each_setting_of_a_guess_is_heeded(few):
     def figures_of(guess):
-        return figures(few.of(scenario_of(few, guess, 5), law_of(guess, 20.0)), guess)
+        return figures(few.run(scenario_of(few, guess, 5), law_of(guess, 20.0)), guess)
 
     own = figures_of(Guess())
     for name, values in VALUES.items():

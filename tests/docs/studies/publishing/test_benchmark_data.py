@@ -87,7 +87,7 @@ def test_published_scores_follow_from_published_costs_and_hindsight(page):
         assert facts.scenario_hash in ("", scenario_hash(scenario))
         best = published(scenario)
         assert best is not None
-        assert pytest.approx(best.of(range(facts.episodes)).J.mean(), abs=0.51e-4) == facts.hindsight.J
+        assert pytest.approx(best.select(range(facts.episodes)).J.mean(), abs=0.51e-4) == facts.hindsight.J
         assert isinstance(facts.hindsight, BestKnownCost) == best.is_best_known
         j_droop = data.of(preset)[REFERENCE].means["J"]
         headroom = j_droop - facts.hindsight.J
