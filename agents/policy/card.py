@@ -19,7 +19,7 @@ from dcgrid_env.core.files import write_json
 from dcgrid_env.core.user_files import read_json
 
 FORMAT = 3
-"""Version of the card's format."""
+"""Version of the card's format: 3 has costs of every seed, 2 had ``inputs`` and the interval over seeds, 1 neither."""
 MOST_MIB = 16
 """Maximum size of a file that is read."""
 ORIGIN_FIELDS = ("algorithm", "scenario", "seed", "command", "training_s", "validation_J")
@@ -45,6 +45,12 @@ def _in_order(found: InputRange) -> InputRange:
     if len({len(part) for part in found}) > 1 or not all(low <= high for low, high in ends):
         raise ValueError("give a name and two ends in order for each input")
     return found
+
+
+def _readable(number: int) -> int:
+    if not 1 <= number <= FORMAT:
+        raise ValueError(f"this dcgrid reads 1 to {FORMAT}; update it")
+    return number
 
 
 Line = Annotated[str, AfterValidator(_line)]
@@ -129,7 +135,7 @@ class Card:
     inputs: dict[str, Annotated[InputRange, AfterValidator(_in_order)]] | None = None
     """Range of what each network was given on the training split, with the nameplate figures, by the network's name;
     none where that was not recorded."""
-    format: Literal[3] = FORMAT
+    format: Annotated[int, AfterValidator(_readable)] = FORMAT
     """Version of the card's format."""
 
     def __post_init__(self) -> None:
@@ -165,6 +171,8 @@ class Card:
     def load(cls, path: str | Path) -> Self:
         """Read a card; raise PolicyError, with the file, if it is invalid, and OSError if it cannot be opened."""
         fields = read_json(Path(path), PolicyError, "give a card that Policy.save wrote", MOST_MIB)
+        if isinstance(fields, dict):
+            fields = {"format": 1} | fields
         try:
             return TypeAdapter(cls).validate_json(json.dumps(fields))
         except ValidationError as error:

@@ -48,6 +48,18 @@ def test_a_field_of_another_type_is_refused(field, value):
         dataclasses.replace(CARD, **{field: value})
 
 
+def test_a_card_of_the_first_format_loads(tmp_path):
+    path = tmp_path / "card.json"
+    CARD.save(path)
+    old = json.loads(path.read_text())
+    del old["inputs"], old["format"], old["scored"]["over_seeds"]
+    path.write_text(json.dumps(old))
+    assert Card.load(path) == dataclasses.replace(CARD, format=1)
+    path.write_text(json.dumps(old | {"format": 4}))
+    with pytest.raises(PolicyError, match="format is 4; this dcgrid reads 1 to 3; update it"):
+        Card.load(path)
+
+
 def test_the_range_of_inputs_comes_back_and_is_checked(tmp_path):
     own = InputRange(("v_deviation", "r"), (-1.0, 0.2), (1.0, 0.2))
     card = dataclasses.replace(CARD, inputs={"inverter": own})
