@@ -116,7 +116,7 @@ class LawStep:
     def decide(self, now: Own, past: Past) -> Decided:
         """Decide for what is seen now, which ``past`` then contains too."""
         known, site, s, like = self.known, self.site, self.scenario, self._like
-        idle_kw, all_kw, ceiling_kw = self._work(now)
+        idle_kw, all_kw, ceiling_kw = self.work(now)
         p_kw = _joined((idle_kw + all_kw, now.p_kw[:, self._n_dc :]))
         rest_kvar = resting(site, self._known, _host(p_kw))
         then_kw, then_kvar = past.when_measured(now, s.sensing.delay_steps)
@@ -180,7 +180,7 @@ class LawStep:
     def _pulled(self) -> Array:
         return self._like(np.asarray(self.site.scheduled, dtype=float))
 
-    def _work(self, now: Own) -> tuple[Any, Any, Any]:
+    def work(self, now: Own) -> tuple[Any, Any, Any]:
         """Idle floor, dynamic power that serves all work that is there, and that of the top clock, kW, (row, n_dc)."""
         s, xp, idle = self.scenario, namespace(now.v_pu), self._dc["p_idle_kw"]
         p_ref_kw = now.p_ref_next_kw

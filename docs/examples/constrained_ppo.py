@@ -25,7 +25,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 
-from dcgrid_env import info_arrays, make_scenario
+from dcgrid_env import end_costs, info_arrays, make_scenario
 from dcgrid_env.agents import find_controller, sb3_vec_env
 from dcgrid_env.baselines import rollout
 
@@ -34,6 +34,8 @@ Method = Literal["lagrangian", "saute", "none"]
 
 class Constrained(VecEnvWrapper):
     """Separate the cost of the constraint from the reward, and sum both over the episodes.
+
+    What the end of an episode charges for, such as work that is left, is charged as it arises.
 
     Parameters
     ----------
@@ -52,14 +54,23 @@ class Constrained(VecEnvWrapper):
     def reset(self) -> Any:
         """Begin episodes."""
         self.sums[:] = 0.0
-        return self.observed(self.venv.reset())
+        first = self.venv.reset()
+        self.due = self.due_at_rest = self.end_costs()
+        return self.observed(first)
+
+    def end_costs(self) -> np.ndarray:
+        """Return what the end of the episodes would charge after the last step, (env,)."""
+        due = end_costs(self.rows.scenario, self.rows.batch.transition.state)
+        return sum(due.values(), np.zeros(len(self.sums)))
 
     def step_wait(self) -> Any:
         """Return observation, reward, done and infos with ``cost`` of the row's environment."""
         observation, reward, done, infos = self.venv.step_wait()
         each = self.rows.rows_per_env
         cost = info_arrays(self.rows.scenario, self.rows.batch.transition, "costs")["cost"]
-        free = reward[::each] + cost
+        due, over = self.end_costs(), done[::each]
+        free = reward[::each] + cost + self.due - due + due * self.rows.truncated[::each]
+        self.due = np.where(over, self.due_at_rest, due)  # every episode begins at rest
         self.sums += np.stack([free, cost], axis=1)
         paid = np.repeat(self.paid(free, cost), each).astype(np.float32)
         for row, info in enumerate(infos):
@@ -67,7 +78,6 @@ class Constrained(VecEnvWrapper):
         arrived = {row: infos[row]["terminal_observation"] for row in np.flatnonzero(done).tolist()}
         for row, last in arrived.items():
             infos[row]["terminal_observation"] = self.observed(last, row)
-        over = done[::each]
         self.ended += [(free_sum / self.horizon, cost_sum / self.horizon) for free_sum, cost_sum in self.sums[over]]
         self.sums[over] = 0.0
         return self.observed(observation), paid, done, infos
@@ -236,7 +246,6 @@ def main(
 
     def constrained(split: str, n: int) -> Constrained:
         rows = sb3_vec_env(scenario, n, view="shared", outputs="droop", nameplate=True, reward="shared", split=split)
-        rows.end_as_it_arises = True
         if method == "saute":
             return Saute(rows, budget, penalty)
         return Lagrangian(rows) if method == "lagrangian" else Constrained(rows)

@@ -84,7 +84,6 @@ def constrained_rows(**fields):
     common: dict[str, Any] = {"view": "shared", "outputs": "setpoint", "reward": "shared"}
     common |= {"horizon": 4, "source_voltage_pu": 0.95}
     rows = sb3_vec_env("ieee33-weak", 2, **common, **fields)
-    rows.end_as_it_arises = True
     rows.seed(0)
     return rows, np.random.default_rng(0).uniform(-0.3, 0.3, (4, rows.num_envs, 2)).astype(np.float32)
 
@@ -92,7 +91,7 @@ def constrained_rows(**fields):
 def test_constrained_returns_are_those_without_a_weight_of_the_violation():
     constrained = example("constrained_ppo")
     rows, actions = constrained_rows()
-    without, _ = constrained_rows(weights={"violation": 0.0})
+    without = constrained.Constrained(constrained_rows(weights={"violation": 0.0})[0])
     wrapped = constrained.Lagrangian(rows)
     wrapped.multiplier = 3.0
     wrapped.reset()

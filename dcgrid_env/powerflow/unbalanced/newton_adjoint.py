@@ -155,7 +155,7 @@ def voltage_slopes(
         mu = factors.solve(weights, trans="T").T
         mu = mu[:, : equations.half] + 1j * mu[:, equations.half :]
         slopes.append(np.conj(-mu[:, : feeder.n_node]) * per_v)
-    both = np.concatenate(slopes)
+    both: Any = np.concatenate(slopes)
     return both.real, both.imag
 
 

@@ -17,6 +17,7 @@ from dcgrid_env.agents import find_controller
 from dcgrid_env.agents.policy.unseen import on_purpose
 from dcgrid_env.baselines import Controller, Local, ModelAided, make_controller, rollout
 from dcgrid_env.baselines.model_aided.knowledge import Commissioned, resting
+from dcgrid_env.baselines.model_aided.law_step import LawStep, Own
 from dcgrid_env.baselines.model_based.hindsight import hindsight
 from docs.studies.learning.feeder_by_feeder import on_each_feeder
 
@@ -49,23 +50,23 @@ class Informed(ModelAided):
 
     def control(self, local: Local) -> tuple[np.ndarray, np.ndarray]:
         """See ``LocalController``."""
-        kept = self._known
-        assert kept is not None
-        self._known = self._informed(local, kept)
+        step = self._step
+        assert step is not None
+        self._step = LawStep(self._site, self._informed(local, step), np.asarray)
         try:
             return super().control(local)
         finally:
-            self._known = kept
+            self._step = step
 
-    def _informed(self, local: Local, kept: Commissioned) -> Commissioned:
+    def _informed(self, local: Local, step: LawStep) -> Commissioned:
         """The agents' data with the true voltages as the estimate, one placement a row."""
         v, n_row = self._v_pu, len(self._v_pu)
-        known = kept if len(kept.mean_kw) == n_row else kept.take(np.zeros(n_row, int))
-        flat = Local(*(field.reshape(n_row, field.shape[-1]) for field in local))
-        work, kvar = self._work(flat, known), flat.q_kvar
+        known = step.known if len(step.known.mean_kw) == n_row else step.known.take(np.zeros(n_row, int))
+        flat = Own(*(getattr(local, field).reshape(n_row, -1) for field in Own._fields))
+        (idle_kw, all_kw, _), kvar = step.work(flat), flat.q_kvar
         next_kw = flat.p_kw.copy()
-        next_kw[:, : self.scenario.datacenters.count] = work.idle_kw + work.all_kw
-        if self._steps == 0:  # agents act as if they stood at u*
+        next_kw[:, : self.scenario.datacenters.count] = idle_kw + all_kw
+        if self._past.steps == 0:  # agents act as if they stood at u*
             rest_kvar = resting(self._site, known, next_kw)
             v, kvar = v + np.einsum("mn,mnk->mk", rest_kvar - kvar, known.by_q), rest_kvar
         base = v[:, None] - known.by_q * (kvar - known.origin_kvar)[..., None]

@@ -77,7 +77,7 @@ def trained(scenario: str, seed: int, steps: int) -> dict[str, Any]:
     j = dcgrid_env.score(model, scenario, range(EPISODES)).J
     return {
         "scenario": scenario, "seed": seed, "steps": steps, "scenario_hash": scenario_hash(on_test(scenario)),
-        "cpu_s": round(cpu_s, 1), "physics_s": round(envs.physics_s, 1), "J": [round(cost, 6) for cost in j.tolist()],
+        "cpu_s": round(cpu_s, 1), "J": [round(cost, 6) for cost in j.tolist()],
     }  # fmt: skip
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from dcgrid_env import PRESETS, CostWeights, PrefillDecodeDvfs, load_feeder, make_scenario, scenario_hash
 from dcgrid_env.baselines import Droop, make_controller
-from dcgrid_env.baselines.tuning.tuned import GRID, OWN, grid_difference, grid_hash, identity, tuned_parameters
+from dcgrid_env.baselines.tuning.tuned import GRID, USER_FILE, grid_difference, grid_hash, identity, tuned_parameters
 from helpers.three_phase import ieee13, ieee34
 
 
@@ -95,11 +95,11 @@ def test_ones_own_are_found_in_results_and_in_a_file_that_is_named(tmp_path):
     own = make_scenario("ieee33-weak", name="mine", source_voltage_pu=1.0)
     with pytest.raises(ValueError, match=r"'droop' for scenario 'mine' ship with the package, nor stand in results"):
         make_controller("droop-tuned", own)
-    write(OWN, "droop", "mine", 3.0, own)
+    write(USER_FILE, "droop", "mine", 3.0, own)
     write(tmp_path / "other.json", "droop", "mine", 4.0, own)
     for scenario in (own, own.replace(split="test"), own.replace(horizon=20)):
         found = tuned_parameters("droop", scenario)
-        assert found == ({"k_q_mvar_per_pu_s": 3.0}, OWN)
+        assert found == ({"k_q_mvar_per_pu_s": 3.0}, USER_FILE)
         law = make_controller("droop-tuned", scenario, tmp_path / "other.json")
         assert isinstance(law, Droop)
         assert law.k_q_mvar_per_pu_s == 4.0
@@ -118,15 +118,15 @@ def test_ones_own_are_found_in_results_and_in_a_file_that_is_named(tmp_path):
 def test_the_presets_own_gains_come_before_those_of_its_variants():
     preset = make_scenario("ieee33-weak")
     shipped = tuned_parameters("droop", preset)
-    write(OWN, "droop", "ieee33-weak", 3.0, preset.replace(horizon=60))
+    write(USER_FILE, "droop", "ieee33-weak", 3.0, preset.replace(horizon=60))
     assert tuned_parameters("droop", preset) == shipped
     assert tuned_parameters("droop", preset.replace(horizon=50)) == shipped
-    assert tuned_parameters("droop", preset.replace(horizon=60, split="test")).file == OWN
-    write(OWN, "droop", "ieee33-weak", 3.0)  # of the preset itself: the scores stay those published ...
+    assert tuned_parameters("droop", preset.replace(horizon=60, split="test")).file == USER_FILE
+    write(USER_FILE, "droop", "ieee33-weak", 3.0)  # of the preset itself: the scores stay those published ...
     assert tuned_parameters("droop", preset) == shipped
-    assert tuned_parameters("droop", preset, OWN).parameters == {"k_q_mvar_per_pu_s": 3.0}  # ... unless asked for
+    assert tuned_parameters("droop", preset, USER_FILE).parameters == {"k_q_mvar_per_pu_s": 3.0}  # ... unless asked for
     with pytest.raises(ValueError, match="has some of another 'ieee33-weak'"):
-        tuned_parameters("droop", preset.replace(source_voltage_pu=1.0), OWN)
+        tuned_parameters("droop", preset.replace(source_voltage_pu=1.0), USER_FILE)
 
 
 def test_the_hash_of_a_file_is_that_of_the_validation_split():
@@ -136,8 +136,8 @@ def test_the_hash_of_a_file_is_that_of_the_validation_split():
 
 
 def test_a_damaged_file_is_named():
-    OWN.parent.mkdir()
-    OWN.write_text("{")
+    USER_FILE.parent.mkdir()
+    USER_FILE.write_text("{")
     with pytest.raises(
         ValueError,
         match=r"results/tuned\.json: is not JSON .*; pass a file that dcgrid tune wrote",

@@ -82,7 +82,7 @@ def test_what_a_user_names_is_shown_as_it_is(here, monkeypatch, capsys, command)
 
 
 def test_the_progress_of_a_training_shows_its_scenario_as_it_is(capsys):
-    from dcgrid_env.agents.training.run_folder import progress
+    from dcgrid_env.agents.training.training_loop import progress
 
     with progress(NAME, 2, 0) as advance:
         advance(2, NAME)

@@ -12,9 +12,9 @@ from docs.studies.laws.missing_information import Informed
 class Recording(Informed):
     """Keeps the expected voltages without a further move, and the true ones."""
 
-    def _informed(self, local, kept):
-        known = super()._informed(local, kept)
-        if self._steps:
+    def _informed(self, local, step):
+        known = super()._informed(local, step)
+        if self._past.steps:
             q, p = local.q_kvar - known.origin_kvar, local.p_kw - known.mean_kw
             moved = known.by_q * q[..., None] - known.by_draw * p[..., None]
             np.testing.assert_allclose(known.base_pu[:, :, 0] + moved, self._v_pu[:, None] + 0.0 * moved, atol=1e-12)
