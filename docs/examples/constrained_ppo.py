@@ -35,7 +35,7 @@ Method = Literal["lagrangian", "saute", "none"]
 class Constrained(VecEnvWrapper):
     """Separate the cost of the constraint from the reward, and sum both over the episodes.
 
-    What the end of an episode charges for, such as work that is left, is charged as it arises.
+    The reward pays the costs of the episode's end, such as work that is left, as they arise.
 
     Parameters
     ----------
