@@ -50,6 +50,8 @@ MARGIN = 0.5
 """Gain of the untrained law as a fraction of the stability bound."""
 STEP = 0.02
 """Change in voltage deviation, in bands, for the computation of slopes."""
+MOST_STEPS = 10_000
+"""Longest episodes over which a range of inputs is recorded; the scenario is named in the policy's file."""
 FAMILY_MEMBERS = 16
 """Number of random feeders for which bounds are computed; the smallest bound is used for all."""
 FIGURES = ("guard_law_pct", "guard_bound_pct", "guard_new_places_pct")
@@ -108,6 +110,11 @@ class GuardedPolicy:
         """Return the range of the inputs on the scenarios that the policy was trained on; PolicyError without any."""
         try:
             trained = trained_scenarios(self.policy.trained_on)
+            for scenario in trained:
+                if scenario.horizon > MOST_STEPS:
+                    raise ValueError(
+                        f"{scenario.name} has {scenario.horizon} steps, more than {MOST_STEPS}; give its card"
+                    )
             return recorded(self.policy, trained) or {}
         except (ValueError, OSError) as error:
             raise PolicyError(

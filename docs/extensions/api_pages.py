@@ -96,7 +96,6 @@ GROUPS = (
             "grid",
             "apps.importers",
             "baselines.source_voltage",
-            "scenario.own_control",
         ),
     ),
     Group(

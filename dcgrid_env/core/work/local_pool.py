@@ -7,7 +7,7 @@ import os
 import pickle
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -72,8 +72,8 @@ ONE_PROCESS = LocalPool()
 
 def _submitted(pool: ProcessPoolExecutor, unit: Unit[Any, Any]) -> Future[Any]:
     try:
-        return pool.submit(_attempt, command_words(), unit.work, unit.item)
-    except BrokenProcessPool as error:  # a worker died already
+        return pool.submit(_attempt, command_words(), packed([(unit.work, unit.item)])[0])
+    except Exception as error:  # a worker died already, or the unit cannot be pickled
         future: Future[Any] = Future()
         future.set_exception(error)
         return future
@@ -84,7 +84,7 @@ def _result(future: Future[Any]) -> Any:
         return future.result()
     except BrokenProcessPool:
         return Lost(DIED)
-    except Exception as error:  # it cannot be pickled
+    except Exception as error:  # it cannot be pickled or unpickled
         return Lost(f"it cannot be sent to a process: {error}")
 
 
@@ -118,8 +118,9 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _attempt(words: Sequence[str], work: Callable[[Item], Result], item: Item) -> Result | Lost:
+def _attempt(words: Sequence[str], content: bytes) -> Any:
     """Run a unit; a termination removes incomplete files before the process ends. ``words``: see ``command_of``."""
+    work, item = pickle.loads(content)  # an error here is the unit's; one while the pool unpickles ends the worker
     try:
         with terminated_in_order(), command_of(words):
             return attempt(work, item)

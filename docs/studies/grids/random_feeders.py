@@ -3,7 +3,7 @@
 Figures of SimBench (S. Meinecke et al., Energies 13(12), 2020, 3290; the grids 1-*--0-no_sw), of CIGRE (task force
 C6.04.02, Technical Brochure 575), of G. Kerber's networks (Kerber, TU Munich, 2011), and of Oberrhein were measured of
 the nets of simbench 1.6 and pandapower 3. They are in their base case, with what their switches leave closed, at one
-voltage (tests/docs/studies/test_published_feeders.py). The other published feeders are bundled with dcgrid.
+voltage (tests/docs/studies/learning/test_published_feeders.py). The other published feeders are bundled with dcgrid.
 """
 
 from __future__ import annotations

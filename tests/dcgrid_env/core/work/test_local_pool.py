@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children
@@ -103,10 +104,13 @@ def awkward(item):
 @pytest.mark.slow
 def test_an_error_that_cannot_travel_is_described_and_so_is_what_cannot_be_sent():
     asked = [Unit("exit", awkward, 0), Unit("awkward", awkward, 1), Unit("function", len, (lambda: 0,))]
+    asked += [Unit("lock", len, (threading.Lock(),)), Unit("item", len, (Awkward("this", 1),))]
     found = {unit.key: result for unit, result in LocalPool(2).run(asked)}
     assert found["exit"].reason == "SystemExit: 3"
     assert found["awkward"].reason == "Awkward: this and 1"
-    assert found["function"].reason.startswith("it cannot be sent to a process: ")
+    assert found["function"] == 1
+    assert found["lock"].reason.startswith("it cannot be sent to a process: cannot pickle")
+    assert found["item"].reason.startswith("it cannot be sent to a process: Awkward.__init__() missing")
 
 
 @pytest.mark.slow
