@@ -26,7 +26,7 @@ def test_defaults_and_plain_forms():
         ({"leave_out": ["costs"]}, f"its sections are {', '.join(SECTIONS)}"),
         ({"limits": {"pst": 0.0}}, "limits.pst is 0.0"),
         ({"limits": {"ramp_kw_per_s": 0}}, "limits.ramp_kw_per_s is 0; give a ramp > 0 kW/s"),
-        ({"limits": 3}, "limits is 3; give a table of its fields"),
+        ({"limits": 3}, r"limits is 3; give FluctuationLimits\(\.\.\.\) or a mapping of its fields"),
         ({"ride_through": {"curve": "none"}}, "ride_through.curve is 'none'; choose one of itic"),
         ({"outages": "all"}, "give a list of names"),
         ({"several_sites": {"buses": []}}, r"several_sites.buses is \(\); give a list of at least one bus"),
