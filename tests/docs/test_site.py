@@ -125,7 +125,7 @@ def test_tables_are_sorted_by_a_script_that_needs_no_network():
 
 
 def test_the_readme_has_the_table_that_its_command_prints():
-    headline = runpy.run_path(str(ROOT / "docs" / "studies" / "headline.py"))
+    headline = runpy.run_path(str(ROOT / "docs" / "studies" / "publishing" / "headline.py"))
     made = headline["table"]()
     assert made.count("\n") == 1 + len(headline["SHOWN"])
     assert made in (ROOT / "README.md").read_text(encoding="utf-8")
