@@ -72,7 +72,7 @@ ONE_PROCESS = LocalPool()
 
 def _submitted(pool: ProcessPoolExecutor, unit: Unit[Any, Any]) -> Future[Any]:
     try:
-        return pool.submit(_attempt, command_words(), packed([(unit.work, unit.item)])[0])
+        return pool.submit(_attempt, command_words(), pickle.dumps((unit.work, unit.item)))
     except Exception as error:  # a worker died already, or the unit cannot be pickled
         future: Future[Any] = Future()
         future.set_exception(error)

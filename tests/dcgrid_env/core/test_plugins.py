@@ -181,7 +181,10 @@ def test_a_broken_package_of_devices_is_one_warning_and_named_where_its_kind_is_
     warned, error = ran.stderr.splitlines()
     assert ran.returncode == 2
     assert "is left out: ModuleNotFoundError" in warned
-    assert "devices[1].kind: no kind of device 'battery'; `dcgrid list devices` lists all; entry point" in error
+    assert (
+        "devices[1].kind is 'battery'; no kind of device 'battery'; `dcgrid list devices` lists all; entry point"
+        in error
+    )
 
 
 @pytest.mark.slow
